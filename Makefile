@@ -1,0 +1,68 @@
+# Everything a newcomer needs. Only python3 (3.11 or newer, with venv and pip) and make have to be on the machine.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+# The environment is built once for each content of these files: touching or checking them out again costs nothing.
+PINS := pyproject.toml constraints.txt
+STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+
+.PHONY: help setup demo test e2e check lint types layers docs bench clean
+
+help: ## Show this list
+	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
+
+setup: $(STAMP) ## Build .venv with everything pinned (does nothing when it is up to date)
+
+$(STAMP): | $(PINS)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[dev,docs]'
+	@touch $@
+
+demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
+	rm -rf runs/demo
+	$(BIN)/llm-flock run --shape circle --robots 10 --seed 7 --out runs/demo
+	$(BIN)/llm-flock figure runs/demo/run.mcap
+	$(BIN)/llm-flock animate runs/demo/run.mcap
+
+test: $(STAMP) ## Unit, property and integration tests, with coverage
+	$(BIN)/python -m pytest tests/unit tests/property tests/integration --cov --cov-report=
+	$(BIN)/coverage report --format=total
+	@echo "protocol/: every branch must be covered"
+	$(BIN)/coverage report --include='src/llm_flock/protocol/*' --fail-under=100
+
+e2e: $(STAMP) ## End-to-end tests through the command line
+	$(BIN)/python -m pytest tests/e2e
+
+check: lint types layers docs ## Lint, types, layers and docs, as in CI
+
+lint: $(STAMP) ## Lint and format check
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP) ## Type check
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+layers: $(STAMP) ## Who may import whom
+	$(BIN)/lint-imports
+
+docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs build/docs
+	@echo "open build/docs/index.html"
+
+bench: $(STAMP) ## Measure the framework's overhead
+	$(BIN)/python -m benchmarks
+
+clean: ## Remove builds, caches and the environment; runs/ is kept
+	rm -rf .venv build dist .coverage .hypothesis .pytest_cache .ruff_cache .import_linter_cache
+	find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

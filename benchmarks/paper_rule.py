@@ -1,0 +1,162 @@
+"""How often does the paper's rule, taken literally, end on one plan and on distinct goals?
+
+    python benchmarks/paper_rule.py [--trials 1000] [--rounds 25]
+
+Every robot runs the package's own agent with `influence` consensus, literal `nearest` assignment, one exchange a round
+and no shield. The models are ideal: each proposes the exact shape, randomly turned about the centre and rounded to
+two decimals, and every step goes straight to the goal. What the paper leaves open is a column: how the starts are
+drawn, which index a model names for itself, and who wins among equally influential neighbours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.stats import beta
+
+from llm_flock import formations
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import (
+    Agent,
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    Decided,
+    MoveTo,
+    NegotiationEnded,
+    Planned,
+    Received,
+    RoundBegan,
+    TickBegan,
+    TickEnded,
+)
+from llm_flock.protocol.assignment import NearestAssignment, nearest
+from llm_flock.protocol.consensus import InfluenceConsensus, TieBreak
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import PlanAnswer, StepAnswer
+from llm_flock.robots.simulated import SimulatedTeam, StartRule, draw_start
+
+Index: TypeAlias = Literal["id", "random", "nearest"]
+
+CASES = (("triangle", 3), ("triangle", 6), ("square", 8), ("circle", 10))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """One way to read what the paper leaves open."""
+
+    shape: str
+    n: int
+    start: StartRule
+    index: Index
+    tie: TieBreak
+
+
+def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
+    """One run; returns (all on one plan, and on distinct goals too)."""
+    mission = Mission(shape=reading.shape, n_robots=reading.n)
+    rng = np.random.default_rng([seed, reading.n])
+    bodies = SimulatedTeam(mission, draw_start(mission, reading.start, rng), 0.0, rng)
+    agents = [
+        Agent(i, mission, InfluenceConsensus(tie=reading.tie), NearestAssignment(), shield_on=False)
+        for i in range(reading.n)
+    ]
+    for number in range(1, rounds + 1):
+        for i, agent in enumerate(agents):
+            seen = bodies.sense(i)
+            began = RoundBegan(round=number, position=seen.position, sensed=seen.sensed, observed=())
+            for effect in agent.handle(began):
+                if isinstance(effect, AskPlan):
+                    agent.handle(Planned(propose(mission, reading.index, i, seen.position, rng)))
+        payloads = [effect.payload for a in agents for effect in a.handle(TickBegan()) if isinstance(effect, Broadcast)]
+        for i, near in enumerate(bodies.in_radio_range):
+            for j in near:
+                agents[i].handle(Received(payloads[j]))
+        waypoints = [settle(agent, mission.max_step) for agent in agents]
+        bodies.move(np.array(waypoints) - bodies.positions)
+    one_plan = len({a.plan for a in agents}) == 1
+    return one_plan, one_plan and len({a.claim.slot for a in agents}) == reading.n
+
+
+def propose(
+    mission: Mission, index: Index, robot: int, position: tuple[float, ...], rng: np.random.Generator
+) -> PlanAnswer:
+    """An ideal model's plan, at a random orientation."""
+    turned = formations.rotated(np.array(mission.ideal), mission.center, float(rng.uniform(0, 2 * math.pi)))
+    plan = Plan.of(turned.round(2).tolist())
+    if index == "id":
+        return PlanAnswer(plan=plan, slot=robot)
+    slot = int(rng.integers(0, len(plan))) if index == "random" else nearest(position, plan)
+    return PlanAnswer(plan=plan, slot=slot)
+
+
+def settle(agent: Agent, max_step: float) -> tuple[float, ...]:
+    """End of the exchange and the straight step to the goal."""
+    agent.handle(TickEnded())
+    (ask,) = agent.handle(NegotiationEnded())
+    assert isinstance(ask, AskStep)
+    here, goal = ask.question.position, ask.question.goal
+    share = min(1.0, max_step / max(math.dist(here, goal), 1e-12))
+    step = tuple(a + share * (b - a) for a, b in zip(here, goal, strict=True))
+    moves = [e for e in agent.handle(Decided(StepAnswer(waypoint=step))) if isinstance(e, MoveTo)]
+    agent.handle(Arrived())
+    return moves[0].waypoint
+
+
+def count(reading: Reading, trials: int, rounds: int) -> tuple[Reading, int, int]:
+    """All trials of one reading; seeds are 0 .. trials - 1."""
+    ends = [trial(reading, rounds, seed) for seed in range(trials)]
+    return reading, sum(a for a, _ in ends), sum(b for _, b in ends)
+
+
+def interval(successes: int, trials: int, level: float = 0.99) -> tuple[float, float]:
+    """Clopper-Pearson interval of a share."""
+    tail = (1 - level) / 2
+    low = 0.0 if successes == 0 else float(beta.ppf(tail, successes, trials - successes + 1))
+    high = 1.0 if successes == trials else float(beta.ppf(1 - tail, successes + 1, trials - successes))
+    return low, high
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--trials", type=int, default=1000)
+    parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args(arguments)
+    starts: tuple[StartRule, ...] = ("uniform", "separated")
+    indices: tuple[Index, ...] = ("id", "random", "nearest")
+    ties: tuple[TieBreak, ...] = ("lowest", "highest")
+    readings = [
+        Reading(shape=shape, n=n, start=start, index=index, tie=tie)
+        for (shape, n), start, index, tie in itertools.product(CASES, starts, indices, ties)
+    ]
+    print(f"{given.trials} trials a row, {given.rounds} rounds, share in % with 99 % interval (Clopper-Pearson)\n")
+    print("| N | shape | start | first index | tie | one plan | one plan and distinct goals |")
+    print("|---|---|---|---|---|---|---|")
+    with ProcessPoolExecutor(given.workers) as pool:
+        jobs = [pool.submit(count, reading, given.trials, given.rounds) for reading in readings]
+        for job in jobs:
+            r, one, distinct = job.result()
+            print(
+                f"| {r.n} | {r.shape} | {r.start} | {r.index} | {r.tie} | {share(one, given.trials)} "
+                f"| {share(distinct, given.trials)} |",
+                flush=True,
+            )
+
+
+def share(successes: int, trials: int) -> str:
+    """A share and its interval, in per cent."""
+    low, high = interval(successes, trials)
+    return f"{100 * successes / trials:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""Sphinx configuration. The build reads this checkout only: no inventories, fonts or scripts are fetched."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "src")]
+
+project = "LLM-Flock"
+author = "LLM-Flock contributors"
+copyright = author
+release = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "from_code",
+]
+exclude_patterns = ["_ext"]
+nitpicky = False
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+html_theme = "furo"
+html_title = f"LLM-Flock {release}"
+html_copy_source = False
+
+smartquotes = False
+default_role = "code"
+autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
+autodoc_typehints = "signature"
+autodoc_class_signature = "mixed"
+autodoc_preserve_defaults = True
+napoleon_use_ivar = True
+
+_CODE_SPAN = re.compile(r"(`+[^`]*`+)")
+_COLON = "\N{OBJECT REPLACEMENT CHARACTER}"
+
+
+def _before_napoleon(app, what, name, obj, options, lines):
+    """Docstrings are plain prose with `code`: bars, stars and colons in them are not markup."""
+    for i, line in enumerate(lines):
+        parts = _CODE_SPAN.split(line)
+        parts[::2] = [re.sub(r"([|*])", r"\\\1", part) for part in parts[::2]]
+        lines[i] = "".join(parts)
+        # Napoleon takes what stands before a colon in an attribute's docstring for its type.
+        if what in ("attribute", "property"):
+            lines[i] = lines[i].replace(":", _COLON)
+
+
+def _after_napoleon(app, what, name, obj, options, lines):
+    lines[:] = [line.replace(_COLON, ":") for line in lines]
+
+
+def setup(app):
+    app.connect("autodoc-process-docstring", _before_napoleon, priority=400)
+    app.connect("autodoc-process-docstring", _after_napoleon, priority=600)

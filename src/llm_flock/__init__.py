@@ -1,0 +1,49 @@
+"""LLM-Flock: robots that agree on a formation, each with its own language model, without a central controller.
+
+    import llm_flock
+
+    mission = llm_flock.Mission(shape="circle", n_robots=10)
+    result = llm_flock.run(mission, model="simulated:ideal", seed=7)
+    print(result.formed, result.summary.rounds_to_formed)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from llm_flock.errors import FlockError, InputError
+from llm_flock.mission import Mission, build_mission
+
+if TYPE_CHECKING:
+    from llm_flock.record.reader import read_record
+    from llm_flock.runtime.api import run, run_async
+    from llm_flock.runtime.result import RunResult, Summary
+
+__all__ = [
+    "FlockError",
+    "InputError",
+    "Mission",
+    "RunResult",
+    "Summary",
+    "build_mission",
+    "read_record",
+    "run",
+    "run_async",
+]
+
+_WHERE = {
+    "read_record": "llm_flock.record.reader",
+    "run": "llm_flock.runtime.api",
+    "run_async": "llm_flock.runtime.api",
+    "RunResult": "llm_flock.runtime.result",
+    "Summary": "llm_flock.runtime.result",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load the heavy parts (the model layer above all, about a second) when they are first used."""
+    if name not in _WHERE:
+        raise AttributeError(f"module 'llm_flock' has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(_WHERE[name]), name)

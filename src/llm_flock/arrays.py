@@ -1,0 +1,25 @@
+"""Array types with named axes: n robots or points, d dimensions of space."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Points: TypeAlias = NDArray[np.float64]
+    Vector: TypeAlias = NDArray[np.float64]
+    Pairwise: TypeAlias = NDArray[np.float64]
+    Mask: TypeAlias = NDArray[np.bool_]
+else:
+    from jaxtyping import Bool, Float
+
+    Points = Float[np.ndarray, "n d"]
+    Vector = Float[np.ndarray, "d"]
+    Pairwise = Float[np.ndarray, "n n"]
+    Mask = Bool[np.ndarray, "n n"]
+
+Point: TypeAlias = tuple[float, ...]
+"""One position as plain numbers, length d [units; world frame]."""

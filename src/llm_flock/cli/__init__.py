@@ -1,0 +1,186 @@
+"""The command line: thin, every command a few calls into the library."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.options import parse_flags, with_config_flags
+from llm_flock.errors import FlockError, InputError
+
+EXIT_FAILED = 1
+EXIT_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+app = typer.Typer(
+    name="llm-flock",
+    help="Robots that agree on a formation, each with its own language model and without a central controller.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
+
+
+@app.command()
+@with_config_flags
+def run(
+    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table")] = False,
+    record: Annotated[bool, typer.Option("--record/--no-record", help="Write a record of the run")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No live progress")] = False,
+    **flags: Any,
+) -> None:
+    """Fly one mission and record it. Every field of the configuration is a flag.
+
+    Without --out, the record goes to a new folder under runs/.
+    """
+    from llm_flock.runtime.api import run as run_trial
+    from llm_flock.runtime.config import load_config
+
+    settings = load_config(config, **parse_flags(flags))
+    if not record:
+        settings = settings.model_copy(update={"trial": settings.trial.model_copy(update={"out": None})})
+    elif settings.trial.out is None:
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        folder = f"runs/{stamp}-{settings.mission.shape.split(':')[0]}-{settings.mission.n_robots}"
+        settings = settings.model_copy(update={"trial": settings.trial.model_copy(update={"out": folder})})
+    live = not quiet and not json_output and sys.stderr.isatty()
+    try:
+        with LiveLine(settings.mission.shape, enabled=live) as line:
+            result = run_trial(config=settings, on_round=line.update)
+    except KeyboardInterrupt:
+        where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""
+        print(f"interrupted{where}", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    if json_output:
+        print(json.dumps(result.summary.to_dict(), allow_nan=False))
+    else:
+        Console().print(summary_table(result.summary, settings.mission.safe_distance))
+
+
+@app.command()
+def figure(
+    records: Annotated[list[Path], typer.Argument(help="One or more records (run.mcap), or folders that hold one")],
+    out: Annotated[Path | None, typer.Option(help="File to write; its ending decides the format")] = None,
+    kind: Annotated[
+        str, typer.Option(help="snapshots, error or comparison [snapshots of one record, comparison of several]")
+    ] = "",
+    rounds: Annotated[str | None, typer.Option(help="Rounds of the snapshots, such as 0,4,7,12")] = None,
+    label: Annotated[list[str] | None, typer.Option(help="Label of a record, in their order; may repeat")] = None,
+) -> None:
+    """Draw records: snapshots of one run, the error over time of many, or runs side by side."""
+    from llm_flock.record.reader import read_record
+    from llm_flock.viz import figures
+
+    paths = [_record_file(path) for path in records]
+    runs = [read_record(path) for path in paths]
+    kind = kind or ("snapshots" if len(runs) == 1 else "comparison")
+    target = out or paths[0].with_name(f"{kind}.png")
+    if kind == "snapshots":
+        if len(runs) != 1:
+            raise InputError("records", len(runs), "one record for snapshots")
+        drawn = figures.snapshots(runs[0], None if rounds is None else _rounds(rounds))
+    elif kind == "error":
+        drawn = figures.error_over_time(runs, label or _labels(runs))
+    elif kind == "comparison":
+        drawn = figures.comparison(runs, label or _labels(runs))
+    else:
+        raise InputError("kind", kind, "snapshots, error or comparison")
+    figures.save(drawn, target)
+    print(target)
+
+
+@app.command()
+def animate(
+    record: RecordPath,
+    out: Annotated[Path | None, typer.Option(help="File to write: .gif, or .mp4 where ffmpeg is installed")] = None,
+    fps: Annotated[int, typer.Option(min=1, max=60, help="Frames per second")] = 6,
+) -> None:
+    """Draw a record as an animation."""
+    from llm_flock.record.reader import read_record
+    from llm_flock.viz.animation import animate as draw
+
+    path = _record_file(record)
+    target = out or path.with_name("animation.gif")
+    draw(read_record(path), target, fps=fps)
+    print(target)
+
+
+@app.command()
+def inspect(
+    record: RecordPath,
+    robot: Annotated[int | None, typer.Option(min=0, help="Only this robot's conversation")] = None,
+    round_number: Annotated[int | None, typer.Option("--round", min=0, help="Only this round")] = None,
+) -> None:
+    """Show what is in a record: its summary, or what a robot asked and what its model answered."""
+    from llm_flock.cli.conversation import show_conversation, show_overview
+    from llm_flock.record.reader import read_record
+
+    found = read_record(_record_file(record))
+    if robot is None and round_number is None:
+        show_overview(found)
+    else:
+        show_conversation(found, robot, round_number)
+
+
+@app.command()
+def shapes() -> None:
+    """List the formations and the team sizes they take."""
+    from llm_flock import formations
+
+    table = Table("shape", "robots", "what it is")
+    for shape in formations.shapes():
+        table.add_row(shape.name, shape.legal, shape.description)
+    Console().print(table)
+
+
+@app.command()
+def models() -> None:
+    """List the model providers, their environment variables and examples."""
+    from llm_flock.llm.models import known_providers
+
+    table = Table("provider", "key in", "default address", "example")
+    for provider in known_providers():
+        table.add_row(provider.name, provider.key_variable or "-", provider.base_url or "-", provider.example)
+    Console().print(table)
+
+
+def _record_file(path: Path) -> Path:
+    """The record itself, where a folder is given."""
+    return path / "run.mcap" if path.is_dir() else path
+
+
+def _rounds(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError("rounds", text, "round numbers with commas between them, such as 0,4,7") from None
+
+
+def _labels(runs: list[Any]) -> list[str]:
+    """What tells runs apart: their rules."""
+    return [f"{r.run.config['protocol']['consensus']} + {r.run.config['protocol']['assignment']}" for r in runs]
+
+
+def main() -> None:
+    """Entry point: turn expected errors into one line on stderr and an exit code."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(EXIT_INPUT)
+    except FlockError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)

@@ -1,0 +1,68 @@
+"""Shows a record in the terminal: its overview, or what a robot asked and what its model answered."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from llm_flock.errors import InputError
+from llm_flock.record.reader import RunRecord
+from llm_flock.record.schema import LlmEntry
+
+
+def show_overview(record: RunRecord) -> None:
+    """What was flown, and how it went, round by round."""
+    console = Console()
+    mission = record.mission.mission
+    simulated = " · simulated language models" if record.run.simulated else ""
+    state = "complete" if record.complete else "ends early (the run was stopped)"
+    console.print(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
+    table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
+    for row in record.metrics:
+        table.add_row(
+            str(row.round),
+            str(row.robots_at_goal),
+            str(row.plans_in_use),
+            str(row.distinct_goals),
+            "-" if row.procrustes_mean is None else f"{row.procrustes_mean:.3f}",
+            "-" if row.min_separation is None else f"{row.min_separation:.2f}",
+            str(row.model_calls),
+            str(row.tokens),
+        )
+    console.print(table)
+
+
+def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
+    """Every call of one robot, of one round, or both.
+
+    Raises:
+        InputError: the record holds no such call.
+    """
+    found = [
+        entry
+        for entry in record.llm
+        if (robot is None or entry.robot == robot) and (round_number is None or entry.round == round_number)
+    ]
+    if not found:
+        raise InputError("robot/round", f"{robot}/{round_number}", "a robot and round with model calls in this record")
+    console = Console()
+    for entry in found:
+        _show(console, entry)
+
+
+def _show(console: Console, entry: LlmEntry) -> None:
+    title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
+    for message in entry.messages:
+        # Text(...) keeps the terminal from reading a model's or template's brackets as markup.
+        console.print(Panel(Text(message.text), title=f"{title} · {message.role}", title_align="left"))
+    if entry.text is not None:
+        console.print(Panel(Text(entry.text), title=f"{title} · answer", title_align="left", border_style="green"))
+    outcome = f"used: {entry.parsed}" if entry.parsed is not None else f"not used: {entry.rejected or entry.error}"
+    console.print(
+        Text(
+            f"{outcome} · {entry.usage.input} tokens in, {entry.usage.output} out · {entry.latency_s:.3f} s"
+            + (f" · faults: {', '.join(entry.faults)}" if entry.faults else "")
+        )
+    )

@@ -1,0 +1,126 @@
+"""Command-line flags made from the configuration: one flag a field, with the field's own words as its help."""
+
+from __future__ import annotations
+
+import inspect
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from llm_flock import formations
+from llm_flock.errors import InputError
+from llm_flock.runtime.config import RunConfig
+
+SHORT = {"n_robots": "--robots"}
+"""Flags that are shorter than their field's name."""
+
+NOT_FLAGS = frozenset({"points"})
+"""Fields that are given another way: `--shape points:FILE`."""
+
+PANELS = {
+    "mission": "Mission",
+    "protocol": "Protocol",
+    "model": "Language models",
+    "limits": "Limits and budget",
+    "links": "Messages",
+    "trial": "Run",
+}
+
+
+def flag(field: str) -> str:
+    """The flag of a configuration field."""
+    return SHORT.get(field, "--" + field.replace("_", "-"))
+
+
+def config_parameters() -> list[inspect.Parameter]:
+    """One keyword parameter for each field of the configuration, None meaning: not given."""
+    found: list[inspect.Parameter] = []
+    for name, section_info in RunConfig.model_fields.items():
+        section = section_info.annotation
+        assert isinstance(section, type) and issubclass(section, BaseModel)
+        for field, info in section.model_fields.items():
+            if field not in NOT_FLAGS:
+                found.append(_parameter(field, info, PANELS[name]))
+    return found
+
+
+def _parameter(field: str, info: FieldInfo, panel: str) -> inspect.Parameter:
+    kind, metavar = _flag_type(info.annotation)
+    names = [f"{flag(field)}/--no-{flag(field)[2:]}"] if kind is bool else [flag(field)]
+    shown = info.get_default(call_default_factory=True)
+    option = typer.Option(
+        *names,
+        help=info.description,
+        metavar=metavar,
+        rich_help_panel=panel,
+        show_default=False if shown is None else _shown(shown),
+    )
+    return inspect.Parameter(
+        field, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, option]
+    )
+
+
+def _shown(value: object) -> str:
+    """A default as it would be typed on the command line."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, tuple):
+        return str(value).replace(" ", "").strip("()").replace("),(", ",")
+    return str(value)
+
+
+def _flag_type(annotation: Any) -> tuple[Any, str | None]:
+    """The type a flag is read as; lists of numbers are read as text and taken apart by `parse_flags`."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _flag_type(get_args(annotation)[0])
+    if origin in (Union, types.UnionType):
+        return _flag_type(next(a for a in get_args(annotation) if a is not type(None)))
+    if origin is tuple:
+        return str, "X,Y,..."
+    if origin is Literal:
+        return str, "|".join(get_args(annotation))
+    assert annotation in (bool, int, float, str), f"a flag cannot be made for {annotation}"
+    return annotation, None
+
+
+def with_config_flags(command: Callable[..., None]) -> Callable[..., None]:
+    """Add one flag for each field of the configuration to a command that takes them as `**flags`."""
+    own = [
+        p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD
+    ]
+    parameters = own + config_parameters()
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in parameters}
+    return command
+
+
+def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
+    """Flag values as configuration values.
+
+    Raises:
+        InputError: a list of numbers cannot be read.
+    """
+    values = {field: value for field, value in flags.items() if value is not None}
+    if "center" in values:
+        values["center"] = _numbers("center", values["center"])
+    if "arena" in values:
+        corner = _numbers("arena", values["arena"])
+        half = len(corner) // 2
+        low, high = (corner[:half], corner[half:]) if len(corner) >= 4 else ((0.0,) * len(corner), corner)
+        values["arena"] = (low, high)
+    if "start_positions" in values:
+        values["start_positions"] = formations.load_points(Path(values["start_positions"]))
+    return values
+
+
+def _numbers(field: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.strip("[]()").split(","))
+    except ValueError:
+        raise InputError(field, text, "numbers with commas between them, such as 50,50") from None

@@ -1,0 +1,97 @@
+"""Every exception the package raises on purpose, on one screen.
+
+Whose fault it is decides the class: the operator's input, a peer's message, a model's answer,
+a provider's service, a robot's body, or a file on disk.
+
+    FlockError
+    |-- InputError          the operator asked for something that is not allowed
+    |   `-- MissingExtra    an optional part is not installed
+    |-- MessageError        a peer sent something that is not acceptable
+    |-- AnswerError         a model's answer cannot be used (the reason can be told to the model)
+    |-- ModelError          a provider did not answer (time-out, rate limit, cut connection, refusal)
+    |   `-- BudgetExceeded  the run's own limit on calls, tokens or money is used up
+    |-- ReplayDrift         a replayed conversation asks something other than what was recorded
+    |-- RobotError          a body did not do what it was told
+    `-- RecordError         a record cannot be read or written
+"""
+
+from __future__ import annotations
+
+
+class FlockError(Exception):
+    """Base of all errors raised on purpose by this package."""
+
+
+class InputError(FlockError):
+    """A value given by the operator is not allowed.
+
+    Attributes:
+        field: name of the offending field, as written in the configuration file.
+        value: the value that was given.
+        allowed: what is allowed instead, in words.
+    """
+
+    def __init__(self, field: str, value: object, allowed: str) -> None:
+        self.field = field
+        self.value = value
+        self.allowed = allowed
+        super().__init__(f"{field} = {value!r} is not allowed: {allowed}")
+
+
+class MissingExtra(InputError):
+    """An optional part is needed but not installed."""
+
+    def __init__(self, part: str, extra: str) -> None:
+        super().__init__(part, "not installed", f'install it with: pip install "llm-flock[{extra}]"')
+
+
+class MessageError(FlockError):
+    """A message from a peer was rejected; `reason` is a short stable word that is counted."""
+
+    def __init__(self, reason: str, detail: str = "") -> None:
+        self.reason = reason
+        self.detail = detail
+        super().__init__(f"{reason}: {detail}" if detail else reason)
+
+
+class AnswerError(FlockError):
+    """A model's answer cannot be used; the message says why, in words that the model can act on."""
+
+
+class ModelError(FlockError):
+    """A provider did not give an answer.
+
+    Attributes:
+        kind: `timeout`, `rate_limit`, `server`, `connection`, `refused` (a 4xx other than 429),
+            `garbage` (the response is not of the provider's protocol) or `budget`.
+        retry_after_s: what the provider asked us to wait [s], where it said so.
+        faults: kinds of all faults met before giving up, in order.
+    """
+
+    def __init__(
+        self, kind: str, detail: str, retry_after_s: float | None = None, faults: tuple[str, ...] = ()
+    ) -> None:
+        self.kind = kind
+        self.detail = detail
+        self.retry_after_s = retry_after_s
+        self.faults = faults
+        super().__init__(f"{kind}: {detail}")
+
+
+class BudgetExceeded(ModelError):
+    """The run's own limit on calls, tokens or money is used up."""
+
+    def __init__(self, detail: str) -> None:
+        super().__init__("budget", detail)
+
+
+class ReplayDrift(FlockError):
+    """A replayed run asks a question that the cassette does not hold, or holds differently."""
+
+
+class RobotError(FlockError):
+    """A robot's body did not do what it was told."""
+
+
+class RecordError(FlockError):
+    """A record cannot be read or written."""

@@ -1,0 +1,18 @@
+"""Formations: named shapes with their ideal target points, points from a file, and the geometry of a set of points."""
+
+from llm_flock.formations.files import load_points
+from llm_flock.formations.geometry import circumradius, rotated, rotational_symmetry, smallest_distance
+from llm_flock.formations.shapes import ShapeInfo, describe, ideal_points, shape_name, shapes
+
+__all__ = [
+    "ShapeInfo",
+    "circumradius",
+    "describe",
+    "ideal_points",
+    "load_points",
+    "rotated",
+    "rotational_symmetry",
+    "shape_name",
+    "shapes",
+    "smallest_distance",
+]

@@ -1,0 +1,84 @@
+"""Target points from a file that the operator wrote."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any, cast
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+
+
+def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
+    """Rows of coordinates from a file: JSON (a list of lists) if it ends in `.json`, CSV otherwise.
+
+    A CSV file holds x,y or x,y,z in each line; a first line without numbers is a header, empty lines are skipped.
+
+    Args:
+        path: the file, in UTF-8.
+        field: what to call the value in errors.
+
+    Raises:
+        InputError: the file cannot be read, or a line of it does not hold 2 or 3 finite numbers, as many in each.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(field, str(path), f"a readable file ({error})") from None
+    rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text)
+    points: list[Point] = []
+    for where, row in rows:
+        point = _point(row)
+        if point is None:
+            raise InputError(field, f"{path}, {where}: {row!r}", "2 or 3 finite numbers in each row")
+        if points and len(point) != len(points[0]):
+            raise InputError(field, f"{path}, {where}: {row!r}", f"{len(points[0])} numbers, as in the rows before")
+        points.append(point)
+    if not points:
+        raise InputError(field, str(path), "a file with at least one point")
+    return tuple(points)
+
+
+def _json_rows(text: str, path: Path, field: str) -> list[tuple[str, Any]]:
+    try:
+        data: Any = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(field, str(path), f"a JSON list of [x, y] lists ({error})") from None
+    if not isinstance(data, list):
+        raise InputError(field, str(path), "a JSON list of [x, y] lists")
+    return [(f"row {i + 1}", row) for i, row in enumerate(cast("list[Any]", data))]
+
+
+def _csv_rows(text: str) -> list[tuple[str, list[str]]]:
+    reader = csv.reader(text.splitlines())
+    rows = [(f"line {reader.line_num}", [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
+    if rows and not any(map(_is_number, rows[0][1])):
+        del rows[0]
+    return rows
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _point(row: Any) -> Point | None:
+    """The row as 2 or 3 finite numbers, or None; text is read only where it comes from CSV."""
+    if not isinstance(row, list) or len(cells := cast("list[Any]", row)) not in (2, 3):
+        return None
+    if not all(
+        _is_number(cell) if isinstance(cell, str) else isinstance(cell, int | float) and not isinstance(cell, bool)
+        for cell in cells
+    ):
+        return None
+    try:
+        point = tuple(float(cell) for cell in cells)
+    except OverflowError:
+        return None
+    return point if all(map(math.isfinite, point)) else None

@@ -1,0 +1,211 @@
+"""The named shapes: which team sizes they take, what they are in words, and their ideal target points.
+
+Neighbouring points of a named shape are exactly `spacing` apart in a straight line (on a circle: the chord, not the
+arc). The shapes of the paper are triangle 3 and 6, square 4 and 8, cross 5, circle 5 and 10 (lines 240 and 544).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from llm_flock.arrays import Points
+from llm_flock.errors import InputError
+from llm_flock.formations import layouts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeInfo:
+    """What an operator needs to know about a shape.
+
+    Attributes:
+        name: how it is written, with its argument in capitals: `circle`, `polygon:K`.
+        legal: the team sizes it takes, in words that follow "N is".
+        description: what it is, in words that follow "form".
+        examples: a few legal team sizes (of `polygon:K`: for K = 5).
+    """
+
+    name: str
+    legal: str
+    description: str
+    examples: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Shape:
+    """A shape's information, and how to build it: both functions take n and the argument K (0 where there is none)."""
+
+    info: ShapeInfo
+    is_legal: Callable[[int, int], bool]
+    layout: Callable[[int, int], Points] | None
+
+
+def _any(n: int, _: int = 0) -> bool:
+    return n >= 1
+
+
+def _shape(
+    name: str,
+    legal: str,
+    description: str,
+    examples: tuple[int, ...],
+    is_legal: Callable[[int, int], bool],
+    layout: Callable[[int, int], Points] | None,
+) -> tuple[str, _Shape]:
+    info = ShapeInfo(name=name, legal=legal, description=description, examples=examples)
+    return name.partition(":")[0], _Shape(info=info, is_legal=is_legal, layout=layout)
+
+
+_SHAPES: dict[str, _Shape] = dict(
+    [
+        _shape("line", "any number", "a straight line", (2, 5, 10), _any, layouts.line),
+        _shape(
+            "triangle",
+            "divisible by 3",
+            "an equilateral triangle (robots along its perimeter)",
+            (3, 6, 9),
+            lambda n, _: n % 3 == 0,
+            layouts.triangle,
+        ),
+        _shape(
+            "square",
+            "divisible by 4",
+            "a square (robots along its perimeter)",
+            (4, 8, 12),
+            lambda n, _: n % 4 == 0,
+            layouts.square,
+        ),
+        _shape("circle", "any number", "a circle", (3, 5, 10), _any, layouts.circle),
+        _shape(
+            "polygon:K",
+            "divisible by K",
+            "a regular polygon with K sides (robots along its perimeter)",
+            (5, 10, 15),
+            lambda n, sides: n % sides == 0,
+            layouts.polygon,
+        ),
+        _shape(
+            "cross",
+            "5, 9, 13, ... (the centre and four equal arms)",
+            "a cross with four equal arms at right angles and one robot at its centre",
+            (5, 9, 13),
+            lambda n, _: n >= 5 and n % 4 == 1,
+            layouts.cross,
+        ),
+        _shape(
+            "wedge",
+            "at least 3",
+            "a wedge like the letter V (two straight arms that meet at 90 degrees, one robot at the tip)",
+            (3, 5, 10),
+            lambda n, _: n >= 3,
+            layouts.wedge,
+        ),
+        _shape(
+            "grid", "any number", "a square grid (rows and columns at right angles)", (4, 9, 12), _any, layouts.grid
+        ),
+        _shape(
+            "star",
+            "divisible by 10",
+            "a five-pointed star (robots along its outline: ten equal edges, tips of 60 degrees)",
+            (10, 20, 30),
+            lambda n, _: n % 10 == 0,
+            layouts.star,
+        ),
+        _shape("points", "as many as there are points", "a custom shape given by its points", (3, 10), _any, None),
+        _shape("text:DESCRIPTION", "any number", "whatever the words say", (4, 10), _any, None),
+    ]
+)
+
+
+def shapes() -> tuple[ShapeInfo, ...]:
+    """All shapes, in the order in which they are listed to the operator."""
+    return tuple(shape.info for shape in _SHAPES.values())
+
+
+def shape_name(spec: str) -> str:
+    """The part of a specification before the colon.
+
+    Raises:
+        InputError: there is no such shape.
+    """
+    name = spec.partition(":")[0]
+    if name not in _SHAPES:
+        raise InputError("shape", spec, "one of " + ", ".join(shape.info.name for shape in _SHAPES.values()))
+    return name
+
+
+def _argument(spec: str) -> int:
+    """Number of sides of `polygon:K`, 0 for the other shapes; checks every specification's argument."""
+    name, (_, colon, argument) = shape_name(spec), spec.partition(":")
+    if name == "text":
+        if not argument.strip():
+            raise InputError("shape", spec, "text: followed by a description of the shape")
+    elif name == "polygon":
+        if not (argument.isascii() and argument.isdecimal() and len(argument) <= 9 and int(argument) >= 3):
+            raise InputError("shape", spec, "polygon:K with a whole number K >= 3")
+        return int(argument)
+    elif colon:
+        raise InputError("shape", spec, f"'{name}' without an argument")
+    return 0
+
+
+def describe(spec: str) -> str:
+    """The shape in words that follow "form": `a circle`; the description itself for `text:DESCRIPTION`.
+
+    Raises:
+        InputError: there is no such shape, or its argument is not allowed.
+    """
+    sides, name = _argument(spec), shape_name(spec)
+    if name == "text":
+        return " ".join(spec.partition(":")[2].split())
+    return _SHAPES[name].info.description.replace(" K ", f" {sides} ")
+
+
+def ideal_points(
+    spec: str,
+    n: int,
+    center: Sequence[float],
+    spacing: float,
+    custom: Sequence[Sequence[float]] | None = None,
+) -> Points | None:
+    """Ideal target points of a shape in its reference orientation, with their mean at `center`.
+
+    Args:
+        spec: name of a shape, with its argument where it takes one.
+        n: number of robots.
+        center: d coordinates [units; world frame]; named shapes need d = 2.
+        spacing: distance between neighbouring points [units].
+        custom: rows of the shape `points` [units]; only their position relative to their own mean counts.
+
+    Returns:
+        shape (n, d) [units; world frame], or None for free text, whose ideal nobody knows.
+
+    Raises:
+        InputError: there is no such shape, or not for this many robots or this many dimensions.
+    """
+    name, argument = shape_name(spec), _argument(spec)
+    shape = _SHAPES[name]
+    if name == "points":
+        points = _custom(n, len(center), custom)
+    else:
+        if not (n >= 1 and shape.is_legal(n, argument)):
+            legal = shape.info.legal.replace(" K", f" {argument}")
+            raise InputError("n_robots", n, f"{legal} for shape {spec!r}")
+        if shape.layout is None:
+            return None
+        if len(center) != 2:
+            raise InputError("center", list(center), f"2 coordinates for shape {spec!r}")
+        points = shape.layout(n, argument) * spacing
+    return points - points.mean(axis=0) + np.asarray(center, dtype=np.float64)
+
+
+def _custom(n: int, dim: int, custom: Sequence[Sequence[float]] | None) -> Points:
+    if not custom:
+        raise InputError("points", custom, "at least one row of coordinates for shape 'points'")
+    if len(custom) != n:
+        raise InputError("n_robots", n, f"{len(custom)}, as many as there are points")
+    if any(len(row) != dim for row in custom):
+        raise InputError("points", f"{len(custom)} rows", f"{dim} coordinates in each row, as the centre has")
+    return np.array(custom, dtype=np.float64)

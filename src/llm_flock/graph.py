@@ -1,0 +1,75 @@
+"""The disk graph of a team: who hears whom, and what follows from it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import shortest_path
+from scipy.spatial.distance import cdist
+
+from llm_flock.arrays import Mask, Pairwise, Vector
+
+
+def distances(positions: ArrayLike) -> Pairwise:
+    """Distances between all robots, shape (n, n) [units], exactly symmetric.
+
+    Args:
+        positions: shape (n, d) [units].
+    """
+    rows = np.asarray(positions, dtype=np.float64)
+    return cdist(rows, rows)
+
+
+def adjacency(positions: ArrayLike, comm_range: float) -> Mask:
+    """Which robots are neighbours N_i: at most `comm_range` apart, nobody of itself (paper, equation 1 and line 129).
+
+    Args:
+        positions: shape (n, d) [units].
+        comm_range: radio range r_comm [units].
+
+    Returns:
+        shape (n, n), symmetric.
+    """
+    near = distances(positions) <= comm_range
+    np.fill_diagonal(near, val=False)
+    return near
+
+
+def neighbors(positions: ArrayLike, comm_range: float) -> tuple[tuple[int, ...], ...]:
+    """The neighbours N_i of each robot, in ascending order; arguments as for `adjacency`."""
+    return tuple(tuple(np.flatnonzero(row).tolist()) for row in adjacency(positions, comm_range))
+
+
+def influence(positions: ArrayLike, comm_range: float) -> Vector:
+    """Influence I_i = |N_i| / N of each robot (paper, equation 1), shape (n,); at most (N - 1) / N.
+
+    Arguments as for `adjacency`.
+    """
+    near = adjacency(positions, comm_range)
+    return near.sum(axis=1) / len(near)
+
+
+def is_connected(adjacent: Mask) -> bool:
+    """Whether the graph is one piece; a robot alone is.
+
+    Args:
+        adjacent: shape (n, n), symmetric; the diagonal does not matter.
+    """
+    reached = np.zeros(len(adjacent), dtype=np.bool_)
+    front = reached.copy()
+    front[:1] = True
+    while front.any():
+        reached |= front
+        front = adjacent[front].any(axis=0) & ~reached
+    return bool(reached.all())
+
+
+def diameter(adjacent: Mask) -> int | None:
+    """Largest number of hops between two robots, or None where the graph is not one piece.
+
+    Max-consensus on plans takes that many ticks on a fixed graph without loss. Argument as for `is_connected`.
+    """
+    hops = np.asarray(shortest_path(csr_array(adjacent), directed=False, unweighted=True))
+    longest = float(hops.max())
+    return int(longest) if longest < np.inf else None

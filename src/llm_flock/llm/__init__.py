@@ -1,0 +1,1 @@
+"""Prompts, answers and language models: everything that turns a question of the core into text and back."""

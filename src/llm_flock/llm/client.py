@@ -1,0 +1,248 @@
+"""One call through pydantic-ai: our messages in, our reply or our ModelError out.
+
+pydantic-ai's `direct.model_request` translates between providers. Its own retry and repair loops are not used:
+`limits` retries transport faults, the planner asks again about answers it cannot use.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, cast
+
+import httpx2
+from pydantic_ai import exceptions as pai
+from pydantic_ai.direct import model_request
+from pydantic_ai.messages import (
+    ModelMessage,
+    ModelRequest,
+    ModelRequestPart,
+    ModelResponse,
+    SystemPromptPart,
+    TextPart,
+    UserPromptPart,
+)
+from pydantic_ai.models import Model, ModelRequestParameters
+from pydantic_ai.output import OutputObjectDefinition
+from pydantic_ai.settings import ModelSettings
+
+from llm_flock.errors import ModelError
+from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
+from llm_flock.llm.prices import cost_usd
+
+logger = logging.getLogger(__name__)
+
+Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh"]
+
+DETAIL_LENGTH = 400
+"""Characters of a provider's error text that are kept."""
+
+_KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
+"""What providers' keys look like, also when a provider shows one back half hidden by asterisks."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CallSettings:
+    """How a model is asked to sample; None leaves the provider's own default.
+
+    Attributes:
+        temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
+        seed: asks for repeatable sampling where the provider knows such a thing.
+        reasoning: effort of reasoning models.
+        max_tokens: longest answer, reasoning included.
+    """
+
+    temperature: float | None = None
+    seed: int | None = None
+    reasoning: Effort | None = None
+    max_tokens: int | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """What was asked for, without the defaults: the form that goes into records."""
+        names = ("temperature", "seed", "reasoning", "max_tokens")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+
+def scrub(text: str, secrets: tuple[str, ...]) -> str:
+    """The text without any of the secrets and without anything that looks like a key."""
+    for secret in secrets:
+        if secret and secret in text:
+            text = text.replace(secret, "[key]")
+    return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
+
+
+class PydanticModel:
+    """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
+
+    Args:
+        model: the pydantic-ai model.
+        name: `provider:model` as configured.
+        settings: how to sample.
+        secrets: keys that must not appear in any text that leaves this object.
+        price_id: whose price list applies, None where none does.
+        cost: a fixed price of every call [US dollars], for models that are free; overrides the price list.
+        clock: seconds, only differences matter.
+    """
+
+    def __init__(
+        self,
+        model: Model[Any],
+        *,
+        name: str,
+        settings: CallSettings | None = None,
+        secrets: tuple[str, ...] = (),
+        price_id: str | None = None,
+        cost: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._model = model
+        self._name = name
+        self._provider = name.partition(":")[0]
+        self._secrets = secrets
+        self._price_id = price_id
+        self._cost = cost
+        self._clock = clock
+        settings = settings or CallSettings()
+        self._asked = settings.plain()
+        self._settings = _model_settings(settings, self._provider)
+
+    @property
+    def name(self) -> str:
+        """`provider:model`, as configured."""
+        return self._name
+
+    async def ask(self, call: Call) -> Reply:
+        """Answer one call: one try, without retries.
+
+        Raises:
+            ModelError: of the kinds that its docstring lists; its text holds no key.
+        """
+        started = self._clock()
+        try:
+            response = await model_request(
+                self._model,
+                to_model_messages(call.messages),
+                model_settings=self._settings,
+                model_request_parameters=self._parameters(call.schema),
+            )
+        except ModelError:
+            raise  # a stand-in that already speaks our language
+        except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
+            raise self._model_error(error) from None
+        except (ValueError, TypeError, AttributeError, LookupError, AssertionError) as error:
+            # Providers send bodies that no parser foresaw; one of them must not end the run of all robots.
+            # `from None`, here and above: the original exception may quote the request's headers.
+            detail = f"{type(error).__name__} while reading the response: {error}"
+            logger.warning("robot %d, %s: %s", call.robot, self._name, self._clean(detail))
+            raise ModelError("garbage", self._clean(detail)) from None
+        return self._reply(response, self._clock() - started)
+
+    def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters | None:
+        if schema is None:
+            return None
+        answer = OutputObjectDefinition(json_schema=dict(schema), name="answer")
+        # DeepSeek and older Claude models know no JSON schema: they get "a JSON object", and the schema in words.
+        native = self._model.profile.get("supports_json_schema_output", False)
+        return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
+
+    def _reply(self, response: ModelResponse, latency_s: float) -> Reply:
+        usage = Usage(
+            input=response.usage.input_tokens,
+            output=response.usage.output_tokens,
+            cached=response.usage.cache_read_tokens,
+        )
+        answered_by = response.model_name or self._name.partition(":")[2]
+        cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
+        return Reply(
+            text=scrub(response.text or "", self._secrets),
+            model=self._name if self._name.startswith("simulated:") else f"{self._provider}:{answered_by}",
+            settings=self._asked,
+            usage=usage,
+            cost_usd=cost,
+            latency_s=latency_s,
+        )
+
+    def _model_error(self, error: Exception) -> ModelError:
+        retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
+        return ModelError(error_kind(error), self._clean(_story(error)), retry_after)
+
+    def _clean(self, text: str) -> str:
+        # Scrub before cutting: half a key at the cut would not be recognised.
+        text = " ".join(scrub(text, self._secrets).split())
+        return text if len(text) <= DETAIL_LENGTH else text[: DETAIL_LENGTH - 3] + "..."
+
+
+def error_kind(error: Exception) -> str:
+    """The ModelError kind of an exception from pydantic-ai or from the HTTP client below it."""
+    match error:
+        case pai.ModelTimeoutError() | pai.ModelRequestTimeout() | httpx2.TimeoutException() | TimeoutError():
+            return "timeout"
+        case pai.ModelRateLimitError():
+            return "rate_limit"
+        case pai.ModelUnavailableError() | pai.ModelServerError():
+            return "server"
+        case pai.ModelConnectionError() | httpx2.HTTPError() | OSError():
+            return "connection"
+        case pai.ModelQuotaExceededError() | pai.ModelRequestRejectedError() | pai.ContentFilterError():
+            return "refused"
+        case pai.ModelHTTPError():
+            return _status_kind(error.status_code)
+        case pai.UserError():
+            return "refused"  # asked for something that this model cannot do: asking again changes nothing
+        case _:
+            return "garbage"
+
+
+def _status_kind(status: int) -> str:
+    if status >= 500:
+        return "server"
+    return {408: "timeout", 429: "rate_limit"}.get(status, "refused")
+
+
+def _story(error: Exception) -> str:
+    """One line about an exception, with the transport's own word where pydantic-ai's is only "Connection error."."""
+    text = str(error) or type(error).__name__
+    cause = error.__cause__
+    while cause is not None and cause.__cause__ is not None:
+        cause = cause.__cause__
+    if isinstance(error, pai.ModelConnectionError) and cause is not None:
+        text += f" ({type(cause).__name__}: {cause})"
+    return text
+
+
+def to_model_messages(messages: tuple[ChatMessage, ...]) -> list[ModelMessage]:
+    """pydantic-ai's form of a conversation: what is said between two answers is one request."""
+    out: list[ModelMessage] = []
+    parts: list[ModelRequestPart] = []
+    for message in messages:
+        if message.role == "assistant":
+            if parts:
+                out.append(ModelRequest(parts=parts))
+                parts = []
+            out.append(ModelResponse(parts=[TextPart(message.text)]))
+        elif message.role == "system":
+            parts.append(SystemPromptPart(message.text))
+        else:
+            parts.append(UserPromptPart(message.text))
+    if parts:
+        out.append(ModelRequest(parts=parts))
+    return out
+
+
+def _model_settings(settings: CallSettings, provider: str) -> ModelSettings | None:
+    out: dict[str, Any] = {}
+    for name in ("temperature", "seed", "max_tokens"):
+        value = getattr(settings, name)
+        if value is not None:
+            out[name] = value
+    if settings.reasoning is not None:
+        if provider == "anthropic":
+            out["thinking"] = False if settings.reasoning == "none" else settings.reasoning
+        else:
+            # The unified `thinking` is dropped for models that pydantic-ai does not know as reasoning models,
+            # and most local ones are unknown to it. What the operator asks for is what is sent.
+            out["openai_reasoning_effort"] = settings.reasoning
+    return cast(ModelSettings, out) if out else None

@@ -1,0 +1,256 @@
+"""From a line of options to one language model per robot: ranges, settings, and one shared pool of connections."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, get_args
+
+import numpy as np
+
+from llm_flock.errors import InputError
+from llm_flock.llm.client import CallSettings, Effort, PydanticModel
+from llm_flock.llm.prices import price_known
+from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
+from llm_flock.llm.simulated import parse_profile, simulated_model
+
+if TYPE_CHECKING:
+    import httpx2
+    from pydantic_ai.models import Model
+
+__all__ = [
+    "CallSettings",
+    "ModelName",
+    "ModelPool",
+    "PydanticModel",
+    "check_priced",
+    "known_providers",
+    "parse_base_urls",
+    "parse_model",
+    "parse_models",
+    "parse_settings",
+    "per_robot",
+]
+
+_RANGE = r"\s*\d+(?:\s*-\s*\d+)?\s*="
+_STARTS_WITH_RANGE = re.compile(_RANGE)
+_NEXT_RANGE = re.compile(rf",(?={_RANGE})")
+
+
+def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
+    """Spread a value over robots: `A` is for all, `0-4=A,5-9=B` or `3=A,0-2=B` for each its own.
+
+    Values may hold commas themselves: only a comma before another range separates.
+
+    Args:
+        field: name for error messages.
+        text: what the operator wrote.
+        n: number of robots.
+
+    Raises:
+        InputError: for an empty or reversed range, a robot outside 0..n-1, or one that is named twice or never.
+    """
+    if not _STARTS_WITH_RANGE.match(text):
+        return (text.strip(),) * n
+    values: list[str | None] = [None] * n
+    for part in _NEXT_RANGE.split(text):
+        robots, _, value = part.partition("=")
+        low, _, high = robots.partition("-")
+        first, last = int(low), int(high or low)
+        if first > last or last >= n:
+            raise InputError(field, part.strip(), f"a range of robots within 0..{n - 1}, lower id first")
+        if not value.strip():
+            raise InputError(field, part.strip(), "a value after '='")
+        for robot in range(first, last + 1):
+            if values[robot] is not None:
+                raise InputError(field, text, f"each robot once; robot {robot} is named twice")
+            values[robot] = value.strip()
+    gaps = [str(robot) for robot, value in enumerate(values) if value is None]
+    if gaps:
+        raise InputError(field, text, f"a value for every robot; none for {', '.join(gaps[:8])}")
+    return tuple(value for value in values if value is not None)
+
+
+def parse_models(text: str, n: int) -> tuple[str, ...]:
+    """The model string of each of n robots, each checked by `parse_model`; `per_robot` says how ranges are written."""
+    models = per_robot("model", text, n)
+    for model in dict.fromkeys(models):
+        parse_model(model)
+    return models
+
+
+def parse_settings(
+    n: int,
+    *,
+    temperature: str | None = None,
+    seed: str | None = None,
+    reasoning: str | None = None,
+    max_tokens: str | None = None,
+) -> tuple[CallSettings, ...]:
+    """Sampling settings of each of n robots; every argument is one value for all or ranges as in `per_robot`."""
+    given = {"temperature": temperature, "seed": seed, "reasoning": reasoning, "max_tokens": max_tokens}
+    spread = {field: per_robot(field, text, n) for field, text in given.items() if text is not None}
+    return tuple(
+        CallSettings(**{field: _setting(field, values[robot]) for field, values in spread.items()})
+        for robot in range(n)
+    )
+
+
+def _setting(field: str, text: str) -> Any:
+    """One sampling setting from its text."""
+    allowed = {
+        "temperature": "a number from 0 to 2",
+        "seed": "a whole number of at least 0",
+        "max_tokens": "a whole number of at least 1",
+        "reasoning": f"one of {', '.join(get_args(Effort))}",
+    }[field]
+    if field == "reasoning":
+        if text not in get_args(Effort):
+            raise InputError(field, text, allowed)
+        return text
+    try:
+        value = float(text) if field == "temperature" else int(text)
+    except ValueError:
+        raise InputError(field, text, allowed) from None
+    low, high = {"temperature": (0, 2), "seed": (0, 2**63 - 1), "max_tokens": (1, 10**9)}[field]
+    if not low <= value <= high:
+        raise InputError(field, text, allowed)
+    return value
+
+
+def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
+    """Refuse a money budget over models whose price nobody knows: it could never be used up.
+
+    Stand-ins, cassettes and geometry cost nothing. A provider behind another address may charge anything.
+
+    Raises:
+        InputError: for field `max_cost`, naming the models without a price.
+    """
+    if max_cost_usd is None:
+        return
+    names = [parse_model(text) for text in dict.fromkeys(models)]
+    unknown = [
+        name.text
+        for name in names
+        if name.kind == "provider" and (name.provider in base_urls or not price_known(name.info.price_id, name.model))
+    ]
+    if unknown:
+        raise InputError(
+            "max_cost",
+            max_cost_usd,
+            f"models with a known price, not {', '.join(unknown)}: use max_tokens or max_calls",
+        )
+
+
+class ModelPool:
+    """Builds each model once per (provider, model), all on one HTTP client; an async context manager.
+
+    Keys are read from the environment when a model is first needed, and kept out of everything this object returns.
+
+    Args:
+        base_urls: addresses that replace the providers' own (`parse_base_urls`).
+        timeout_s: longest wait for one response, a second line of defence behind `limits` [s].
+        environ: where keys are looked up; the process environment by default.
+    """
+
+    def __init__(
+        self,
+        *,
+        base_urls: Mapping[str, str] | None = None,
+        timeout_s: float = 600.0,
+        environ: Mapping[str, str] | None = None,
+    ) -> None:
+        self._base_urls = dict(base_urls or {})
+        self._timeout_s = timeout_s
+        self._environ = os.environ if environ is None else environ
+        self._models: dict[tuple[str, str], Model[Any]] = {}
+        self._http: httpx2.AsyncClient | None = None
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.aclose()
+
+    async def aclose(self) -> None:
+        """Close all connections; models of this pool must not be asked afterwards."""
+        if self._http is not None:
+            await self._http.aclose()
+        self._http = None
+        self._models.clear()
+
+    def model(
+        self, text: str, *, robot: int, rng: np.random.Generator, settings: CallSettings | None = None
+    ) -> PydanticModel:
+        """The language model of one robot.
+
+        Args:
+            text: `provider:model` or `simulated:PROFILE`.
+            robot: whose model it is.
+            rng: chance of a stand-in; real providers do not use it.
+            settings: how to sample.
+
+        Raises:
+            InputError: unknown name, missing key (naming the variable), missing address; or a replay or geometry,
+                which are not models of this kind (see `replay.ReplayModel`, `geometry.GeometryPlanner`).
+        """
+        name = parse_model(text)
+        if name.kind == "simulated":
+            stand_in = simulated_model(parse_profile(name.model), robot, rng)
+            return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
+        if name.kind != "provider":
+            raise InputError("model", text, "PROVIDER:MODEL or simulated:PROFILE here")
+        key = self._key(name)
+        own_address = name.provider not in self._base_urls
+        return PydanticModel(
+            self._hosted(name, key),
+            name=name.text,
+            settings=settings,
+            secrets=self._secrets(),
+            price_id=name.info.price_id if own_address else None,
+        )
+
+    def check(self, text: str) -> None:
+        """Raise InputError for whatever would keep the model string from working, without asking anything."""
+        name = parse_model(text)
+        if name.kind == "simulated":
+            parse_profile(name.model)
+        elif name.kind == "provider":
+            self._key(name)
+            self._address(name)
+
+    def _key(self, name: ModelName) -> str | None:
+        info = name.info
+        key = self._environ.get(info.key_env, "").strip()
+        if not key and info.key_required and name.provider not in self._base_urls:
+            raise InputError("model", name.text, f"usable only with the key in environment variable {info.key_env}")
+        return key or None
+
+    def _address(self, name: ModelName) -> str:
+        address = self._base_urls.get(name.provider, name.info.base_url)
+        if address is None:
+            raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
+        return address
+
+    def _secrets(self) -> tuple[str, ...]:
+        """Every key that is set: an error of one provider may quote what was meant for another."""
+        values = (self._environ.get(info.key_env, "").strip() for info in known_providers())
+        return tuple(value for value in values if value)
+
+    def _hosted(self, name: ModelName, key: str | None) -> Model[Any]:
+        # The SDKs take most of a second to import: a run with stand-ins does not pay for them.
+        from llm_flock.llm import hosted
+
+        if self._http is None:
+            self._http = hosted.new_http_client(self._timeout_s)
+        known = self._models.get((name.provider, name.model))
+        if known is None:
+            known = hosted.build_model(
+                name.provider, name.model, base_url=self._address(name), key=key, http=self._http
+            )
+            self._models[name.provider, name.model] = known
+        return known

@@ -1,0 +1,208 @@
+"""The table of providers, and how a model is named: `provider:model`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, cast
+from urllib.parse import urlsplit
+
+from llm_flock.errors import InputError
+
+ModelKind: TypeAlias = Literal["provider", "simulated", "replay", "geometry"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProviderInfo:
+    """One line of the table of providers.
+
+    Attributes:
+        name: what stands before the colon.
+        key_env: environment variable that holds the key.
+        key_required: whether the provider's own address refuses calls without a key.
+        base_url: address that is used unless another is given; None where the operator must give one.
+        example: a model string that works.
+        price_id: whose list prices apply at the provider's own address, None where none are known.
+    """
+
+    name: str
+    key_env: str
+    key_required: bool
+    base_url: str | None
+    example: str
+    price_id: str | None = None
+
+
+_PROVIDERS = (
+    ProviderInfo(
+        name="openai",
+        key_env="OPENAI_API_KEY",
+        key_required=True,
+        base_url="https://api.openai.com/v1",
+        example="openai:o3-mini",
+        price_id="openai",
+    ),
+    ProviderInfo(
+        name="anthropic",
+        key_env="ANTHROPIC_API_KEY",
+        key_required=True,
+        base_url="https://api.anthropic.com",
+        example="anthropic:claude-sonnet-4-5",
+        price_id="anthropic",
+    ),
+    ProviderInfo(
+        name="deepseek",
+        key_env="DEEPSEEK_API_KEY",
+        key_required=True,
+        base_url="https://api.deepseek.com",
+        example="deepseek:deepseek-reasoner",
+        price_id="deepseek",
+    ),
+    ProviderInfo(
+        name="qwen",
+        key_env="DASHSCOPE_API_KEY",
+        key_required=True,
+        base_url="https://dashscope-intl.aliyuncs.com/compatible-mode/v1",
+        example="qwen:qwen-plus",
+    ),
+    ProviderInfo(
+        name="llama",
+        key_env="LLAMA_API_KEY",
+        key_required=False,
+        base_url=None,
+        example="llama:llama-3.3-70b-instruct",
+    ),
+    ProviderInfo(
+        name="ollama",
+        key_env="OLLAMA_API_KEY",
+        key_required=False,
+        base_url="http://localhost:11434/v1",
+        example="ollama:qwen3:8b",
+    ),
+    ProviderInfo(
+        name="vllm",
+        key_env="VLLM_API_KEY",
+        key_required=False,
+        base_url="http://localhost:8000/v1",
+        example="vllm:Qwen/Qwen3-8B",
+    ),
+    ProviderInfo(
+        name="llamacpp",
+        key_env="LLAMACPP_API_KEY",
+        key_required=False,
+        base_url="http://localhost:8080/v1",
+        example="llamacpp:local",
+    ),
+    ProviderInfo(
+        name="openai-compatible",
+        key_env="OPENAI_COMPATIBLE_API_KEY",
+        key_required=False,
+        base_url=None,
+        example="openai-compatible:any-model",
+    ),
+)
+
+
+def known_providers() -> tuple[ProviderInfo, ...]:
+    """The table of providers, in the order in which documentation shows it."""
+    return _PROVIDERS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelName:
+    """A parsed model string.
+
+    Attributes:
+        text: as written.
+        kind: what answers: a provider, a simulated stand-in, a cassette, or plain geometry.
+        provider: name in the table of providers; the kind itself for everything else.
+        model: what follows the first colon: model name, profile of the stand-in, path of the cassette.
+    """
+
+    text: str
+    kind: ModelKind
+    provider: str
+    model: str
+
+    @property
+    def info(self) -> ProviderInfo:
+        """The provider's line in the table; only for kind `provider`."""
+        return next(info for info in _PROVIDERS if info.name == self.provider)
+
+
+def parse_model(text: str) -> ModelName:
+    """Read `provider:model`, `simulated:PROFILE`, `replay:FILE` or `geometry`.
+
+    Raises:
+        InputError: for field `model`, with the list of what exists.
+    """
+    text = text.strip()
+    provider, colon, model = text.partition(":")
+    if text == "geometry":
+        return ModelName(text=text, kind="geometry", provider="geometry", model="")
+    names = [info.name for info in _PROVIDERS]
+    if not colon or provider not in {*names, "simulated", "replay"}:
+        raise InputError(
+            "model",
+            text,
+            f"PROVIDER:MODEL with a provider of {', '.join(names)}; or simulated:PROFILE, replay:FILE, geometry",
+        )
+    if not model:
+        missing = {"simulated": "a profile", "replay": "a file"}.get(provider, "a model name")
+        raise InputError("model", text, f"{missing} after '{provider}:'")
+    if provider in names and re.search(r"[\s,=]", model):
+        raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
+    kind = cast(ModelKind, provider) if provider in {"simulated", "replay"} else "provider"
+    return ModelName(text=text, kind=kind, provider=provider, model=model)
+
+
+def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
+    """Addresses that replace the providers' own: one URL, or `provider=URL,provider=URL`.
+
+    Args:
+        text: what the operator wrote; None or empty for none.
+        models: the model strings in use.
+
+    Returns:
+        Address of every provider that got one.
+
+    Raises:
+        InputError: for field `base_url`: not an http(s) address, a password in it, a provider that is not in use, or
+            one address for several providers (each would get the other's key), or for field `model`-providers that
+            have no address at all.
+    """
+    used = {name.provider: name.info for name in map(parse_model, models) if name.kind == "provider"}
+    urls: dict[str, str] = {}
+    if text and re.match(r"\s*[a-z-]+\s*=", text):
+        for part in text.split(","):
+            provider, _, url = (piece.strip() for piece in part.partition("="))
+            if provider not in used:
+                raise InputError("base_url", provider, f"a provider in use: {', '.join(used) or 'none is'}")
+            urls[provider] = check_url(url)
+    elif text:
+        if len(used) > 1:
+            raise InputError("base_url", "one address", f"provider=URL,... as {', '.join(used)} are in use")
+        urls = dict.fromkeys(used, check_url(text.strip()))
+    for provider, info in used.items():
+        if info.base_url is None and provider not in urls:
+            raise InputError("base_url", None, f"an address for '{provider}', such as http://localhost:8000/v1")
+    return urls
+
+
+def check_url(url: str) -> str:
+    """The address without a trailing slash.
+
+    Raises:
+        InputError: unless it is http(s)://host... without a user name or password, which would end up in records.
+    """
+    try:
+        parts = urlsplit(url)
+        host, secret, port = parts.hostname, parts.username or parts.password, parts.port
+    except ValueError:
+        raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...") from None
+    if secret:
+        raise InputError("base_url", f"{parts.scheme}://...@{host}", "an address without a user name or password")
+    if parts.scheme not in {"http", "https"} or not host or port == 0:
+        raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...")
+    return url.rstrip("/")

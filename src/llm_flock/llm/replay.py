@@ -1,0 +1,280 @@
+"""Cassettes: every conversation of a run on file, one line an attempt, and a model that answers from it.
+
+A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`; each further line is a `CassetteLine`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import logging
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
+from llm_flock.llm.port import Attempt, Call, ChatMessage, Kind, Reply, Role, Usage
+
+logger = logging.getLogger(__name__)
+
+VERSION = 1
+HEADER = "llm_flock_cassette"
+DIFF_LINES = 40
+"""Lines of difference that an error shows."""
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class MessageLine(_Model):
+    """One message of a conversation."""
+
+    role: Role
+    text: str
+
+
+class UsageLine(_Model):
+    """Tokens of one call."""
+
+    input: int
+    output: int
+    cached: int
+
+
+class CassetteLine(_Model):
+    """One attempt, answered or not. Field names and meanings are those of `port.Attempt`, `Call` and `Reply`.
+
+    `text` is null when there was no answer; then `error` says why.
+    """
+
+    robot: int
+    round: int
+    attempt: int
+    kind: Kind
+    request_hash: str
+    messages: tuple[MessageLine, ...]
+    answer_schema: dict[str, Any] | None
+    model: str
+    settings: dict[str, Any]
+    text: str | None
+    parsed: dict[str, Any] | None
+    rejected: str | None
+    error: tuple[str, str] | None
+    usage: UsageLine
+    cost_usd: float | None
+    latency_s: float
+    faults: tuple[str, ...]
+
+
+def to_line(attempt: Attempt) -> dict[str, Any]:
+    """An attempt as the plain values of a `CassetteLine`."""
+    call, reply = attempt.call, attempt.reply
+    usage = reply.usage if reply else Usage()
+    return {
+        "robot": call.robot,
+        "round": call.round,
+        "attempt": call.attempt,
+        "kind": call.kind,
+        "request_hash": call.request_hash,
+        "messages": [{"role": message.role, "text": message.text} for message in call.messages],
+        "answer_schema": call.schema,
+        "model": reply.model if reply else attempt.model,
+        "settings": dict(reply.settings) if reply else {},
+        "text": reply.text if reply else None,
+        "parsed": attempt.parsed,
+        "rejected": attempt.rejected,
+        "error": attempt.error,
+        "usage": {"input": usage.input, "output": usage.output, "cached": usage.cached},
+        "cost_usd": reply.cost_usd if reply else None,
+        "latency_s": reply.latency_s if reply else attempt.latency_s,
+        "faults": reply.faults if reply else attempt.faults,
+    }
+
+
+class CassetteWriter:
+    """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
+
+    A run that is killed loses at most the line that was being written.
+
+    Args:
+        path: file to create; an existing one is never touched.
+
+    Raises:
+        InputError: for field `record_llm`: the file exists or cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = path.open("x", encoding="ascii", newline="\n")
+        except FileExistsError:
+            raise InputError("record_llm", str(path), "a file that does not exist yet") from None
+        except OSError as error:
+            raise InputError("record_llm", str(path), f"a file that can be created ({error.strerror})") from None
+        self._write({HEADER: VERSION})
+
+    def __call__(self, attempt: Attempt) -> None:
+        """Write one line."""
+        self._write(to_line(attempt))
+
+    def _write(self, line: dict[str, Any]) -> None:
+        # ASCII escapes keep whatever a model may say, lone surrogates included, on one line that reads back exactly.
+        self._file.write(json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; harmless when it is closed already."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class ReplayModel:
+    """A `LanguageModel` that answers from a cassette, by (robot, round, attempt) and never by order of arrival.
+
+    Only the place of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and what
+    failed then fails again in the same way. Ask it directly or through `limits.Metered`, not through `limits.Limited`,
+    which would retry what was already retried.
+
+    Args:
+        path: the cassette.
+
+    Raises:
+        InputError: for field `model`: there is no such file.
+        RecordError: not a cassette, another version, or damaged (with the line's number).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._file = path.open("rb")
+        except OSError as error:
+            raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
+        try:
+            self._places = self._index()
+        except BaseException:
+            self._file.close()
+            raise
+
+    @property
+    def name(self) -> str:
+        """`replay:FILE`."""
+        return f"replay:{self._path}"
+
+    def __len__(self) -> int:
+        """Number of recorded attempts."""
+        return len(self._places)
+
+    def close(self) -> None:
+        """Close the file; the model must not be asked afterwards."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    async def ask(self, call: Call) -> Reply:
+        """The recorded answer to this call.
+
+        Raises:
+            ReplayDrift: the cassette holds no such attempt, or another question in its place.
+            ModelError: the recorded error.
+        """
+        line = self._read(call)
+        if line.error is not None:
+            kind, detail = line.error
+            error = BudgetExceeded(detail) if kind == "budget" else ModelError(kind, detail)
+            error.faults = line.faults
+            raise error
+        return Reply(
+            text=line.text or "",
+            model=line.model,
+            settings=line.settings,
+            usage=Usage(input=line.usage.input, output=line.usage.output, cached=line.usage.cached),
+            cost_usd=line.cost_usd,
+            latency_s=line.latency_s,
+            faults=line.faults,
+        )
+
+    def _read(self, call: Call) -> CassetteLine:
+        where = f"robot {call.robot}, round {call.round}, attempt {call.attempt}"
+        place = self._places.get((call.robot, call.round, call.attempt))
+        if place is None:
+            rounds = [r for robot, r, _ in self._places if robot == call.robot]
+            held = f"rounds {min(rounds)} to {max(rounds)}" if rounds else "nothing"
+            raise ReplayDrift(f"{self._path}: no {call.kind} recorded for {where}; it holds {held} of this robot")
+        self._file.seek(place)
+        line = CassetteLine.model_validate_json(self._file.readline())
+        if line.request_hash != call.request_hash or line.kind != call.kind:
+            raise ReplayDrift(f"{self._path}: another question than recorded for {where}\n{_difference(line, call)}")
+        return line
+
+    def _index(self) -> dict[tuple[int, int, int], int]:
+        """Byte offset of every attempt; the whole file is checked once, line by line."""
+        places: dict[tuple[int, int, int], int] = {}
+        self._check_header(self._file.readline())
+        number = 1
+        while True:
+            offset = self._file.tell()
+            raw = self._file.readline()
+            if not raw:
+                return places
+            number += 1
+            try:
+                line = CassetteLine.model_validate_json(raw)
+            except ValidationError as error:
+                if not raw.endswith(b"\n"):
+                    logger.warning("%s: line %d was cut off in writing and is left out", self._path, number)
+                    return places
+                first = error.errors()[0]
+                at = ".".join(str(part) for part in first["loc"])
+                raise RecordError(f"{self._path}, line {number}: damaged: {at or 'line'}: {first['msg']}") from None
+            key = (line.robot, line.round, line.attempt)
+            if key in places:
+                raise RecordError(
+                    f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
+                )
+            places[key] = offset
+
+    def _check_header(self, raw: bytes) -> None:
+        try:
+            header = json.loads(raw)
+            version = header[HEADER]
+        except (ValueError, TypeError, LookupError):
+            raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
+        if version != VERSION:
+            raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")
+
+
+def _difference(line: CassetteLine, call: Call) -> str:
+    """What changed between the recorded question and this one, as a unified diff of limited length."""
+    recorded = _readable(line.kind, tuple(ChatMessage(m.role, m.text) for m in line.messages), line.answer_schema)
+    asked = _readable(call.kind, call.messages, dict(call.schema) if call.schema is not None else None)
+    diff = list(difflib.unified_diff(recorded, asked, "recorded", "asked now", n=1, lineterm=""))
+    if not diff:
+        return "the texts are equal: the recorded hash does not fit its own line"
+    if len(diff) > DIFF_LINES:
+        diff = [*diff[:DIFF_LINES], f"... and {len(diff) - DIFF_LINES} more lines"]
+    return "\n".join(text if len(text) <= 300 else text[:297] + "..." for text in diff)
+
+
+def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> list[str]:
+    lines = [f"kind: {kind}"]
+    for message in messages:
+        lines.append(f"[{message.role}]")
+        lines.extend(message.text.splitlines())
+    if schema is not None:
+        lines.append(f"[schema] {json.dumps(schema, sort_keys=True)}")
+    return lines

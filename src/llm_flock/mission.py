@@ -1,0 +1,164 @@
+"""What a team is asked to do: validated, immutable, the same object for every part of the system."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from functools import cached_property
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from llm_flock import formations
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+MAX_ROBOTS = 10_000
+START_DENSITY = 0.35
+"""Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
+
+
+class Mission(BaseModel):
+    """A formation to build, the team that builds it, and the limits it must respect.
+
+    Defaults are the paper's (section 4: spacing 10, safe distance 3, 6 units a round, radio range 15,
+    arena 100 x 100, centre [50, 50]). Lengths are in mission units, in the world frame.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    shape: str = Field("circle", description="Named shape, optionally with an argument: circle, polygon:5, text:...")
+    n_robots: int = Field(10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
+    center: tuple[Finite, ...] = Field((50.0, 50.0), description="Centre of the formation [units]")
+    spacing: Positive = Field(10.0, description="Desired distance between neighbouring robots d_d [units]")
+    safe_distance: Positive = Field(3.0, description="Smallest distance allowed between any two robots d_s [units]")
+    max_step: Positive = Field(6.0, description="Longest move in one round v_m [units]")
+    comm_range: Positive = Field(15.0, description="Radio range r_comm [units]")
+    sense_range: Positive | None = Field(None, description="Range of the position sensors [units]; comm_range if unset")
+    arena: tuple[tuple[Finite, ...], tuple[Finite, ...]] = Field(
+        ((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corner of the flight space [units]"
+    )
+    points: tuple[tuple[Finite, ...], ...] | None = Field(
+        None, description="Target points of the shape 'points' [units], used relative to their own mean"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_points(cls, data: Any) -> Any:
+        """`points` alone says how many robots there are and what the shape is."""
+        if isinstance(data, dict) and data.get("points") is not None:
+            data = dict(data)
+            data.setdefault("shape", "points")
+            data.setdefault("n_robots", len(data["points"]))
+        return data
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.arena
+        dim = len(self.center)
+        if not 2 <= dim <= 3:
+            raise InputError("center", list(self.center), "2 or 3 coordinates")
+        if len(low) != dim or len(high) != dim or any(a >= b for a, b in zip(low, high, strict=True)):
+            raise InputError("arena", [list(low), list(high)], f"two corners of {dim} numbers, each lower < upper")
+        if any(not a <= c <= b for a, c, b in zip(low, self.center, high, strict=True)):
+            raise InputError("center", list(self.center), f"inside the arena {list(low)} .. {list(high)}")
+        if self.spacing < self.safe_distance:
+            raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
+        self._check_room()
+        self._check_shape()
+        return self
+
+    def _check_room(self) -> None:
+        """Random starts at least `safe_distance` apart must exist, and be found by drawing."""
+        low, high = self.arena
+        dim = len(low)
+        volume = math.prod(b - a for a, b in zip(low, high, strict=True))
+        ball = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1) * (self.safe_distance / 2) ** dim
+        most = max(1, int(START_DENSITY * volume / ball))
+        if self.n_robots > most:
+            raise InputError(
+                "n_robots", self.n_robots, f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
+            )
+
+    def _check_shape(self) -> None:
+        """The shape must exist for N, keep its own safe distance, and fit the arena in any orientation."""
+        if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
+            raise InputError("points", "given" if self.points else "missing", "points together with shape 'points'")
+        if self.points is not None and any(len(p) != len(self.center) for p in self.points):
+            raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
+        ideal = formations.ideal_points(self.shape, self.n_robots, self.center, self.spacing, self.points)
+        if ideal is None:
+            return
+        nearest = formations.smallest_distance(ideal)
+        if nearest < self.safe_distance - 1e-9:
+            raise InputError(
+                "shape", self.shape, f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
+            )
+        reach = formations.circumradius(ideal, self.center)
+        low, high = self.arena
+        room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
+        if reach > room + 1e-9:
+            raise InputError(
+                "arena",
+                [list(low), list(high)],
+                f"at least {reach:.4g} units from center to every wall: '{self.shape}' of {self.n_robots} robots "
+                f"with spacing {self.spacing:g} reaches that far (here {room:.4g})",
+            )
+
+    @property
+    def dim(self) -> int:
+        """Dimension d of space."""
+        return len(self.center)
+
+    @property
+    def sensing(self) -> float:
+        """Range of the position sensors [units]."""
+        return self.comm_range if self.sense_range is None else self.sense_range
+
+    @cached_property
+    def ideal(self) -> tuple[Point, ...] | None:
+        """Ideal target points of the shape in its reference orientation, or None where none is known."""
+        points = formations.ideal_points(self.shape, self.n_robots, self.center, self.spacing, self.points)
+        return None if points is None else tuple(tuple(float(x) for x in row) for row in points)
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hexadecimal digits that stand for the content of this mission."""
+        return hashlib.blake2b(self.model_dump_json().encode(), digest_size=8).hexdigest()
+
+    def check_sensing(self) -> None:
+        """Raise InputError unless the safety shield's proof holds: no robot may appear out of nowhere in one round.
+
+        Two robots that do not see each other close in by at most 2 * max_step, so
+        sense_range >= safe_distance + 2 * max_step (Zhou et al. 2017, lockstep form).
+        """
+        needed = self.safe_distance + 2 * self.max_step
+        if self.sensing < needed:
+            raise InputError(
+                "sense_range",
+                self.sensing,
+                f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on "
+                "(raise sense_range or comm_range, lower max_step, or switch the shield off)",
+            )
+
+
+def build_mission(**fields: Any) -> Mission:
+    """A `Mission` from plain values.
+
+    Raises:
+        InputError: naming the first offending field, its value, and what is allowed.
+    """
+    try:
+        return Mission(**fields)
+    except ValidationError as error:
+        raise input_error(error) from None
+
+
+def input_error(error: ValidationError) -> InputError:
+    """The first fault of a pydantic validation as this package's own error."""
+    first = error.errors(include_url=False)[0]
+    field = ".".join(str(part) for part in first["loc"]) or "value"
+    return InputError(field, first.get("input"), first["msg"])

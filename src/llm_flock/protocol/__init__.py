@@ -1,0 +1,1 @@
+"""One robot's mind, sans-IO: no asyncio, time, random, sockets or files in here."""

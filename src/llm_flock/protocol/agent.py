@@ -1,0 +1,411 @@
+"""One robot's decision process: a state machine that takes events and returns effects.
+
+It knows itself and what events told it; there is no clock, no network and no model in here. Every runtime, in one
+process or one process a robot, drives this same machine. `TRANSITIONS` is the machine's table; the diagram in the
+documentation is drawn from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+from llm_flock.arrays import Point
+from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
+from llm_flock.protocol import shield
+from llm_flock.protocol.assignment import AssignmentRule, Claim, Start
+from llm_flock.protocol.consensus import ConsensusRule, Standing
+from llm_flock.protocol.messages import Message, Pedigree, decode, encode
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+
+
+class Phase(StrEnum):
+    """Where a robot is in its motion round."""
+
+    IDLE = "idle"
+    PLANNING = "planning"
+    NEGOTIATING = "negotiating"
+    DECIDING = "deciding"
+    MOVING = "moving"
+    STOPPED = "stopped"
+
+
+class Origin(StrEnum):
+    """Who made the waypoint that is flown."""
+
+    START = "start"
+    MODEL = "model"
+    SHIELD = "shield"
+    HOLD = "hold"
+
+
+# Events: what happens to the robot.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoundBegan:
+    """A new motion round, with what the sensors say.
+
+    Attributes:
+        round: number of the round, from 1.
+        position: own believed position [units; world frame].
+        sensed: believed positions of the robots within sensing range, by id.
+        observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
+    """
+
+    round: int
+    position: Point
+    sensed: Mapping[int, Point]
+    observed: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """The planner answered the plan question."""
+
+    answer: PlanAnswer | NoAnswer
+
+
+@dataclass(frozen=True, slots=True)
+class TickBegan:
+    """Time to broadcast."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes came in over the radio, from anybody."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class TickEnded:
+    """All messages of this tick are in: decide on them together (snapshot semantics)."""
+
+
+@dataclass(frozen=True, slots=True)
+class NegotiationEnded:
+    """No more exchanges before the move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """The planner answered the step question."""
+
+    answer: StepAnswer | NoAnswer
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """The body finished the move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The mission is over."""
+
+
+Event: TypeAlias = (
+    RoundBegan | Planned | TickBegan | Received | TickEnded | NegotiationEnded | Decided | Arrived | Stopped
+)
+
+# Effects: what the robot wants done.
+
+
+@dataclass(frozen=True, slots=True)
+class AskPlan:
+    """Ask the planner for a formation."""
+
+    question: PlanQuestion
+
+
+@dataclass(frozen=True, slots=True)
+class AskStep:
+    """Ask the planner for a waypoint."""
+
+    question: StepQuestion
+
+
+@dataclass(frozen=True, slots=True)
+class Broadcast:
+    """Send these bytes to whoever is in radio range."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveTo:
+    """Fly to `waypoint`; `proposed` is what the planner asked for, where it answered."""
+
+    waypoint: Point
+    proposed: Point | None
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something worth recording: `kind` is a stable word, `detail` plain values."""
+
+    kind: str
+    detail: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+
+Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
+
+TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
+    (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.NEGOTIATING}),
+    (Phase.PLANNING, Planned): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, TickBegan): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, Received): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, TickEnded): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, NegotiationEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
+    (Phase.DECIDING, Decided): frozenset({Phase.MOVING}),
+    (Phase.MOVING, Arrived): frozenset({Phase.IDLE}),
+    **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
+}
+"""Every legal (phase, event) and the phases it may lead to; anything else is a fault of the runtime."""
+
+
+class IllegalEvent(AssertionError):
+    """The runtime sent an event that the machine does not take in its present phase."""
+
+
+class Agent:
+    """One robot's mind.
+
+    Args:
+        robot: own id, 0 .. N-1.
+        mission: what the team is asked to do.
+        consensus: rule that chooses the plan.
+        assignment: rule that chooses the slot.
+        shield_on: project every waypoint on the buffered Voronoi cell.
+        noise_bound: largest error of a believed position [units].
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        mission: Mission,
+        consensus: ConsensusRule,
+        assignment: AssignmentRule,
+        *,
+        shield_on: bool,
+        noise_bound: float = 0.0,
+    ) -> None:
+        self.robot = robot
+        self.mission = mission
+        self.phase = Phase.IDLE
+        self.plan: Plan | None = None
+        self.pedigree: Pedigree | None = None
+        self.claim = Claim(slot=None)
+        self.neighbors = 0
+        self.rejected: Counter[str] = Counter()
+        self._consensus = consensus
+        self._assignment = assignment
+        self._shield_on = shield_on
+        self._noise_bound = noise_bound
+        self._proposals = 0
+        self._own_slot: int | None = None
+        self._round = 0
+        self.position: Point = ()
+        self._sensed: Mapping[int, Point] = {}
+        self._observed: tuple[Point, ...] = ()
+        self._inbox: dict[int, Message] = {}
+        self._latest: dict[int, int] = {}
+        self._said: Message | None = None
+        self._payload = b""
+
+    @property
+    def influence(self) -> float:
+        """I_i = |N_i| / N (paper, eq. 1)."""
+        return self.neighbors / self.mission.n_robots
+
+    @property
+    def goal(self) -> Point | None:
+        """Position of the claimed slot [units; world frame]."""
+        if self.plan is None or self.claim.slot is None:
+            return None
+        return self.plan.points[self.claim.slot]
+
+    def handle(self, event: Event) -> list[Effect]:
+        """Take one event; return what is to be done about it, in order.
+
+        Raises:
+            IllegalEvent: the event is not in TRANSITIONS for the present phase.
+        """
+        allowed = TRANSITIONS.get((self.phase, type(event)))
+        if allowed is None:
+            raise IllegalEvent(f"{type(event).__name__} in phase {self.phase}")
+        match event:
+            case Received():
+                phase, effects = self.phase, self._receive(event.payload)
+            case TickBegan():
+                phase, effects = self.phase, self._broadcast()
+            case TickEnded():
+                phase, effects = self.phase, self._settle_tick()
+            case RoundBegan():
+                phase, effects = self._begin(event)
+            case Planned():
+                phase, effects = Phase.NEGOTIATING, self._take_plan(event.answer)
+            case NegotiationEnded():
+                phase, effects = self._ask_step()
+            case Decided():
+                phase, effects = Phase.MOVING, self._move(event.answer)
+            case Arrived():
+                phase, effects = Phase.IDLE, []
+            case Stopped():
+                phase, effects = Phase.STOPPED, []
+        assert phase in allowed, f"{type(event).__name__} led from {self.phase} to {phase}"
+        self.phase = phase
+        return effects
+
+    def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
+        self._round = event.round
+        self.position = event.position
+        self._sensed = event.sensed
+        self._observed = event.observed
+        reach = self.mission.comm_range
+        self.neighbors = sum(math.dist(event.position, x) <= reach for x in event.sensed.values())
+        if self.plan is not None:
+            return Phase.NEGOTIATING, []
+        question = PlanQuestion(
+            robot=self.robot, round=event.round, position=event.position, neighbors=event.observed
+        )
+        return Phase.PLANNING, [AskPlan(question)]
+
+    def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
+        """A proposal of one's own: it gets the influence of this moment as its pedigree."""
+        if isinstance(answer, NoAnswer):
+            return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
+        origin = Pedigree(
+            mission=0,
+            mission_digest=self.mission.digest,
+            epoch=0,
+            neighbors=self.neighbors,
+            proposer=self.robot,
+            sequence=self._proposals,
+        )
+        self._proposals += 1
+        self._own_slot = answer.slot
+        self._follow(answer.plan, origin, adopted=False, heard=[])
+        return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})]
+
+    def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
+        self.plan, self.pedigree = plan, origin
+        start = Start(
+            robot=self.robot,
+            position=self.position,
+            plan=plan,
+            chosen=self._own_slot,
+            adopted=adopted,
+            heard=[m for m in heard if m.plan == plan],
+        )
+        self.claim = self._assignment.take(start)
+
+    def _broadcast(self) -> list[Effect]:
+        """The own standing; bytes are made anew only when it changed, so that equal content is equal bytes."""
+        said = self._said
+        if (
+            said is None
+            or said.neighbors != self.neighbors
+            or said.plan is not self.plan
+            or said.pedigree is not self.pedigree
+            or said.slot != self.claim.slot
+            or said.table is not self.claim.table
+        ):
+            self._said = Message(
+                sender=self.robot,
+                sequence=0 if said is None else said.sequence + 1,
+                neighbors=self.neighbors,
+                plan=self.plan,
+                pedigree=self.pedigree,
+                slot=self.claim.slot,
+                table=self.claim.table,
+            )
+            self._payload = encode(self._said)
+        return [Broadcast(self._payload)]
+
+    def _receive(self, payload: bytes) -> list[Effect]:
+        """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so."""
+        try:
+            message = decode(payload, self.mission.n_robots, self.mission.dim)
+            if message.sender == self.robot:
+                raise MessageError("own_id", f"a message from outside claims to come from robot {self.robot}")
+            if message.pedigree is not None and message.pedigree.mission_digest != self.mission.digest:
+                raise MessageError("other_mission", f"a plan for mission {message.pedigree.mission_digest}")
+        except MessageError as error:
+            self.rejected[error.reason] += 1
+            return [Note("rejected_message", {"reason": error.reason, "detail": error.detail})]
+        if message.sequence >= self._latest.get(message.sender, -1):
+            self._latest[message.sender] = message.sequence
+            self._inbox[message.sender] = message
+        return []
+
+    def _settle_tick(self) -> list[Effect]:
+        """Consensus first, then the claim, both on the same snapshot of what was heard."""
+        heard = [self._inbox[sender] for sender in sorted(self._inbox)]
+        self._inbox = {}
+        own = Standing(plan=self.plan, pedigree=self.pedigree, neighbors=self.neighbors)
+        slot_before = self.claim.slot
+        effects: list[Effect] = []
+        source = self._consensus.choose(own, heard)
+        if source is not None:
+            assert source.plan is not None and source.pedigree is not None, "a rule may only choose a plan"
+        if source is not None and source.plan != self.plan:
+            self._follow(source.plan, source.pedigree, adopted=True, heard=heard)
+            effects.append(Note("adopted", {"plan": source.plan.digest, "from": source.sender}))
+        elif self.plan is not None:
+            if source is not None:  # the same points with a better origin: claims and bids stay
+                self.pedigree = source.pedigree
+            same = [m for m in heard if m.plan == self.plan]
+            self.claim = self._assignment.update(self.robot, self.position, self.plan, self.claim, same)
+        if self.claim.slot != slot_before:
+            effects.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
+        return effects
+
+    def _ask_step(self) -> tuple[Phase, list[Effect]]:
+        if self.plan is None or self.claim.slot is None:
+            reason = "no plan yet" if self.plan is None else "every slot is claimed by others"
+            return Phase.MOVING, [
+                Note("held", {"cause": "no_goal", "reason": reason}),
+                MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
+            ]
+        question = StepQuestion(
+            robot=self.robot,
+            round=self._round,
+            position=self.position,
+            neighbors=self._observed,
+            plan=self.plan,
+            slot=self.claim.slot,
+        )
+        return Phase.DECIDING, [AskStep(question)]
+
+    def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
+        if isinstance(answer, NoAnswer):
+            return [
+                Note("held", {"cause": answer.cause, "reason": answer.reason}),
+                MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
+            ]
+        wish = answer.waypoint
+        if not self._shield_on:
+            return [MoveTo(waypoint=wish, proposed=wish, origin=Origin.MODEL)]
+        safe = shield.project(
+            self.position,
+            wish,
+            self._sensed.values(),
+            safe_distance=self.mission.safe_distance,
+            max_step=self.mission.max_step,
+            noise_bound=self._noise_bound,
+        )
+        if safe == wish:
+            return [MoveTo(waypoint=wish, proposed=wish, origin=Origin.MODEL)]
+        return [
+            Note("shielded", {"proposed": wish, "flown": safe}),
+            MoveTo(waypoint=safe, proposed=wish, origin=Origin.SHIELD),
+        ]

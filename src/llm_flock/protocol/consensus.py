@@ -1,0 +1,107 @@
+"""Which plan to follow: rules that look at one's own standing and at what was just heard, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+from llm_flock.protocol.messages import Message, Pedigree
+from llm_flock.protocol.plan import Plan
+
+PlanKey: TypeAlias = tuple[int, str, int, int, int, int, str]
+TieBreak: TypeAlias = Literal["lowest", "highest"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """What a robot brings into the comparison: its plan, that plan's origin, and its own influence times N."""
+
+    plan: Plan | None
+    pedigree: Pedigree | None
+    neighbors: int
+
+
+class ConsensusRule(Protocol):
+    """Chooses the message whose plan is to be adopted.
+
+    A rule is a pure function of its arguments: the same arguments give the same choice, in any order of `heard`
+    (one newest message per sender, ascending ids). `llm_flock.testing.check_consensus_rule` tests a new rule.
+    """
+
+    @property
+    def name(self) -> str:
+        """The word for the command line and records."""
+        ...
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """The message whose plan is to be adopted, or None to keep one's own."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class NoConsensus:
+    """The paper's baseline: every robot keeps its own plan (line 207)."""
+
+    name: str = "none"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """Never adopt."""
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class InfluenceConsensus:
+    """The paper's Algorithm 1, literally (lines 133 and 149-158).
+
+    Among all neighbours heard, k is the one of highest influence; its plan is adopted if I_k > I_i strictly and
+    P_k differs from P_i. The paper does not say which of several equally influential neighbours is k; `tie` does.
+    """
+
+    tie: TieBreak = "lowest"
+    name: str = "influence"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """Adopt the plan of the most influential neighbour if it outranks this robot."""
+        sign = -1 if self.tie == "lowest" else 1
+        k = max(heard, key=lambda m: (m.neighbors, sign * m.sender), default=None)
+        if k is None or k.plan is None or k.neighbors <= own.neighbors or k.plan == own.plan:
+            return None
+        return k
+
+
+def plan_key(plan: Plan, origin: Pedigree) -> PlanKey:
+    """The place of a plan in the total order: compared element by element, higher wins."""
+    return (
+        origin.mission,
+        origin.mission_digest,
+        origin.epoch,
+        origin.neighbors,
+        origin.proposer,
+        origin.sequence,
+        plan.digest,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PedigreeConsensus:
+    """Max-consensus over a total order of plans (max-consensus: Cortes 2008; Nejad et al. 2009).
+
+    The proposer's influence at the time of proposing still decides first, so the paper's idea is kept, but it
+    belongs to the plan and travels with it, and ties are settled by the proposer's id. On a connected graph without
+    loss all robots agree within its diameter in ticks, because the highest key only spreads and never changes.
+    """
+
+    name: str = "pedigree"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """Adopt the plan of highest key, if it is higher than one's own."""
+        best: Message | None = None
+        best_key = None if own.plan is None or own.pedigree is None else plan_key(own.plan, own.pedigree)
+        for message in heard:
+            if message.plan is None or message.pedigree is None:
+                continue
+            key = plan_key(message.plan, message.pedigree)
+            if best_key is None or key > best_key:
+                best, best_key = message, key
+        return best

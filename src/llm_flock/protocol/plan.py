@@ -1,0 +1,53 @@
+"""A formation plan: where the team should stand, in an order that gives each place its number."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from llm_flock.arrays import Point, Points
+
+DECIMALS = 6
+"""Coordinates are rounded to this many decimals, so that equal plans are equal everywhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """N target positions p_1 .. p_N (paper, section 3.1), hashable and comparable by content.
+
+    Attributes:
+        points: N positions of d coordinates each [units; world frame], canonically rounded.
+        digest: 16 hexadecimal digits that stand for the content.
+    """
+
+    points: tuple[Point, ...]
+    digest: str = field(init=False)
+    array: Points = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        rounded = tuple(tuple(round(float(x), DECIMALS) + 0.0 for x in point) for point in self.points)
+        flat = [x for point in rounded for x in point]
+        content = struct.pack(f"<{len(flat)}d", *flat)
+        array = np.array(rounded, dtype=np.float64).reshape(len(rounded), -1)
+        array.setflags(write=False)
+        object.__setattr__(self, "points", rounded)
+        object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=8).hexdigest())
+        object.__setattr__(self, "array", array)
+
+    @classmethod
+    def of(cls, points: Iterable[Iterable[float]]) -> Plan:
+        """A plan from any rows of numbers, shape (n, d) [units]."""
+        return cls(tuple(tuple(float(x) for x in row) for row in points))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Plan) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)

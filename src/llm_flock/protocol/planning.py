@@ -1,0 +1,87 @@
+"""The two questions a robot's mind asks, and the answers it takes; who answers is not its business."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.plan import Plan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanQuestion:
+    """Propose a whole formation and your own place in it.
+
+    Attributes:
+        robot: who asks (0-based id).
+        round: motion round in which it asks.
+        position: where the robot believes it is [units; world frame].
+        neighbors: believed positions of the robots it observes, in ascending order of their ids.
+    """
+
+    robot: int
+    round: int
+    position: Point
+    neighbors: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepQuestion:
+    """Choose the next waypoint on the way to the goal; fields as in PlanQuestion, and the agreed plan."""
+
+    robot: int
+    round: int
+    position: Point
+    neighbors: tuple[Point, ...]
+    plan: Plan
+    slot: int
+
+    @property
+    def goal(self) -> Point:
+        """Position of the robot's own place in the plan [units; world frame]."""
+        return self.plan.points[self.slot]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanAnswer:
+    """A usable plan and the index of the place that the planner chose for its own robot."""
+
+    plan: Plan
+    slot: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepAnswer:
+    """A usable waypoint [units; world frame]."""
+
+    waypoint: Point
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoAnswer:
+    """The planner could not help this time.
+
+    Attributes:
+        cause: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
+        reason: the whole story in words, for the record.
+    """
+
+    cause: str
+    reason: str
+
+
+Question: TypeAlias = PlanQuestion | StepQuestion
+Answer: TypeAlias = PlanAnswer | StepAnswer | NoAnswer
+
+
+class Planner(Protocol):
+    """Answers one robot's questions: a language model, or plain geometry."""
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """Propose a formation."""
+        ...
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """Propose a waypoint."""
+        ...

@@ -1,0 +1,1 @@
+"""The body of a robot: simulated here, drivers for real ones beside it."""

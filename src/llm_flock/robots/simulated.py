@@ -1,0 +1,130 @@
+"""Simulated bodies in one arena: point masses that fly straight to their waypoint within a round, and their sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from llm_flock import graph
+from llm_flock.arrays import Pairwise, Point, Points
+from llm_flock.errors import InputError
+from llm_flock.mission import Mission
+
+StartRule: TypeAlias = Literal["separated", "uniform"]
+
+MAX_DRAWS = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensing:
+    """What one robot's sensors say: its own believed position and those of the others in range, by id [units]."""
+
+    position: Point
+    sensed: Mapping[int, Point]
+
+
+def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> Points:
+    """Random start positions, uniform in the arena (paper, line 184), shape (n, d) [units].
+
+    `separated` draws a robot again while it is nearer than the safe distance to one placed before; `uniform` is the
+    paper's raw draw, which may start in violation.
+
+    Raises:
+        InputError: no room was found.
+    """
+    low, high = (np.array(corner) for corner in mission.arena)
+    if rule == "uniform":
+        return rng.uniform(low, high, size=(mission.n_robots, mission.dim))
+    placed = np.empty((mission.n_robots, mission.dim))
+    for k in range(mission.n_robots):
+        for _ in range(MAX_DRAWS):
+            draw = rng.uniform(low, high)
+            if k == 0 or float(np.linalg.norm(placed[:k] - draw, axis=1).min()) >= mission.safe_distance:
+                placed[k] = draw
+                break
+        else:
+            raise InputError("n_robots", mission.n_robots, f"room for that many starts (found {k}) in the arena")
+    return placed
+
+
+def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Points:
+    """Given start positions as an array, shape (n, d).
+
+    Raises:
+        InputError: wrong shape, or a number that is not finite.
+    """
+    try:
+        array = np.array(positions, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("start_positions", positions, "rows of numbers") from None
+    if array.shape != (mission.n_robots, mission.dim) or not bool(np.isfinite(array).all()):
+        raise InputError(
+            "start_positions", positions, f"{mission.n_robots} finite positions of {mission.dim} coordinates"
+        )
+    return array
+
+
+class SimulatedTeam:
+    """True positions of all bodies, and what each robot's sensors say of them.
+
+    Args:
+        mission: gives the ranges.
+        positions: true start positions, shape (n, d) [units; world frame].
+        noise: largest localisation error [units]; each reading is off by a vector uniform in the ball of that radius.
+        rng: source of the noise.
+    """
+
+    def __init__(self, mission: Mission, positions: Points, noise: float, rng: np.random.Generator) -> None:
+        self._mission = mission
+        self._noise = noise
+        self._rng = rng
+        self.positions = positions.copy()
+        self._look()
+
+    def _look(self) -> None:
+        """Who is within which range, once for the whole round."""
+        self._distances: Pairwise = graph.distances(self.positions)
+        self._rows: list[Point] = [tuple(row) for row in self.positions.tolist()]
+        self.in_radio_range = self._within(self._mission.comm_range)
+        sensing = self._mission.sensing
+        same = sensing == self._mission.comm_range
+        self.in_sense_range = self.in_radio_range if same else self._within(sensing)
+
+    def _within(self, reach: float) -> list[tuple[int, ...]]:
+        close = self._distances <= reach
+        np.fill_diagonal(close, False)
+        return [tuple(np.flatnonzero(row).tolist()) for row in close]
+
+    @property
+    def connected(self) -> bool:
+        """Whether the radio graph is one piece."""
+        return graph.is_connected(self._distances <= self._mission.comm_range)
+
+    def sense(self, robot: int) -> Sensing:
+        """One robot's readings, new errors at every call."""
+        if self._noise == 0.0:
+            rows = self._rows
+            return Sensing(position=rows[robot], sensed={j: rows[j] for j in self.in_sense_range[robot]})
+        readings = {j: self._reading(j) for j in (robot, *self.in_sense_range[robot])}
+        return Sensing(position=readings.pop(robot), sensed=readings)
+
+    def everybody(self, robot: int) -> tuple[Point, ...]:
+        """Readings of all other robots, in ascending order of ids, whatever their range (`observe = "all"`)."""
+        return tuple(self._reading(j) for j in range(len(self._rows)) if j != robot)
+
+    def _reading(self, robot: int) -> Point:
+        if self._noise == 0.0:
+            return self._rows[robot]
+        dim = self._mission.dim
+        direction = self._rng.normal(size=dim)
+        direction /= np.linalg.norm(direction)
+        radius = self._noise * float(self._rng.random()) ** (1.0 / dim)
+        return tuple((self.positions[robot] + radius * direction).tolist())
+
+    def move(self, displacements: Points) -> None:
+        """Fly every robot by its displacement, shape (n, d) [units], all at once."""
+        self.positions = self.positions + displacements
+        self._look()

@@ -1,0 +1,1 @@
+"""Drives minds, bodies, models and messages through a mission."""

@@ -1,0 +1,131 @@
+"""The Python entry point: a mission in, a result out."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from llm_flock.errors import InputError
+from llm_flock.llm.replay import CassetteWriter
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.assignment import AssignmentRule
+from llm_flock.protocol.consensus import ConsensusRule
+from llm_flock.record.schema import MissionInfo, RunInfo
+from llm_flock.record.writer import NullWriter, RecordWriter
+from llm_flock.robots.simulated import SimulatedTeam, check_start, draw_start
+from llm_flock.runtime import provenance
+from llm_flock.runtime.config import RunConfig, build_config
+from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.result import RunResult
+from llm_flock.runtime.rules import assignment_rule, consensus_rule
+from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.trial import Progress, Trial
+from llm_flock.transport.memory import MemoryTransport
+
+RECORD_NAME = "run.mcap"
+
+
+def run(mission: Mission | None = None, **options: Any) -> RunResult:
+    """Run one trial and wait for it; takes what `run_async` takes."""
+    return asyncio.run(run_async(mission, **options))
+
+
+async def run_async(
+    mission: Mission | None = None,
+    *,
+    consensus: str | ConsensusRule | None = None,
+    assignment: str | AssignmentRule | None = None,
+    config: RunConfig | None = None,
+    on_round: Callable[[Progress], None] | None = None,
+    **options: Any,
+) -> RunResult:
+    """Run one trial.
+
+    Args:
+        mission: what the team is asked to do; the paper's circle of ten if left out.
+        consensus: name of a rule, or a rule of one's own.
+        assignment: name of a rule, or a rule of one's own.
+        config: a whole configuration instead of a mission and options.
+        on_round: told after each round.
+        options: any field of the configuration by its name (`model=`, `rounds=`, `seed=`, `loss=`, `out=`, ...).
+
+    Returns:
+        Arrays and figures of the trial. With `out`, the record is written to `out/run.mcap` as it happens.
+
+    Raises:
+        InputError: a value is not allowed; nothing has been written then.
+        ReplayDrift: a replayed conversation differs from the recorded one.
+        asyncio.CancelledError: after the record was brought to a readable end.
+    """
+    if config is None:
+        names = {
+            field: rule if rule is None or isinstance(rule, str) else rule.name
+            for field, rule in (("consensus", consensus), ("assignment", assignment))
+        }
+        base = {} if mission is None else {"mission": mission.model_dump(exclude_none=True)}
+        config = build_config(base, **names, **options)
+    elif mission is not None or options:
+        raise InputError("config", "given", "either config, or mission and options")
+    protocol = config.protocol
+    if consensus is None or isinstance(consensus, str):
+        consensus = consensus_rule(protocol.consensus or "")
+    if assignment is None or isinstance(assignment, str):
+        assignment = assignment_rule(protocol.assignment or "")
+    agents = [
+        Agent(
+            robot,
+            config.mission,
+            consensus,
+            assignment,
+            shield_on=bool(protocol.shield),
+            noise_bound=config.trial.noise,
+        )
+        for robot in range(config.mission.n_robots)
+    ]
+    return await _fly(config, agents, on_round)
+
+
+async def _fly(config: RunConfig, agents: list[Agent], on_round: Callable[[Progress], None] | None) -> RunResult:
+    """Build every part, refusing what is wrong; only then open files, and fly."""
+    mission, seed = config.mission, config.trial.seed
+    given = config.trial.start_positions
+    rule = config.trial.start
+    start = draw_start(mission, rule, stream(seed, Stream.START)) if given is None else check_start(mission, given)
+    bodies = SimulatedTeam(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
+    transport = MemoryTransport(mission.n_robots, config.links, stream(seed, Stream.LINKS))
+    thinkers = Thinkers(config)
+    with ExitStack() as stack:
+        path = None if config.trial.out is None else Path(config.trial.out) / RECORD_NAME
+        writer = stack.enter_context(NullWriter() if path is None else RecordWriter(path))
+        journal = Journal(mission, writer)
+        thinkers.listen(journal.attempt)
+        if config.model.record_llm is not None:
+            thinkers.listen(stack.enter_context(CassetteWriter(Path(config.model.record_llm))))
+        writer.run(_run_info(config, thinkers))
+        ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
+        writer.mission(MissionInfo(version=0, round=0, mission=mission.model_dump(mode="json"), ideal=ideal))
+        trial = Trial(config, agents, thinkers, bodies, transport, journal, on_round)
+        try:
+            await trial.run()
+        finally:
+            result = trial.finish(None if path is None else str(path))
+            await thinkers.close()
+    return result
+
+
+def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:
+    return RunInfo(
+        format_version=1,
+        config=config.model_dump(mode="json"),
+        versions=provenance.versions(),
+        git_revision=provenance.git_revision(),
+        seed=config.trial.seed,
+        simulated=thinkers.simulated,
+        created_at=provenance.now(),
+        environment=provenance.environment(),
+    )

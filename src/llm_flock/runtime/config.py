@@ -1,0 +1,183 @@
+"""One configuration file, one validated object; command-line flags override it by field name."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from llm_flock import formations
+from llm_flock.errors import InputError
+from llm_flock.mission import Finite, Mission, input_error
+from llm_flock.runtime.rules import PRESETS
+from llm_flock.transport.memory import LinkFaults
+
+Count = Annotated[int, Field(ge=1)]
+PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
+"""One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are taken too."""
+
+
+class Section(BaseModel):
+    """Common rules of all parts of the configuration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ProtocolConfig(Section):
+    """How the robots come to one plan and to distinct places."""
+
+    protocol: Literal["flock", "paper", "baseline"] = Field("flock", description="Preset of the four options below")
+    consensus: str | None = Field(
+        None, description="Plan consensus: none, influence, pedigree, or package.module:Class [preset's]"
+    )
+    assignment: str | None = Field(
+        None,
+        description="Goal assignment: index, nearest, nearest-free, auction, or package.module:Class [preset's]",
+    )
+    shield: bool | None = Field(None, description="Buffered Voronoi safety shield [preset's]")
+    ticks: Count | None = Field(None, description="Message exchanges per motion round [preset's]")
+
+    @model_validator(mode="after")
+    def _resolve(self) -> Self:
+        """Fill from the preset what was left open, so that the resolved configuration says everything."""
+        for field, value in PRESETS[self.protocol].items():
+            if getattr(self, field) is None:
+                object.__setattr__(self, field, value)
+        return self
+
+
+class ModelConfig(Section):
+    """Who thinks for the robots."""
+
+    model: str = Field("simulated:ideal", description="provider:model for all robots, or by id: 0-4=A,5-9=B")
+    base_url: str | None = Field(None, description="Address of an OpenAI-compatible server")
+    answers: Literal["text", "json"] = Field("text", description="Answer format: the paper's text, or a JSON schema")
+    history: str = Field("none", description="Conversation kept between questions: none, last:K or full")
+    observe: Literal["in-range", "all"] = Field("in-range", description="Robots whose positions the model is told")
+    max_retries: int = Field(2, ge=0, le=20, description="How often a rejected answer is sent back to the model")
+    prompts: str | None = Field(None, description="Folder with prompt templates that replace the packaged ones")
+    temperature: PerRobot = Field(None, description="Sampling temperature, for all or by id")
+    reasoning_effort: PerRobot = Field(None, description="Reasoning effort (minimal .. max), for all or by id")
+    model_seed: PerRobot = Field(None, description="Sampling seed sent to the provider, for all or by id")
+    record_llm: str | None = Field(None, description="File to record every model call in, for replay:FILE")
+
+
+class LimitConfig(Section):
+    """What a run may use."""
+
+    max_concurrent: Count = Field(1000, description="Model calls in flight at once")
+    timeout_s: float = Field(120.0, gt=0, allow_inf_nan=False, description="Time-out of one try of a model call [s]")
+    max_tries: Count = Field(8, description="Tries of one model call when the provider fails")
+    max_calls: Count | None = Field(None, description="Budget: model calls of the whole run")
+    max_tokens: Count | None = Field(None, description="Budget: tokens in and out of the whole run")
+    max_cost: float | None = Field(
+        None, gt=0, allow_inf_nan=False, description="Budget: cost of the whole run [US dollars]"
+    )
+
+
+class TrialConfig(Section):
+    """One seeded run."""
+
+    rounds: int = Field(60, ge=0, le=100_000, description="Motion rounds at most")
+    stop_when_formed: bool = Field(True, description="End as soon as the formation has been held")
+    seed: int = Field(0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
+    start: Literal["separated", "uniform"] = Field(
+        "separated", description="Random starts: never nearer than safe_distance, or the paper's raw draw"
+    )
+    start_positions: tuple[tuple[Finite, ...], ...] | None = Field(
+        None, description="Given start positions instead of random ones [units]"
+    )
+    noise: float = Field(0.0, ge=0, allow_inf_nan=False, description="Largest localisation error [units]")
+    out: str | None = Field(None, description="Folder for the record (run.mcap) and all that is drawn from it")
+
+
+class RunConfig(Section):
+    """Everything that defines a run. Field names are unique over all sections, so a flag needs no section."""
+
+    mission: Mission = Field(default_factory=Mission)
+    protocol: ProtocolConfig = Field(default_factory=ProtocolConfig)
+    model: ModelConfig = Field(default_factory=ModelConfig)
+    limits: LimitConfig = Field(default_factory=LimitConfig)
+    links: LinkFaults = Field(default_factory=LinkFaults)
+    trial: TrialConfig = Field(default_factory=TrialConfig)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.protocol.shield:
+            self.mission.check_sensing()
+            if self.trial.noise > self.mission.safe_distance / 4:
+                raise InputError(
+                    "noise",
+                    self.trial.noise,
+                    f"at most safe_distance / 4 = {self.mission.safe_distance / 4:g} while the shield is on",
+                )
+        return self
+
+
+def section_of(field: str) -> str:
+    """The section that holds a field.
+
+    Raises:
+        InputError: there is no such field.
+    """
+    for name, info in RunConfig.model_fields.items():
+        section = info.annotation
+        assert isinstance(section, type) and issubclass(section, BaseModel)
+        if field in section.model_fields:
+            return name
+    raise InputError(field, "...", "a field of the configuration; `llm-flock run --help` lists them")
+
+
+def build_config(base: Mapping[str, Any] | None = None, **overrides: Any) -> RunConfig:
+    """A configuration from nested sections, with flat overrides by field name (None means: not given).
+
+    `shape = "points:FILE"` is resolved here: the file's points become the mission's.
+
+    Raises:
+        InputError: naming the first offending field, its value, and what is allowed.
+    """
+    data: dict[str, Any] = {}
+    for name, section in (base or {}).items():
+        if name not in RunConfig.model_fields:
+            raise InputError(name, "...", f"one of the sections {', '.join(RunConfig.model_fields)}")
+        if not isinstance(section, Mapping):
+            raise InputError(name, section, "a table")
+        data[name] = dict(section)
+    for field, value in overrides.items():
+        if value is not None:
+            data.setdefault(section_of(field), {})[field] = value
+    _load_points(data.get("mission", {}))
+    try:
+        return RunConfig(**data)
+    except ValidationError as error:
+        raise input_error(error) from None
+
+
+def _load_points(mission: dict[str, Any]) -> None:
+    shape = mission.get("shape")
+    if isinstance(shape, str) and shape.startswith("points:"):
+        points = formations.load_points(Path(shape.removeprefix("points:")))
+        mission.update(shape="points", points=points)
+        mission.setdefault("n_robots", len(points))
+        if points and "center" not in mission and len(points[0]) != 2:
+            raise InputError("center", "not given", f"a centre with {len(points[0])} coordinates, as the points have")
+
+
+def load_config(path: Path | None, **overrides: Any) -> RunConfig:
+    """A configuration from a TOML file (or none), with flat overrides.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML, or a value is not allowed.
+    """
+    if path is None:
+        return build_config({}, **overrides)
+    try:
+        base = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError("config", str(path), f"a readable file ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError("config", str(path), f"TOML ({error})") from None
+    return build_config(base, **overrides)

@@ -1,0 +1,204 @@
+"""Keeps the books of one run: counts everything, and writes it to the record in a fixed order."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock import metrics
+from llm_flock.arrays import Points
+from llm_flock.llm.port import Attempt, Usage
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent, MoveTo, Note, Origin
+from llm_flock.protocol.plan import Plan
+from llm_flock.record.schema import (
+    CallUsage,
+    ChatLine,
+    LlmEntry,
+    MetricsRow,
+    PlanInfo,
+    ProtocolEvent,
+    State,
+)
+from llm_flock.record.writer import RecordSink
+from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.transport.memory import Traffic
+
+
+class Journal:
+    """Counts and records one run.
+
+    Attempts and notes of a round are held back until `flush`, and written in the order of the robots: the order in
+    which models answer must not show in the record, which is the same for the same seed.
+    """
+
+    def __init__(self, mission: Mission, writer: RecordSink) -> None:
+        self.mission = mission
+        self.writer = writer
+        self.calls = 0
+        self.calls_rejected = 0
+        self.calls_failed = 0
+        self.usage = Usage()
+        self.cost_usd: float | None = 0.0
+        self.latency_s = 0.0
+        self.faults: Counter[str] = Counter()
+        self.waypoints: Counter[str] = Counter()
+        self.min_separation = float("inf")
+        self.positions: list[Points] = []
+        self.errors: list[tuple[float, float] | None] = []
+        self.at_goal = 0
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        self.tracker = metrics.FormedTracker(spacing=mission.spacing)
+        self._known_plans: set[str] = set()
+        self._attempts: list[Attempt] = []
+        self._previous: Points | None = None
+
+    def attempt(self, attempt: Attempt) -> None:
+        """Take note of one model call."""
+        self.calls += 1
+        self.latency_s += attempt.latency_s
+        self.faults.update(attempt.faults)
+        if attempt.reply is None:
+            self.calls_failed += 1
+        else:
+            self.calls_rejected += attempt.rejected is not None
+            self.usage = self.usage + attempt.reply.usage
+            cost = attempt.reply.cost_usd
+            self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
+        self._attempts.append(attempt)
+
+    def flush_attempts(self) -> None:
+        """Write the model calls made since the last flush, by robot and attempt."""
+        for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
+            self.writer.llm(_entry(attempt))
+        self._attempts.clear()
+
+    def note(self, round_number: int, tick: int | None, robot: int, note: Note) -> None:
+        """Record something that a robot decided or met."""
+        self.writer.event(
+            ProtocolEvent(round=round_number, tick=tick, robot=robot, kind=note.kind, detail=dict(note.detail))
+        )
+
+    def plan(self, round_number: int, plan: Plan, proposer: int) -> None:
+        """Record a plan's points when it is first seen."""
+        if plan.digest not in self._known_plans:
+            self._known_plans.add(plan.digest)
+            self.writer.plan(
+                PlanInfo(
+                    round=round_number,
+                    plan_id=plan.digest,
+                    proposer=proposer,
+                    points=[list(point) for point in plan.points],
+                )
+            )
+
+    def state(
+        self,
+        round_number: int,
+        team: SimulatedTeam,
+        agents: list[Agent],
+        moves: list[MoveTo] | None,
+        traffic: Traffic,
+    ) -> None:
+        """Record where everybody is, what everybody follows, and the figures of this round."""
+        positions = team.positions
+        plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
+        slots = [a.claim.slot for a in agents]
+        origins = [Origin.START] * len(agents) if moves is None else [m.origin for m in moves]
+        if moves is not None:
+            self.waypoints.update(origin.value for origin in origins)
+        self.writer.state(
+            State(
+                round=round_number,
+                positions=positions.tolist(),
+                goals=[None if (g := a.goal) is None else list(g) for a in agents],
+                slots=slots,
+                plan_ids=plan_ids,
+                influence=[len(r) / len(agents) for r in team.in_radio_range],
+                waypoints=[None] * len(agents) if moves is None else [list(m.waypoint) for m in moves],
+                origins=[origin.value for origin in origins],
+                phases=[a.phase.value for a in agents],
+            )
+        )
+        self._measure(round_number, positions, agents, plan_ids, slots, team.connected, traffic)
+
+    def _measure(
+        self,
+        round_number: int,
+        positions: NDArray[np.float64],
+        agents: list[Agent],
+        plan_ids: list[str | None],
+        slots: list[int | None],
+        connected: bool,
+        traffic: Traffic,
+    ) -> None:
+        shape = None if self._target is None else self._target.error(positions)
+        self.errors.append(None if shape is None else (shape.mean, shape.mean_squared))
+        self.positions.append(positions)
+        separation = metrics.min_separation(positions)
+        along = None if self._previous is None else metrics.segment_separation(self._previous, positions)
+        self._previous = positions
+        self.min_separation = min(self.min_separation, separation, float("inf") if along is None else along)
+        distances = [
+            float("inf") if (g := a.goal) is None else float(np.linalg.norm(positions[k] - g))
+            for k, a in enumerate(agents)
+        ]
+        self.tracker.update(
+            round_number,
+            plan_ids=plan_ids,
+            slots=slots,
+            goal_distances=distances,
+            residual=None if shape is None else shape.mean,
+        )
+        self.at_goal = sum(d <= metrics.AT_GOAL * self.mission.spacing for d in distances)
+        self.writer.metrics(
+            MetricsRow(
+                round=round_number,
+                procrustes_mean=None if shape is None else shape.mean,
+                procrustes_mean_squared=None if shape is None else shape.mean_squared,
+                min_separation=_finite(separation),
+                segment_separation=None if along is None else _finite(along),
+                plans_in_use=metrics.plans_in_use(plan_ids),
+                distinct_goals=metrics.distinct_goals(plan_ids, slots),
+                robots_at_goal=self.at_goal,
+                connected=connected,
+                model_calls=self.calls,
+                tokens=self.usage.total,
+                cost_usd=self.cost_usd,
+                messages_sent=traffic.sent,
+                bytes_sent=traffic.bytes,
+                messages_rejected=dict(sum((a.rejected for a in agents), Counter[str]())),
+            )
+        )
+
+
+def _finite(value: float) -> float | None:
+    """None for the infinite separation of a single robot, which JSON cannot say."""
+    return value if value < float("inf") else None
+
+
+def _entry(attempt: Attempt) -> LlmEntry:
+    call, reply = attempt.call, attempt.reply
+    settings: dict[str, Any] = {} if reply is None else dict(reply.settings)
+    usage = Usage() if reply is None else reply.usage
+    return LlmEntry(
+        round=call.round,
+        robot=call.robot,
+        kind=call.kind,
+        attempt=call.attempt,
+        model=attempt.model,
+        request_hash=call.request_hash,
+        messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
+        text=None if reply is None else reply.text,
+        parsed=None if attempt.parsed is None else dict(attempt.parsed),
+        rejected=attempt.rejected,
+        error=None if attempt.error is None else ": ".join(attempt.error),
+        settings=settings,
+        usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
+        cost_usd=None if reply is None else reply.cost_usd,
+        latency_s=attempt.latency_s,
+        faults=list(attempt.faults),
+    )

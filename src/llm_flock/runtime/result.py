@@ -1,0 +1,126 @@
+"""What a run reports."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.runtime.config import RunConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """The figures of one trial (protocol note, section 4); field names are the keys of `--json`.
+
+    Attributes:
+        shape: the mission's shape.
+        n_robots: team size N.
+        seed: seed of the run.
+        consensus: rule that chose the plan.
+        assignment: rule that chose the slots.
+        shield: whether the safety shield was on.
+        models: the models that thought for the robots, each once.
+        simulated: whether any of them was a simulated stand-in.
+        stopped: why the run ended: formed, rounds, budget or interrupted.
+        rounds: motion rounds flown.
+        formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
+            most 0.1 spacing, held for 3 rounds, within 3 * lower_bound_rounds + 20 rounds.
+        rounds_to_formed: the first of those 3 rounds, whether within the limit or not; None if it never came.
+        lower_bound_rounds: bottleneck assignment distance from the start to the agreed plan, in steps of max_step,
+            rounded up; None without one plan.
+        procrustes_mean: mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
+        procrustes_mean_squared: mean squared distance [units^2] (paper, appendix C).
+        min_separation: smallest distance of any two robots over the whole run, along the segments too [units].
+        plans_in_use: different plans at the end.
+        distinct_goals: different goals at the end.
+        robots_without_plan: robots that never got a plan.
+        model_calls: answered or failed calls, retries of rejected answers included.
+        calls_rejected: answers that could not be used.
+        calls_failed: calls that got no answer.
+        faults: transport faults met on the way, by kind, retried ones included.
+        tokens: tokens in and out.
+        tokens_input: tokens in.
+        tokens_output: tokens out.
+        tokens_cached: the part of tokens_input that the provider had in its cache.
+        cost_usd: cost where the price of every call is known, else None [US dollars].
+        latency_mean_s: mean duration of a call, waits included [s]; None without calls.
+        waypoints: waypoints flown by who made them: model, shield, hold.
+        messages_sent: broadcasts.
+        bytes_per_robot_round: bytes broadcast per robot and round.
+        messages_rejected: messages refused on receipt, by reason.
+        wall_s: duration of the run [s].
+        record: path of the record, None with the record off.
+    """
+
+    shape: str
+    n_robots: int
+    seed: int
+    consensus: str
+    assignment: str
+    shield: bool
+    models: tuple[str, ...]
+    simulated: bool
+    stopped: str
+    rounds: int
+    formed: bool
+    rounds_to_formed: int | None
+    lower_bound_rounds: int | None
+    procrustes_mean: float | None
+    procrustes_mean_squared: float | None
+    min_separation: float | None
+    plans_in_use: int
+    distinct_goals: int
+    robots_without_plan: int
+    model_calls: int
+    calls_rejected: int
+    calls_failed: int
+    faults: dict[str, int]
+    tokens: int
+    tokens_input: int
+    tokens_output: int
+    tokens_cached: int
+    cost_usd: float | None
+    latency_mean_s: float | None
+    waypoints: dict[str, int]
+    messages_sent: int
+    bytes_per_robot_round: float
+    messages_rejected: dict[str, int]
+    wall_s: float
+    record: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunResult:
+    """One finished trial.
+
+    Attributes:
+        mission: what was asked.
+        config: everything that defined the run.
+        summary: its figures.
+        positions: true positions, shape (rounds + 1, n, d) [units; world frame]; row 0 is the start.
+        errors: mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal shape.
+        plans: each robot's plan at the end.
+        slots: each robot's place in it.
+    """
+
+    mission: Mission
+    config: RunConfig
+    summary: Summary
+    positions: NDArray[np.float64] = field(repr=False)
+    errors: NDArray[np.float64] = field(repr=False)
+    plans: tuple[Plan | None, ...] = field(repr=False)
+    slots: tuple[int | None, ...]
+
+    @property
+    def formed(self) -> bool:
+        """Whether the formation was built, as `Summary.formed` defines it."""
+        return self.summary.formed

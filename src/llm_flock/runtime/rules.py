@@ -1,0 +1,70 @@
+"""Names of rules and presets of rules; a rule of one's own is named by `package.module:Class`."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from llm_flock.errors import InputError
+from llm_flock.protocol.assignment import (
+    AssignmentRule,
+    AuctionAssignment,
+    IndexAssignment,
+    NearestAssignment,
+    NearestFreeAssignment,
+)
+from llm_flock.protocol.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, PedigreeConsensus
+
+Rule = TypeVar("Rule")
+
+CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
+    {"none": NoConsensus, "influence": InfluenceConsensus, "pedigree": PedigreeConsensus}
+)
+ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
+    {
+        "index": IndexAssignment,
+        "nearest": NearestAssignment,
+        "nearest-free": NearestFreeAssignment,
+        "auction": AuctionAssignment,
+    }
+)
+PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "flock": {"consensus": "pedigree", "assignment": "auction", "shield": True, "ticks": 5},
+        "paper": {"consensus": "influence", "assignment": "nearest", "shield": False, "ticks": 1},
+        "baseline": {"consensus": "none", "assignment": "index", "shield": False, "ticks": 1},
+    }
+)
+
+
+def consensus_rule(name: str) -> ConsensusRule:
+    """The consensus rule of this name.
+
+    Raises:
+        InputError: unknown name.
+    """
+    return _resolve("consensus", name, CONSENSUS)
+
+
+def assignment_rule(name: str) -> AssignmentRule:
+    """The assignment rule of this name.
+
+    Raises:
+        InputError: unknown name.
+    """
+    return _resolve("assignment", name, ASSIGNMENT)
+
+
+def _resolve(field: str, name: str, known: Mapping[str, Callable[[], Rule]]) -> Rule:
+    if name in known:
+        return known[name]()
+    allowed = f"one of {', '.join(known)}, or package.module:Class"
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        raise InputError(field, name, allowed)
+    try:
+        return getattr(importlib.import_module(module), attribute)()
+    except (ImportError, AttributeError, TypeError) as error:
+        raise InputError(field, name, f"{allowed} ({error})") from None

@@ -1,0 +1,114 @@
+"""One planner per robot, from the configuration: language models, a replayed conversation, or plain geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
+from llm_flock.llm.models import (
+    ModelPool,
+    check_priced,
+    parse_base_urls,
+    parse_model,
+    parse_models,
+    parse_settings,
+)
+from llm_flock.llm.planner import LanguagePlanner, parse_history
+from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.replay import ReplayModel
+from llm_flock.protocol.planning import Planner
+from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.seeds import Stream, stream
+
+
+class Thinkers:
+    """Everybody's planner, and what they share: the connections, the budget, and who is told of each call.
+
+    Args:
+        config: says which models, how they are asked, and what they may use.
+
+    Raises:
+        InputError: anything that would keep a model from working, as far as that is known before asking.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        model, limits, n = config.model, config.limits, config.mission.n_robots
+        self.names = parse_models(model.model, n)
+        self._sinks: list[AttemptSink] = []
+        self._replays: dict[str, ReplayModel] = {}
+        self._meter = BudgetMeter(
+            Budget(max_calls=limits.max_calls, max_tokens=limits.max_tokens, max_cost_usd=limits.max_cost)
+        )
+        base_urls = parse_base_urls(model.base_url, self.names)
+        check_priced(limits.max_cost, self.names, base_urls)
+        self._pool = ModelPool(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
+        seed = config.trial.seed
+        self._limits = Limits(
+            max_concurrent=limits.max_concurrent,
+            timeout_s=limits.timeout_s,
+            retry=RetryPolicy(max_tries=limits.max_tries),
+            meter=self._meter,
+            rng=stream(seed, Stream.BACKOFF),
+        )
+        settings = parse_settings(
+            n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
+        )
+        prompts = PromptSet.load(None if model.prompts is None else Path(model.prompts), json=model.answers == "json")
+        history = parse_history(model.history)
+        planners: list[Planner] = []
+        for robot, text in enumerate(self.names):
+            rng = stream(seed, Stream.MODEL, robot)
+            name = parse_model(text)
+            thinker: LanguageModel
+            if name.kind == "geometry":
+                planners.append(GeometryPlanner(robot, config.mission, rng))
+                continue
+            if name.kind == "replay":
+                if text not in self._replays:
+                    self._replays[text] = ReplayModel(Path(name.model))
+                thinker = Metered(self._replays[text], self._meter)
+            else:
+                asked = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
+                thinker = Limited(asked, self._limits)
+            planners.append(
+                LanguagePlanner(
+                    robot,
+                    config.mission,
+                    thinker,
+                    prompts,
+                    max_retries=model.max_retries,
+                    history=history,
+                    answers=model.answers,
+                    on_attempt=self._tell,
+                )
+            )
+        self.planners: Sequence[Planner] = planners
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any robot's answers come from a simulated stand-in, now or when they were recorded."""
+        return any(parse_model(name).kind == "simulated" for name in self.names) or any(
+            model.startswith("simulated:") for replay in self._replays.values() for model in replay.models
+        )
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the budget is used up."""
+        return self._meter.exhausted
+
+    def listen(self, sink: AttemptSink) -> None:
+        """Tell `sink` of every model call from now on."""
+        self._sinks.append(sink)
+
+    def _tell(self, attempt: Attempt) -> None:
+        for sink in self._sinks:
+            sink(attempt)
+
+    async def close(self) -> None:
+        """Close connections and cassettes."""
+        await self._pool.aclose()
+        for replay in self._replays.values():
+            replay.close()

@@ -1,0 +1,124 @@
+"""Conformance tests for rules of one's own: call them from a test; they raise AssertionError with what is wrong.
+
+    from llm_flock.testing import check_assignment_rule, check_consensus_rule
+
+    def test_my_rule():
+        check_consensus_rule(MyRule())
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from llm_flock.protocol.assignment import AssignmentRule, Claim, Start
+from llm_flock.protocol.consensus import ConsensusRule, Standing
+from llm_flock.protocol.messages import Message, Pedigree, decode, encode
+from llm_flock.protocol.plan import Plan
+
+DIGEST = "0" * 16
+
+
+def random_plan(n: int, rng: np.random.Generator, dim: int = 2) -> Plan:
+    """N random points in a 100-unit box, shape (n, dim)."""
+    return Plan.of(rng.uniform(0, 100, (n, dim)).round(2).tolist())
+
+
+def random_message(sender: int, n: int, plan: Plan | None, rng: np.random.Generator) -> Message:
+    """A legal message of one robot, with a random influence and pedigree."""
+    origin = None
+    if plan is not None:
+        origin = Pedigree(
+            mission=0,
+            mission_digest=DIGEST,
+            epoch=0,
+            neighbors=int(rng.integers(0, n)),
+            proposer=int(rng.integers(0, n)),
+            sequence=0,
+        )
+    slot = None if plan is None or rng.random() < 0.2 else int(rng.integers(0, n))
+    return Message(
+        sender=sender, sequence=0, neighbors=int(rng.integers(0, n)), plan=plan, pedigree=origin, slot=slot
+    )
+
+
+def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 0) -> None:
+    """Check that a consensus rule keeps the contract of `ConsensusRule`.
+
+    A name; no choice among nothing; only messages that were heard and carry a plan are chosen; the same arguments
+    give the same choice, in whatever order the messages are; choosing settles (hearing the chosen message alone
+    again changes nothing more).
+    """
+    assert isinstance(rule.name, str) and rule.name, "a rule has a name"
+    rng = np.random.default_rng(seed)
+    for _ in range(trials):
+        n = int(rng.integers(1, 8))
+        plans = [random_plan(n, rng), random_plan(n, rng), None]
+        own_message = random_message(0, n, plans[int(rng.integers(0, 3))], rng)
+        own = Standing(plan=own_message.plan, pedigree=own_message.pedigree, neighbors=own_message.neighbors)
+        assert rule.choose(own, []) is None, f"{rule.name} chose although nothing was heard"
+        heard = [random_message(j, n, plans[int(rng.integers(0, 3))], rng) for j in range(1, n)]
+        choice = rule.choose(own, heard)
+        assert rule.choose(own, heard) is choice, f"{rule.name} gives different choices for the same arguments"
+        if choice is None:
+            continue
+        assert choice in heard, f"{rule.name} chose a message that was not heard"
+        assert choice.plan is not None, f"{rule.name} chose a message without a plan"
+        shuffled = [heard[k] for k in rng.permutation(len(heard))]
+        again = rule.choose(own, shuffled)
+        assert again is not None and again.plan == choice.plan, f"{rule.name} depends on the order of messages"
+        settled = Standing(plan=choice.plan, pedigree=choice.pedigree, neighbors=own.neighbors)
+        assert rule.choose(settled, [choice]) is None, f"{rule.name} adopts again what it just adopted"
+
+
+def check_assignment_rule(rule: AssignmentRule, *, trials: int = 100, seed: int = 0) -> None:
+    """Check that an assignment rule keeps the contract of `AssignmentRule`.
+
+    A name; slots within the plan; the same arguments give the same claim; a claim survives the wire (its table fits
+    a message); hearing nothing changes nothing; exchanging claims among all robots comes to rest.
+    """
+    assert isinstance(rule.name, str) and rule.name, "a rule has a name"
+    rng = np.random.default_rng(seed)
+    for _ in range(trials):
+        n = int(rng.integers(1, 7))
+        plan = random_plan(n, rng)
+        places = [tuple(float(x) for x in row) for row in rng.uniform(0, 100, (n, 2))]
+        starts = [
+            Start(robot=i, position=places[i], plan=plan, chosen=int(rng.integers(0, n)), adopted=i > 0, heard=())
+            for i in range(n)
+        ]
+        claims = [rule.take(start) for start in starts]
+        for start, claim in zip(starts, claims, strict=True):
+            assert rule.take(start) == claim, f"{rule.name} gives different claims for the same arguments"
+            _check_claim(rule, claim, plan)
+            idle = rule.update(start.robot, start.position, plan, claim, [])
+            assert idle.slot == claim.slot, f"{rule.name} changes its claim without hearing anything"
+        for _ in range(4 * n + 4):
+            spoken = [_spoken(i, plan, claims[i], n) for i in range(n)]
+            before = [(c.slot, c.table) for c in claims]
+            claims = [
+                rule.update(i, places[i], plan, claims[i], [m for m in spoken if m.sender != i]) for i in range(n)
+            ]
+            for claim in claims:
+                _check_claim(rule, claim, plan)
+            if before == [(c.slot, c.table) for c in claims]:
+                break
+        else:
+            raise AssertionError(f"{rule.name} does not come to rest among {n} robots that all hear each other")
+
+
+def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
+    assert claim.slot is None or 0 <= claim.slot < len(plan), f"{rule.name} claims slot {claim.slot} of {len(plan)}"
+
+
+def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
+    """The claim as others hear it, through the wire format."""
+    origin = Pedigree(mission=0, mission_digest=DIGEST, epoch=0, neighbors=0, proposer=0, sequence=0)
+    message = Message(
+        sender=robot, sequence=0, neighbors=0, plan=plan, pedigree=origin, slot=claim.slot, table=claim.table
+    )
+    return decode(encode(message), n, 2)
+
+
+__all__: Sequence[str] = ("check_assignment_rule", "check_consensus_rule", "random_message", "random_plan")

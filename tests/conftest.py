@@ -1,0 +1,87 @@
+"""What holds for every test: no real network, no real model, no key from the environment.
+
+Unit and property tests may not open any connection; the other suites may talk to this machine only.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import socket
+from pathlib import Path
+from typing import Any
+
+import pydantic_ai.models
+import pytest
+from hypothesis import settings
+
+TESTS = Path(__file__).parent
+OFFLINE_SUITES = ("unit", "property")
+
+# A busy machine must not turn a slow example into a failure; a failing example prints how to repeat it.
+settings.register_profile("default", deadline=None, print_blob=True)
+settings.load_profile("default")
+
+
+class NetworkBlocked(AssertionError):
+    """A test tried to reach what its suite may not reach."""
+
+
+def is_loopback(host: Any) -> bool:
+    """Whether the host (a name, an address, or None for a wildcard) is this machine."""
+    if isinstance(host, bytes):
+        host = host.decode()
+    if host in (None, "", "localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def suite_of(path: Path) -> str:
+    """The folder under tests/ that holds the test."""
+    return path.relative_to(TESTS).parts[0]
+
+
+@pytest.fixture(autouse=True)
+def no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keys of real providers are out of reach, so that a test gives the same result everywhere."""
+    for name in list(os.environ):
+        if name.endswith("_API_KEY"):
+            monkeypatch.delenv(name)
+
+
+@pytest.fixture(autouse=True)
+def guarded_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Connections fail loudly: all of them in the offline suites, those that leave this machine elsewhere."""
+    offline = suite_of(request.path) in OFFLINE_SUITES
+    monkeypatch.setattr(pydantic_ai.models, "ALLOW_MODEL_REQUESTS", not offline)
+
+    def check(what: str, family: int, host: Any) -> None:
+        if offline:
+            raise NetworkBlocked(f"{what} {host!r} in an offline suite: move the test to tests/integration")
+        if family in (socket.AF_INET, socket.AF_INET6) and not is_loopback(host):
+            raise NetworkBlocked(f"{what} {host!r}: tests reach this machine only")
+
+    def guard(method: str) -> None:
+        original = getattr(socket.socket, method)
+
+        def guarded(self: socket.socket, *args: Any) -> Any:
+            # The address is the last argument of connect, connect_ex, bind and sendto alike.
+            address = args[-1]
+            check(method, self.family, address[0] if isinstance(address, tuple) else address)
+            return original(self, *args)
+
+        monkeypatch.setattr(socket.socket, method, guarded)
+
+    for method in ("connect", "connect_ex", "bind", "sendto"):
+        guard(method)
+
+    resolve = socket.getaddrinfo
+
+    def guarded_resolve(host: Any, *args: Any, **kwargs: Any) -> Any:
+        check("getaddrinfo", socket.AF_INET, host)
+        return resolve(host, *args, **kwargs)
+
+    monkeypatch.setattr(socket, "getaddrinfo", guarded_resolve)

@@ -1,0 +1,105 @@
+"""Plan consensus rules, and what is wrong with the paper's."""
+
+import numpy as np
+import pytest
+
+from llm_flock.protocol.consensus import (
+    ConsensusRule,
+    InfluenceConsensus,
+    NoConsensus,
+    PedigreeConsensus,
+    Standing,
+)
+from llm_flock.protocol.messages import Message, Pedigree
+from llm_flock.protocol.plan import Plan
+from llm_flock.testing import check_consensus_rule
+
+A = Plan.of([[0, 0], [10, 0], [5, 8]])
+B = Plan.of([[1, 1], [11, 1], [6, 9]])
+
+
+def origin(proposer: int, neighbors: int) -> Pedigree:
+    return Pedigree(
+        mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0
+    )
+
+
+def says(sender: int, neighbors: int, plan: Plan | None, pedigree: Pedigree | None = None) -> Message:
+    if plan is not None and pedigree is None:
+        pedigree = origin(sender, neighbors)
+    return Message(sender=sender, sequence=0, neighbors=neighbors, plan=plan, pedigree=pedigree)
+
+
+def holds(plan: Plan | None, neighbors: int, proposer: int = 0) -> Standing:
+    return Standing(plan=plan, pedigree=None if plan is None else origin(proposer, neighbors), neighbors=neighbors)
+
+
+@pytest.mark.parametrize(
+    "rule", [NoConsensus(), InfluenceConsensus(), InfluenceConsensus(tie="highest"), PedigreeConsensus()]
+)
+def test_rules_keep_the_contract(rule: ConsensusRule) -> None:
+    check_consensus_rule(rule)
+
+
+def test_none_keeps_its_plan() -> None:
+    assert NoConsensus().choose(holds(A, 0), [says(1, 2, B)]) is None
+
+
+def test_influence_adopts_from_the_strictly_more_influential() -> None:
+    rule = InfluenceConsensus()
+    assert rule.choose(holds(A, 1), [says(1, 2, B)]) == says(1, 2, B)
+    assert rule.choose(holds(A, 2), [says(1, 2, B)]) is None
+    assert rule.choose(holds(A, 1), [says(1, 2, A)]) is None
+    assert rule.choose(holds(A, 0), []) is None
+
+
+def test_influence_looks_only_at_the_most_influential_neighbour() -> None:
+    """k is the arg max over all neighbours; if k follows the same plan, a lesser neighbour's plan is not taken."""
+    assert InfluenceConsensus().choose(holds(A, 1), [says(1, 2, B), says(2, 3, A)]) is None
+    assert InfluenceConsensus().choose(holds(A, 1), [says(1, 2, B), says(2, 3, None)]) is None
+
+
+def test_influence_tie_between_neighbours_goes_as_configured() -> None:
+    heard = [says(1, 2, B), says(2, 2, A)]
+    assert InfluenceConsensus().choose(holds(None, 0), heard) == heard[0]
+    assert InfluenceConsensus(tie="highest").choose(holds(None, 0), heard) == heard[1]
+
+
+def test_influence_never_resolves_a_tie_of_all() -> None:
+    """Three robots in range of each other all have I = 2/3: nobody outranks anybody, for ever."""
+    plans = [A, B, Plan.of([[2, 2], [12, 2], [7, 10]])]
+    for i in range(3):
+        heard = [says(j, 2, plans[j]) for j in range(3) if j != i]
+        assert InfluenceConsensus().choose(holds(plans[i], 2), heard) is None
+
+
+def test_pedigree_resolves_the_tie_of_all() -> None:
+    plans = [A, B, Plan.of([[2, 2], [12, 2], [7, 10]])]
+    ends: list[Plan] = []
+    for i in range(3):
+        heard = [says(j, 2, plans[j]) for j in range(3) if j != i]
+        choice = PedigreeConsensus().choose(holds(plans[i], 2, proposer=i), heard)
+        ends.append(plans[i] if choice is None or choice.plan is None else choice.plan)
+    assert ends == [plans[2]] * 3
+
+
+def test_pedigree_is_decided_by_the_proposer_not_the_carrier() -> None:
+    """A hub that carries a weak robot's plan does not lend it its own influence."""
+    weak_plan_on_hub = says(2, 9, A, origin(proposer=1, neighbors=1))
+    strong_plan_on_loner = says(3, 1, B, origin(proposer=0, neighbors=5))
+    choice = PedigreeConsensus().choose(holds(None, 0), [weak_plan_on_hub, strong_plan_on_loner])
+    assert choice == strong_plan_on_loner
+
+
+def test_pedigree_converges_within_the_diameter_on_a_path() -> None:
+    n = 9
+    rng = np.random.default_rng(3)
+    plans = [Plan.of(rng.uniform(0, 50, (n, 2)).tolist()) for _ in range(n)]
+    standing = [Standing(plan=plans[i], pedigree=origin(i, 1), neighbors=1) for i in range(n)]
+    for _ in range(n - 1):
+        spoken = [says(i, s.neighbors, s.plan, s.pedigree) for i, s in enumerate(standing)]
+        for i in range(n):
+            choice = PedigreeConsensus().choose(standing[i], [spoken[j] for j in (i - 1, i + 1) if 0 <= j < n])
+            if choice is not None:
+                standing[i] = Standing(plan=choice.plan, pedigree=choice.pedigree, neighbors=1)
+    assert {s.plan for s in standing} == {plans[n - 1]}

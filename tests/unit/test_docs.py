@@ -1,0 +1,118 @@
+"""What README and docs tell a reader to type exists: make targets, commands, flags, fields, files."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from llm_flock.cli import app
+from llm_flock.runtime.config import RunConfig
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+IDS = [str(page.relative_to(ROOT)) for page in PAGES]
+
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+SPAN = re.compile(r"`([^`\n]+)`")
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+
+
+def code_in(text: str) -> list[str]:
+    """Lines of shell code, in blocks and in spans; continued lines are joined."""
+    blocks = [body for language, body in FENCE.findall(text) if language in ("bash", "sh", "shell", "console")]
+    lines = [line for body in blocks for line in body.replace("\\\n", " ").splitlines()]
+    return lines + SPAN.findall(FENCE.sub("", text))
+
+
+def make_targets() -> set[str]:
+    """Targets that the Makefile offers."""
+    return set(re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def mentioned_targets(line: str) -> list[str]:
+    """Targets of a `make` command on this line."""
+    match = re.match(r"\s*(?:\$ )?make((?: [A-Za-z0-9=_.-]+)*)", line)
+    return [] if match is None else [word for word in match[1].split() if "=" not in word]
+
+
+def commands() -> dict[str, set[str]]:
+    """Every command of the command line, with the options that it takes."""
+    group: Any = typer.main.get_command(app)
+    return {
+        name: {"--help"} | {opt for param in command.params for opt in (*param.opts, *param.secondary_opts)}
+        for name, command in group.commands.items()
+    }
+
+
+def faults_in(line: str, known: dict[str, set[str]]) -> list[str]:
+    """Commands and options of `llm-flock` on this line that do not exist."""
+    line = line.split(" #")[0].replace("...", "")
+    match = re.search(r"(?:^|/|\s)llm-flock\s+(.*)", line)
+    if match is None:
+        flags = re.fullmatch(r"(--[a-z-]+)(?:[ =].*)?", line.strip())
+        everywhere = set().union(*known.values())
+        return [] if flags is None or flags[1] in everywhere else [flags[1]]
+    words = shlex.split(match[1].strip("[]"))
+    if not words or words[0].startswith("-"):
+        return []
+    if words[0] not in known:
+        return [words[0]]
+    options = {word.split("=")[0] for word in words[1:] if word.startswith("-") and not re.match(r"-\d", word)}
+    return sorted(options - known[words[0]])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_make_targets_exist(page: Path) -> None:
+    named = [target for line in code_in(page.read_text(encoding="utf-8")) for target in mentioned_targets(line)]
+    assert set(named) <= make_targets()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_commands_and_options_exist(page: Path) -> None:
+    known = commands()
+    faults = [fault for line in code_in(page.read_text(encoding="utf-8")) for fault in faults_in(line, known)]
+    assert faults == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_linked_files_exist(page: Path) -> None:
+    links = [link for link in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in link]
+    missing = [link for link in links if not (page.parent / link).exists()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_configuration_examples_are_valid(page: Path) -> None:
+    for language, body in FENCE.findall(page.read_text(encoding="utf-8")):
+        if language == "toml":
+            RunConfig.model_validate(tomllib.loads(body))
+
+
+def test_every_page_is_in_a_table_of_contents() -> None:
+    docs = ROOT / "docs"
+    listed: set[Path] = {docs / "index.md"}
+    for index in docs.rglob("index.md"):
+        for body in re.findall(r"```\{toctree\}\n(.*?)```", index.read_text(encoding="utf-8"), re.DOTALL):
+            names = [line for line in body.splitlines() if line and not line.startswith(":")]
+            listed |= {index.parent / f"{name}.md" for name in names}
+    assert listed == set(docs.rglob("*.md"))
+
+
+@pytest.mark.parametrize(
+    ("line", "faults"),
+    [
+        ("llm-flock run --nonsense 3", ["--nonsense"]),
+        (".venv/bin/llm-flock dance", ["dance"]),
+        ("llm-flock run --seed 3", []),
+        ("--no-such-flag", ["--no-such-flag"]),
+        ("pip install llm-flock", []),
+    ],
+)
+def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
+    assert faults_in(line, {"run": {"--seed"}}) == faults

@@ -1,0 +1,37 @@
+"""The project's own files: pins that work anywhere, and a changelog that keeps up."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def pins() -> list[str]:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def normal(name: str) -> str:
+    """A package name as the index compares it (PEP 503)."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_pins_are_exact_and_name_no_place() -> None:
+    assert pins()
+    assert [line for line in pins() if not re.fullmatch(r"[a-z0-9._-]+==[A-Za-z0-9.!+]+", line)] == []
+
+
+def test_every_declared_dependency_is_pinned() -> None:
+    declared = [*PROJECT["dependencies"], *(d for extra in PROJECT["optional-dependencies"].values() for d in extra)]
+    names = {normal(re.split(r"[^A-Za-z0-9._-]", line)[0]) for line in declared}
+    assert names <= {normal(line.split("==")[0]) for line in pins()}
+
+
+def test_the_changelog_speaks_of_this_version() -> None:
+    newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert newest is not None
+    assert newest[1] in ("Unreleased", PROJECT["version"])
