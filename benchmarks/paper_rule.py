@@ -2,10 +2,11 @@
 
     python benchmarks/paper_rule.py [--trials 1000] [--rounds 25]
 
-Every robot runs the package's own agent with `influence` consensus, literal `nearest` assignment, one exchange a round
-and no shield. The models are ideal: each proposes the exact shape, randomly turned about the centre and rounded to
-two decimals, and every step goes straight to the goal. What the paper leaves open is a column: how the starts are
-drawn, which index a model names for itself, and who wins among equally influential neighbours.
+Every robot runs the package's own agent with `influence` consensus, literal `nearest` assignment and no shield. The
+models are ideal: each proposes the exact shape, randomly turned about the centre and rounded to two decimals, and
+every step goes straight to the goal. What the paper leaves open is a column: where the robots start (uniform in the
+arena; the same but never nearer than the safe distance; uniform in the middle 40 x 40 units), which index a model
+names for itself, how many exchanges there are in a round, and who wins among equally influential neighbours.
 """
 
 from __future__ import annotations
@@ -42,9 +43,12 @@ from llm_flock.protocol.assignment import NearestAssignment, nearest
 from llm_flock.protocol.consensus import InfluenceConsensus, TieBreak
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.robots.simulated import SimulatedTeam, StartRule, draw_start
+from llm_flock.robots.simulated import SimulatedTeam, draw_start
 
 Index: TypeAlias = Literal["id", "random", "nearest"]
+Start: TypeAlias = Literal["uniform", "separated", "middle"]
+
+MIDDLE = (30.0, 70.0)
 
 CASES = (("triangle", 3), ("triangle", 6), ("square", 8), ("circle", 10))
 
@@ -55,8 +59,9 @@ class Reading:
 
     shape: str
     n: int
-    start: StartRule
+    start: Start
     index: Index
+    ticks: int
     tie: TieBreak
 
 
@@ -64,7 +69,11 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
     """One run; returns (all on one plan, and on distinct goals too)."""
     mission = Mission(shape=reading.shape, n_robots=reading.n)
     rng = np.random.default_rng([seed, reading.n])
-    bodies = SimulatedTeam(mission, draw_start(mission, reading.start, rng), 0.0, rng)
+    if reading.start == "middle":
+        start = rng.uniform(*MIDDLE, (reading.n, 2))
+    else:
+        start = draw_start(mission, reading.start, rng)
+    bodies = SimulatedTeam(mission, start, 0.0, rng)
     agents = [
         Agent(i, mission, InfluenceConsensus(tie=reading.tie), NearestAssignment(), shield_on=False)
         for i in range(reading.n)
@@ -76,14 +85,22 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
             for effect in agent.handle(began):
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(propose(mission, reading.index, i, seen.position, rng)))
-        payloads = [effect.payload for a in agents for effect in a.handle(TickBegan()) if isinstance(effect, Broadcast)]
-        for i, near in enumerate(bodies.in_radio_range):
-            for j in near:
-                agents[i].handle(Received(payloads[j]))
+        for _ in range(reading.ticks):
+            exchange(agents, bodies.in_radio_range)
         waypoints = [settle(agent, mission.max_step) for agent in agents]
         bodies.move(np.array(waypoints) - bodies.positions)
     one_plan = len({a.plan for a in agents}) == 1
     return one_plan, one_plan and len({a.claim.slot for a in agents}) == reading.n
+
+
+def exchange(agents: Sequence[Agent], in_range: Sequence[tuple[int, ...]]) -> None:
+    """All broadcast, all receive, all decide on the same snapshot."""
+    payloads = [e.payload for a in agents for e in a.handle(TickBegan()) if isinstance(e, Broadcast)]
+    for agent, near in zip(agents, in_range, strict=True):
+        for j in near:
+            agent.handle(Received(payloads[j]))
+    for agent in agents:
+        agent.handle(TickEnded())
 
 
 def propose(
@@ -99,8 +116,7 @@ def propose(
 
 
 def settle(agent: Agent, max_step: float) -> tuple[float, ...]:
-    """End of the exchange and the straight step to the goal."""
-    agent.handle(TickEnded())
+    """The straight step to the goal."""
     (ask,) = agent.handle(NegotiationEnded())
     assert isinstance(ask, AskStep)
     here, goal = ask.question.position, ask.question.goal
@@ -131,22 +147,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=25)
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(arguments)
-    starts: tuple[StartRule, ...] = ("uniform", "separated")
+    starts: tuple[Start, ...] = ("uniform", "separated", "middle")
     indices: tuple[Index, ...] = ("id", "random", "nearest")
     ties: tuple[TieBreak, ...] = ("lowest", "highest")
     readings = [
-        Reading(shape=shape, n=n, start=start, index=index, tie=tie)
-        for (shape, n), start, index, tie in itertools.product(CASES, starts, indices, ties)
+        Reading(shape=shape, n=n, start=start, index=index, ticks=ticks, tie=tie)
+        for (shape, n), start, index, ticks, tie in itertools.product(CASES, starts, indices, (1, 5), ties)
     ]
     print(f"{given.trials} trials a row, {given.rounds} rounds, share in % with 99 % interval (Clopper-Pearson)\n")
-    print("| N | shape | start | first index | tie | one plan | one plan and distinct goals |")
-    print("|---|---|---|---|---|---|---|")
+    print("| N | shape | start | first index | exchanges | tie | one plan | one plan and distinct goals |")
+    print("|---|---|---|---|---|---|---|---|")
     with ProcessPoolExecutor(given.workers) as pool:
         jobs = [pool.submit(count, reading, given.trials, given.rounds) for reading in readings]
         for job in jobs:
             r, one, distinct = job.result()
             print(
-                f"| {r.n} | {r.shape} | {r.start} | {r.index} | {r.tie} | {share(one, given.trials)} "
+                f"| {r.n} | {r.shape} | {r.start} | {r.index} | {r.ticks} | {r.tie} | {share(one, given.trials)} "
                 f"| {share(distinct, given.trials)} |",
                 flush=True,
             )

@@ -8,16 +8,13 @@ from __future__ import annotations
 from typing import Any
 
 import httpx2
-from anthropic import AsyncAnthropic
 from openai import AsyncOpenAI
 from pydantic_ai.models import Model
-from pydantic_ai.models.anthropic import AnthropicModel
 from pydantic_ai.models.ollama import OllamaModel
 from pydantic_ai.models.openai import OpenAIChatModel
 from pydantic_ai.profiles.openai import OpenAIModelProfile
 from pydantic_ai.providers import Provider
 from pydantic_ai.providers.alibaba import AlibabaProvider
-from pydantic_ai.providers.anthropic import AnthropicProvider
 from pydantic_ai.providers.deepseek import DeepSeekProvider
 from pydantic_ai.providers.ollama import OllamaProvider
 from pydantic_ai.providers.openai import OpenAIProvider
@@ -25,22 +22,54 @@ from pydantic_ai.providers.openai_compatible import OpenAICompatibleProvider
 from pydantic_ai.providers.vllm import VLLMProvider
 
 CONNECT_TIMEOUT_S = 10.0
-MAX_CONNECTIONS = 4096
-"""More than any team has robots: how many calls run at once is decided in `limits`, not by the connection pool."""
+PER_POOL = 8
+"""Requests that one connection pool serves at a time."""
 
 NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
 
 
-def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
-    """One client for all models: idle connections are kept, and none is ever waited for.
+class ManyPools(httpx2.AsyncBaseTransport):
+    """A transport that spreads requests over as many small connection pools as are needed at once.
 
-    httpx2's defaults (100 connections, 20 kept alive) would make the 101st robot queue, and the wait for a
-    connection would count as the model's.
+    A pool of httpcore looks at all of its connections, with a system call for each idle one, whenever a request
+    comes or goes: with 200 robots that is more work than all the rest of a call. Small pools keep it constant, and
+    since none of them is limited, no robot ever waits for a connection (httpx2 alone would stop at 100).
+    """
+
+    def __init__(self) -> None:
+        self._pools: list[httpx2.AsyncHTTPTransport] = []
+        self._busy: list[int] = []
+        self._tls = httpx2.create_ssl_context()
+        self._limits = httpx2.Limits(max_connections=None, max_keepalive_connections=None)
+
+    async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
+        """Send the request through the first pool that has room."""
+        number = next((number for number, busy in enumerate(self._busy) if busy < PER_POOL), len(self._pools))
+        if number == len(self._pools):
+            self._pools.append(httpx2.AsyncHTTPTransport(verify=self._tls, limits=self._limits))
+            self._busy.append(0)
+        self._busy[number] += 1
+        try:
+            return await self._pools[number].handle_async_request(request)
+        finally:
+            self._busy[number] -= 1
+
+    async def aclose(self) -> None:
+        """Close all connections."""
+        for pool in self._pools:
+            await pool.aclose()
+
+
+def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
+    """One client for all models, with connections for any number of calls at once.
+
+    Proxies from the environment (HTTPS_PROXY and its relatives) are honoured; requests through one share its pool.
     """
     return httpx2.AsyncClient(
         timeout=httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
-        limits=httpx2.Limits(max_connections=MAX_CONNECTIONS, max_keepalive_connections=MAX_CONNECTIONS),
+        limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
+        mounts={"all://": ManyPools()},
     )
 
 
@@ -51,10 +80,7 @@ def build_model(provider: str, model: str, *, base_url: str, key: str | None, ht
     `limits` still waits.
     """
     if provider == "anthropic":
-        client = AsyncAnthropic(
-            api_key=key or NO_KEY, base_url=base_url, http_client=http, max_retries=0, timeout=http.timeout
-        )
-        return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=client))
+        return _anthropic(model, base_url, key, http)
     openai = AsyncOpenAI(
         api_key=key or NO_KEY, base_url=base_url, http_client=http, max_retries=0, timeout=http.timeout
     )
@@ -78,3 +104,15 @@ def _openai_like(provider: str, client: AsyncOpenAI) -> Provider[AsyncOpenAI]:
             # Anyone's server: it knows `max_tokens`, the older and wider spread of the two names.
             profile = OpenAIModelProfile(openai_chat_supports_max_completion_tokens=False)
             return OpenAICompatibleProvider(provider, openai_client=client, profile=profile)
+
+
+def _anthropic(model: str, base_url: str, key: str | None, http: httpx2.AsyncClient) -> Model[Any]:
+    # Its SDK takes longer to import than all the others together: only those who use it wait for it.
+    from anthropic import AsyncAnthropic
+    from pydantic_ai.models.anthropic import AnthropicModel
+    from pydantic_ai.providers.anthropic import AnthropicProvider
+
+    client = AsyncAnthropic(
+        api_key=key or NO_KEY, base_url=base_url, http_client=http, max_retries=0, timeout=http.timeout
+    )
+    return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=client))

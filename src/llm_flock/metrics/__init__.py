@@ -1,5 +1,34 @@
-"""What a run is measured by."""
+"""What a run is measured by: errors to the ideal shape, separation, agreement, and whether the team has formed."""
 
+from llm_flock.metrics.agreement import (
+    AT_GOAL,
+    HELD_ROUNDS,
+    IN_SHAPE,
+    FormedTracker,
+    bottleneck_distance,
+    distinct_goals,
+    lower_bound_rounds,
+    plans_in_use,
+    robots_at_goal,
+    within_limit,
+)
+from llm_flock.metrics.separation import min_separation, segment_separation
 from llm_flock.metrics.shape_error import ShapeError, ShapeTarget, procrustes
 
-__all__ = ["ShapeError", "ShapeTarget", "procrustes"]
+__all__ = [
+    "AT_GOAL",
+    "HELD_ROUNDS",
+    "IN_SHAPE",
+    "FormedTracker",
+    "ShapeError",
+    "ShapeTarget",
+    "bottleneck_distance",
+    "distinct_goals",
+    "lower_bound_rounds",
+    "min_separation",
+    "plans_in_use",
+    "procrustes",
+    "robots_at_goal",
+    "segment_separation",
+    "within_limit",
+]

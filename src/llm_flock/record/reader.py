@@ -1,0 +1,218 @@
+"""Reads records, also those whose end is missing because the run was killed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
+from mcap.records import Channel, Footer, Message
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from llm_flock.errors import RecordError
+from llm_flock.record.schema import (
+    CHANNELS,
+    FORMAT_VERSION,
+    ROUND_NS,
+    Entry,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    ProtocolEvent,
+    RoundEnd,
+    RunInfo,
+    State,
+    Summary,
+)
+
+E = TypeVar("E", bound=Entry)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawMessage:
+    """One message as it stands in the file.
+
+    Attributes:
+        topic: its channel.
+        round: the round at which it was logged.
+        data: its JSON.
+    """
+
+    topic: str
+    round: int
+    data: bytes
+
+    def decoded(self) -> dict[str, Any]:
+        """The message as plain values."""
+        return json.loads(self.data)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRecord:
+    """One run, read into memory: its complete rounds, and what a clean end added.
+
+    Attributes:
+        path: the file.
+        run: where it came from.
+        missions: every mission it had, oldest first.
+        plans: every plan, in the order in which they were first seen.
+        states: the team after each round; the first is the start.
+        events: what robots decided or met.
+        llm: model calls.
+        metrics: the figures of each round.
+        result: what the run reported; None when it did not end cleanly.
+        positions: true positions, shape (rounds + 1, n, d) [units; world frame].
+    """
+
+    path: Path
+    run: RunInfo
+    missions: tuple[MissionInfo, ...]
+    plans: tuple[PlanInfo, ...]
+    states: tuple[State, ...]
+    events: tuple[ProtocolEvent, ...] = field(repr=False)
+    llm: tuple[LlmEntry, ...] = field(repr=False)
+    metrics: tuple[MetricsRow, ...] = field(repr=False)
+    result: dict[str, Any] | None
+    positions: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run came to a clean end; False after a crash or a kill."""
+        return self.result is not None
+
+    @property
+    def mission(self) -> MissionInfo:
+        """The last mission."""
+        return self.missions[-1]
+
+    @property
+    def rounds(self) -> int:
+        """Complete motion rounds, the start not counted."""
+        return len(self.states) - 1
+
+    @property
+    def errors(self) -> NDArray[np.float64]:
+        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN without an ideal shape."""
+        means = [row.procrustes_mean for row in self.metrics]
+        return np.array([np.nan if mean is None else mean for mean in means], dtype=np.float64)
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """The models that were asked, each once, in order of their first call."""
+        return tuple(dict.fromkeys(entry.model for entry in self.llm))
+
+
+def iter_messages(path: Path) -> Iterator[RawMessage]:
+    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off.
+
+    Raises:
+        RecordError: there is no such file, it is no MCAP file, or it is damaged other than at its end.
+    """
+    try:
+        with path.open("rb") as file:
+            yield from _messages(path, file, path.stat().st_size)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_record(path: Path) -> RunRecord:
+    """Read a record up to its last complete round.
+
+    Raises:
+        RecordError: the file is missing, empty, not a record, of a newer format, damaged, or ends before round 0 did.
+    """
+    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
+    kept = dict.fromkeys(found, 0)
+    for message in iter_messages(path):
+        model = CHANNELS.get(message.topic)
+        if model is None:
+            continue  # the scene repeats the states for viewers; channels of others are theirs
+        found[model].append(_entry(path, model, message))
+        if model in (RoundEnd, Summary):
+            # Everything up to here belongs to complete rounds, or to a run that ended cleanly within one.
+            kept = {kind: len(entries) for kind, entries in found.items()}
+
+    def all_of(model: type[E]) -> tuple[E, ...]:
+        return tuple(entry for entry in found[model][: kept[model]] if isinstance(entry, model))
+
+    runs, missions, rounds = all_of(RunInfo), all_of(MissionInfo), len(all_of(RoundEnd))
+    if not rounds:
+        raise RecordError(f"{path}: the run ended before its start was recorded; there is nothing to show")
+    states, metrics = all_of(State)[:rounds], all_of(MetricsRow)[:rounds]
+    if not runs or not missions or len(states) != rounds:
+        raise RecordError(f"{path}: not a record of a run (/run, /mission or /state is missing)")
+    results = all_of(Summary)
+    return RunRecord(
+        path=path,
+        run=runs[0],
+        missions=missions,
+        plans=all_of(PlanInfo),
+        states=states,
+        events=all_of(ProtocolEvent),
+        llm=all_of(LlmEntry),
+        metrics=metrics,
+        result=results[-1].result if results else None,
+        positions=np.array([state.positions for state in states], dtype=np.float64),
+    )
+
+
+def _entry(path: Path, model: type[E], message: RawMessage) -> E:
+    if model is RunInfo:
+        version = message.decoded().get("format_version")
+        if version != FORMAT_VERSION:
+            raise RecordError(f"{path}: format version {version!r}; this release reads version {FORMAT_VERSION}")
+    try:
+        return model.model_validate_json(message.data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise RecordError(
+            f"{path}: {message.topic} of round {message.round} is not valid ({where}: {first['msg']})"
+        ) from None
+
+
+def _messages(path: Path, file: BufferedReader, size: int) -> Iterator[RawMessage]:
+    if size == 0:
+        raise RecordError(f"{path}: empty file")
+    topics: dict[int, str] = {}
+    # No record can be longer than the file; without the limit, room for a broken length would be asked for.
+    stream = StreamReader(_WholeReads(file), record_size_limit=size)  # pyright: ignore[reportArgumentType]
+    try:
+        for record in stream.records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                topic = topics[record.channel_id]
+                yield RawMessage(topic=topic, round=record.log_time // ROUND_NS, data=record.data)
+            elif isinstance(record, Footer):
+                return
+    except (EndOfFile, RecordLengthLimitExceeded):
+        return  # a killed run broke off within this record; what came before is whole
+    except (McapError, KeyError, UnicodeDecodeError) as error:
+        raise RecordError(f"{path}: not a readable MCAP file ({error})") from error
+
+
+class _WholeReads:
+    """Bytes of a file that may break off anywhere: half a record is the end, not a short record."""
+
+    def __init__(self, file: BufferedReader) -> None:
+        self._file = file
+
+    def read(self, length: int) -> bytes:
+        """Exactly `length` bytes.
+
+        Raises:
+            EndOfFile: there are fewer left.
+        """
+        data = self._file.read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data

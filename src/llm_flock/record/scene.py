@@ -1,0 +1,208 @@
+"""The `/scene` channel: the team as a `foxglove.SceneUpdate`, for viewers that show such scenes.
+
+Field names and meanings are those of https://docs.foxglove.dev/docs/visualization/message-schemas/scene-update.
+Robots are spheres as wide as the safe distance, so two that touch have come too near. One unit is one metre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from pydantic_core import to_json
+
+from llm_flock import graph
+from llm_flock.record.schema import MissionInfo, State
+
+SCHEMA_NAME = "foxglove.SceneUpdate"
+FRAME = "world"
+DECIMALS = 3
+
+PALETTE: tuple[str, ...] = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#CC79A7",
+    "#56B4E9",
+    "#D55E00",
+    "#F0E442",
+    "#7F7F7F",
+)
+"""Colours that people of any colour vision tell apart (Okabe, Ito 2008), grey in place of their black."""
+
+NO_PLAN = "#FFFFFF"
+
+
+def rgba(colour: str, alpha: float = 1.0) -> dict[str, float]:
+    """A colour such as #0072B2 as Foxglove writes it, each part from 0 to 1."""
+    red, green, blue = (round(int(colour[i : i + 2], 16) / 255, DECIMALS) for i in (1, 3, 5))
+    return {"r": red, "g": green, "b": blue, "a": alpha}
+
+
+_SOLID = [rgba(colour) for colour in PALETTE]
+_FAINT = [rgba(colour, 0.35) for colour in PALETTE]
+_WHITE = rgba(NO_PLAN)
+_BLACK = rgba("#000000")
+_LINK = rgba("#7F7F7F", 0.5)
+_UPRIGHT = {"x": 0, "y": 0, "z": 0, "w": 1}
+_ORIGIN = {"position": {"x": 0, "y": 0, "z": 0}, "orientation": _UPRIGHT}
+_PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+_LINE_LIST = 2
+
+
+class SceneDrawer:
+    """Turns states into scenes; remembers which plan has which colour.
+
+    Args:
+        mission: gives the robots' size and the radio range.
+    """
+
+    def __init__(self, mission: MissionInfo) -> None:
+        self._diameter = float(mission.mission["safe_distance"])
+        self._comm_range = float(mission.mission["comm_range"])
+        self._plans: dict[str, int] = {}
+
+    def know(self, plan_ids: Iterable[str | None]) -> None:
+        """Give each plan not seen before the next colour."""
+        for plan_id in plan_ids:
+            if plan_id is not None:
+                self._plans.setdefault(plan_id, len(self._plans))
+
+    def draw(self, state: State) -> bytes:
+        """One scene: robots and their ids, goals, and who is in whose radio range."""
+        self.know(state.plan_ids)
+        points = [_xyz(row) for row in state.positions]
+        colours = [None if p is None else self._plans[p] % len(PALETTE) for p in state.plan_ids]
+        time = {"sec": state.round, "nsec": 0}
+        entities = (
+            _entity("robots", time, spheres=self._robots(points, colours), texts=self._ids(points)),
+            _entity("goals", time, spheres=self._goals(state, colours)),
+            _entity("links", time, lines=self._links(state, points)),
+        )
+        return to_json({"deletions": (), "entities": entities})
+
+    def _robots(self, points: list[dict[str, float]], colours: list[int | None]) -> list[dict[str, Any]]:
+        size = _cube(self._diameter)
+        return [
+            {"pose": _pose(point), "size": size, "color": _WHITE if colour is None else _SOLID[colour]}
+            for point, colour in zip(points, colours, strict=True)
+        ]
+
+    def _ids(self, points: list[dict[str, float]]) -> list[dict[str, Any]]:
+        height = self._diameter
+        return [
+            {
+                "pose": _pose({"x": p["x"], "y": p["y"], "z": p["z"] + height}),
+                "billboard": True,
+                "font_size": height / 2,
+                "scale_invariant": False,
+                "color": _BLACK,
+                "text": str(robot),
+            }
+            for robot, p in enumerate(points)
+        ]
+
+    def _goals(self, state: State, colours: list[int | None]) -> list[dict[str, Any]]:
+        size = _cube(self._diameter / 2)
+        return [
+            {"pose": _pose(_xyz(goal)), "size": size, "color": _WHITE if colour is None else _FAINT[colour]}
+            for goal, colour in zip(state.goals, colours, strict=True)
+            if goal is not None
+        ]
+
+    def _links(self, state: State, points: list[dict[str, float]]) -> list[dict[str, Any]]:
+        adjacent = graph.adjacency(np.array(state.positions), self._comm_range)
+        pairs: list[list[int]] = np.argwhere(np.triu(adjacent)).tolist()
+        if not pairs:
+            return []
+        return [
+            {
+                "type": _LINE_LIST,
+                "pose": _ORIGIN,
+                "thickness": 1,
+                "scale_invariant": True,
+                "points": points,
+                "color": _LINK,
+                "colors": (),
+                "indices": [robot for pair in pairs for robot in pair],
+            }
+        ]
+
+
+def _xyz(row: list[float]) -> dict[str, float]:
+    return {
+        "x": round(row[0], DECIMALS),
+        "y": round(row[1], DECIMALS),
+        "z": round(row[2], DECIMALS) if len(row) > 2 else 0.0,
+    }
+
+
+def _pose(position: dict[str, float]) -> dict[str, Any]:
+    return {"position": position, "orientation": _UPRIGHT}
+
+
+def _cube(edge: float) -> dict[str, float]:
+    return {"x": edge, "y": edge, "z": edge}
+
+
+def _entity(name: str, time: dict[str, int], **primitives: list[dict[str, Any]]) -> dict[str, Any]:
+    """An entity that replaces the last one of its name; viewers expect every list of primitives to be there."""
+    return {
+        "timestamp": time,
+        "frame_id": FRAME,
+        "id": name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": False,
+        "metadata": (),
+        **{kind: primitives.get(kind, ()) for kind in _PRIMITIVES},
+    }
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON schema of `foxglove.SceneUpdate`."""
+    number, integer, text, flag = ({"type": kind} for kind in ("number", "integer", "string", "boolean"))
+    time = _object("time", sec=integer, nsec=integer)
+    vector = _object("foxglove.Vector3", x=number, y=number, z=number)
+    point = _object("foxglove.Point3", x=number, y=number, z=number)
+    turn = _object("foxglove.Quaternion", x=number, y=number, z=number, w=number)
+    pose = _object("foxglove.Pose", position=vector, orientation=turn)
+    color = _object("foxglove.Color", r=number, g=number, b=number, a=number)
+    mesh = {"points": _array(point), "color": color, "colors": _array(color), "indices": _array(integer)}
+    solid = {"pose": pose, "size": vector, "color": color}
+    line = {"type": _choice("LINE_STRIP", "LINE_LOOP", "LINE_LIST"), "thickness": number, "scale_invariant": flag}
+    label = {"billboard": flag, "font_size": number, "scale_invariant": flag, "color": color, "text": text}
+    shaft = {"shaft_length": number, "shaft_diameter": number, "head_length": number, "head_diameter": number}
+    data = {"type": "string", "contentEncoding": "base64"}
+    model = {"scale": vector, "color": color, "override_color": flag, "url": text, "media_type": text, "data": data}
+    entity = _object(
+        "foxglove.SceneEntity",
+        timestamp=time,
+        frame_id=text,
+        id=text,
+        lifetime=_object("duration", sec=integer, nsec=integer),
+        frame_locked=flag,
+        metadata=_array(_object("foxglove.KeyValuePair", key=text, value=text)),
+        arrows=_array(_object("foxglove.ArrowPrimitive", pose=pose, **shaft, color=color)),
+        cubes=_array(_object("foxglove.CubePrimitive", **solid)),
+        spheres=_array(_object("foxglove.SpherePrimitive", **solid)),
+        cylinders=_array(_object("foxglove.CylinderPrimitive", **solid, bottom_scale=number, top_scale=number)),
+        lines=_array(_object("foxglove.LinePrimitive", pose=pose, **line, **mesh)),
+        triangles=_array(_object("foxglove.TriangleListPrimitive", pose=pose, **mesh)),
+        texts=_array(_object("foxglove.TextPrimitive", pose=pose, **label)),
+        models=_array(_object("foxglove.ModelPrimitive", pose=pose, **model)),
+    )
+    deletion = _object("foxglove.SceneEntityDeletion", timestamp=time, type=_choice("MATCHING_ID", "ALL"), id=text)
+    return _object(SCHEMA_NAME, deletions=_array(deletion), entities=_array(entity))
+
+
+def _object(title: str, **properties: Any) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+def _array(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+def _choice(*names: str) -> dict[str, Any]:
+    return {"oneOf": [{"title": name, "const": number} for number, name in enumerate(names)]}

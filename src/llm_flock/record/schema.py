@@ -1,0 +1,218 @@
+"""What a record holds: one model a channel, and the JSON schema that is written into the file for it."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Annotated, Any, cast
+
+from pydantic import BaseModel, ConfigDict, Field
+
+FORMAT_VERSION = 1
+"""Raised whenever a reader of older records would misread a newer one."""
+
+ROUND_NS = 1_000_000_000
+"""Log time of one round [ns]: a record plays one round a second, whatever the run took."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Row = list[Finite]
+"""One position, d coordinates [units; world frame]."""
+
+_VOLATILE: dict[str, Any] = {"volatile": True}
+"""Marks what may differ between two runs of one seed."""
+
+VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record"})
+"""Keys of the summary's result that may differ between two runs of one seed."""
+
+
+class Entry(BaseModel):
+    """Common rules of everything that is recorded. Optional fields that are None are left out of the file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+
+    def encoded(self) -> bytes:
+        """The message as it stands in the file: compact JSON in UTF-8."""
+        return self.__pydantic_serializer__.to_json(self, exclude_none=True)
+
+
+class RunInfo(Entry):
+    """Where the run came from. Written once, first."""
+
+    format_version: int = Field(FORMAT_VERSION, description="Version of this format")
+    config: dict[str, Any] = Field(description="The resolved configuration, every field of it")
+    versions: dict[str, str] = Field(description="Versions of the packages that can change a result")
+    git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
+    seed: int = Field(description="Seed of the run")
+    simulated: bool = Field(description="Whether any language model was a simulated stand-in")
+    created_at: str = Field(description="Start of the run, UTC, ISO 8601", json_schema_extra=_VOLATILE)
+    environment: dict[str, str] = Field(description="Interpreter and machine", json_schema_extra=_VOLATILE)
+
+
+class MissionInfo(Entry):
+    """What the team is asked to do. Written before the first state, and again whenever it changes."""
+
+    version: int = Field(description="Counts the missions of a run from 0")
+    round: int = Field(description="First round of the mission")
+    mission: dict[str, Any] = Field(description="Every field of the mission")
+    ideal: list[Row] | None = Field(None, description="Ideal points in reference orientation (n, d) [units]")
+
+
+class PlanInfo(Entry):
+    """A plan, once, in the round in which it is first seen."""
+
+    round: int = Field(description="Round in which it was first seen")
+    plan_id: str = Field(description="Stands for the plan's content: equal plans have equal ids")
+    proposer: int = Field(description="Robot that proposed it")
+    points: list[Row] = Field(description="Its N places in order of their slots (n, d) [units]")
+
+
+class State(Entry):
+    """Every robot after a round; round 0 is the start. All lists are by robot id."""
+
+    round: int = Field(description="Motion round, 0 before the first")
+    positions: list[Row] = Field(description="True positions (n, d) [units; world frame]")
+    goals: list[Row | None] = Field(description="The place each robot heads for [units], null without one")
+    slots: list[int | None] = Field(description="Its number in the plan, null without one")
+    plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
+    influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
+    waypoints: list[Row | None] = Field(description="What was commanded this round [units], null at the start")
+    origins: list[str] = Field(description="Who made the waypoint: start, model, shield, fallback or hold")
+    phases: list[str] = Field(description="Phase of each robot's state machine")
+
+
+class ProtocolEvent(Entry):
+    """Something that a robot decided or met, when it happened."""
+
+    round: int = Field(description="Motion round")
+    tick: int | None = Field(None, description="Message exchange within the round; left out outside of exchanges")
+    robot: int = Field(description="Whose event it is")
+    kind: str = Field(description="What happened: adopted, claimed, no_plan, shield, rejected_message, ...")
+    detail: dict[str, Any] = Field(description="What belongs to this kind of event")
+
+
+class ChatLine(Entry):
+    """One message of a conversation."""
+
+    role: str = Field(description="system, user or assistant")
+    text: str = Field(description="Its whole text")
+
+
+class CallUsage(Entry):
+    """Tokens of one call."""
+
+    input: int = Field(0, description="Tokens in")
+    output: int = Field(0, description="Tokens out")
+    cached: int = Field(0, description="The part of the input that the provider had in its cache")
+
+
+class LlmEntry(Entry):
+    """One call of a language model and what came of it."""
+
+    round: int = Field(description="Motion round")
+    robot: int = Field(description="Whose model was asked")
+    kind: str = Field(description="plan or step")
+    attempt: int = Field(description="Number of the call in this round of this robot, from 0")
+    model: str = Field(description="provider:model")
+    request_hash: str = Field(description="Stands for everything that the model saw")
+    messages: list[ChatLine] = Field(description="The whole conversation that the model saw")
+    text: str | None = Field(None, description="The raw answer; left out when none came")
+    parsed: dict[str, Any] | None = Field(None, description="What was understood; left out when not accepted")
+    rejected: str | None = Field(None, description="Why the answer was not accepted, as the model was told")
+    error: str | None = Field(None, description="Kind and detail of the provider's failure")
+    settings: dict[str, Any] = Field(description="Sampling settings that were sent")
+    usage: CallUsage = Field(description="Tokens of this call")
+    cost_usd: Finite | None = Field(None, description="Price [US dollars]; left out when not known")
+    latency_s: Finite = Field(description="Duration, waits for retries included [s]", json_schema_extra=_VOLATILE)
+    faults: list[str] = Field(description="Kinds of the transport faults met on the way, in order")
+
+
+class MetricsRow(Entry):
+    """The figures of one round. Counts of calls, tokens, cost and messages run from the start."""
+
+    round: int = Field(description="Motion round, 0 before the first")
+    procrustes_mean: Finite | None = Field(None, description="Mean distance to the ideal shape [units]")
+    procrustes_mean_squared: Finite | None = Field(None, description="Mean squared distance to it [units^2]")
+    min_separation: Finite | None = Field(None, description="Smallest distance of two robots now [units]")
+    segment_separation: Finite | None = Field(None, description="Smallest distance while moving this round [units]")
+    plans_in_use: int = Field(description="Different plans followed")
+    distinct_goals: int = Field(description="Different goals headed for")
+    robots_at_goal: int = Field(description="Robots within 0.05 spacing of their goal")
+    connected: bool = Field(description="Whether the radio graph is one piece")
+    model_calls: int = Field(description="Model calls so far")
+    tokens: int = Field(description="Tokens in and out so far")
+    cost_usd: Finite | None = Field(None, description="Cost so far [US dollars]; left out when not known")
+    messages_sent: int = Field(description="Broadcasts so far")
+    bytes_sent: int = Field(description="Bytes broadcast so far")
+    messages_rejected: dict[str, int] = Field(description="Messages refused on receipt so far, by reason")
+
+
+class RoundEnd(Entry):
+    """The last message of a round: when it is there, the whole round is there."""
+
+    round: int = Field(description="The round that is complete")
+
+
+class Summary(Entry):
+    """What the run reports. Written at a clean end only, also after an interruption."""
+
+    result: dict[str, Any] = Field(description="The figures of the run, as `llm-flock run --json` prints them")
+
+
+CHANNELS: dict[str, type[Entry]] = {
+    "/run": RunInfo,
+    "/mission": MissionInfo,
+    "/plan": PlanInfo,
+    "/state": State,
+    "/protocol": ProtocolEvent,
+    "/llm": LlmEntry,
+    "/metrics": MetricsRow,
+    "/round": RoundEnd,
+    "/summary": Summary,
+}
+"""Model of every channel but `/scene`, whose messages are of Foxglove's making."""
+
+TOPICS: dict[type[Entry], str] = {model: topic for topic, model in CHANNELS.items()}
+
+SCENE_TOPIC = "/scene"
+
+
+@cache
+def volatile_fields(topic: str) -> frozenset[str]:
+    """Fields of a channel that may differ between two runs of one seed: time stamps, latencies, environment."""
+    if topic not in CHANNELS:
+        return frozenset()
+    fields = CHANNELS[topic].model_fields
+    return frozenset(name for name, info in fields.items() if info.json_schema_extra is _VOLATILE)
+
+
+def without_volatile(topic: str, message: dict[str, Any]) -> dict[str, Any]:
+    """A copy of a message without what may differ between two runs of one seed."""
+    kept = {key: value for key, value in message.items() if key not in volatile_fields(topic)}
+    if topic == "/summary":
+        kept["result"] = {key: value for key, value in kept["result"].items() if key not in VOLATILE_RESULTS}
+    return kept
+
+
+def channel_schema(model: type[Entry]) -> dict[str, Any]:
+    """JSON schema of a channel, in the subset that viewers understand as far as the data allow it.
+
+    Foxglove's and Lichtblick's reader of JSON schemas takes no references, no alternatives and no objects without
+    `properties`. So references are resolved, and a field that may be None is a field that may be left out.
+    """
+    schema = model.model_json_schema()
+    definitions = cast("dict[str, Any]", schema.pop("$defs", {}))
+    return _plain(schema, definitions, in_list=False)
+
+
+def _plain(node: dict[str, Any], definitions: dict[str, Any], *, in_list: bool) -> dict[str, Any]:
+    plain = {key: value for key, value in node.items() if key not in ("$ref", "default")}
+    if "$ref" in node:
+        plain = definitions[node["$ref"].rpartition("/")[2]] | plain
+    if "anyOf" in plain and not in_list:
+        (kind,) = (branch for branch in plain.pop("anyOf") if branch != {"type": "null"})
+        plain |= kind
+    if plain.get("type") == "object":
+        properties = cast("dict[str, Any]", plain.get("properties", {}))
+        plain["properties"] = {name: _plain(value, definitions, in_list=False) for name, value in properties.items()}
+    if "items" in plain:
+        plain["items"] = _plain(plain["items"], definitions, in_list=True)
+    return plain

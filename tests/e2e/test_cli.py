@@ -1,0 +1,139 @@
+"""The command line as a user meets it: real processes, real files, real signals."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from llm_flock.record.reader import read_record
+from llm_flock.runtime.result import Summary
+
+ENV = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
+
+
+def flock(*arguments: str, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "llm_flock", *arguments], cwd=cwd, env=ENV, capture_output=True, text=True, timeout=120
+    )
+    if check:
+        assert done.returncode == 0, done.stderr + done.stdout
+    return done
+
+
+def test_run_figure_animate_inspect(tmp_path: Path) -> None:
+    done = flock("run", "--shape", "circle", "--robots", "10", "--seed", "7", "--out", "demo", cwd=tmp_path)
+    assert "simulated" in done.stdout and "yes, in round" in done.stdout
+    assert flock("figure", "demo", cwd=tmp_path).stdout.strip() == "demo/snapshots.png"
+    assert flock("animate", "demo", cwd=tmp_path).stdout.strip() == "demo/animation.gif"
+    assert (tmp_path / "demo/snapshots.png").stat().st_size > 20_000
+    assert (tmp_path / "demo/animation.gif").stat().st_size > 20_000
+    overview = flock("inspect", "demo/run.mcap", cwd=tmp_path).stdout
+    assert "complete" in overview and "simulated" in overview
+    talk = flock("inspect", "demo", "--robot", "3", "--round", "1", cwd=tmp_path).stdout
+    assert "my plan" in talk and "Position:" in talk and "robot 3 · round 1" in talk
+
+
+def test_json_prints_one_object_with_the_documented_keys(tmp_path: Path) -> None:
+    done = flock("run", "--shape", "triangle", "--robots", "3", "--seed", "1", "--json", "--no-record", cwd=tmp_path)
+    values = json.loads(done.stdout)
+    assert set(values) == set(Summary.__dataclass_fields__)
+    assert values["formed"] is True and values["record"] is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_out_a_new_folder_is_made(tmp_path: Path) -> None:
+    flock("run", "--shape", "line", "--robots", "2", "--rounds", "1", cwd=tmp_path)
+    flock("run", "--shape", "line", "--robots", "2", "--rounds", "1", cwd=tmp_path)
+    assert len(list((tmp_path / "runs").glob("*-line-2/run.mcap"))) == 2
+
+
+def test_a_configuration_file_and_flags(tmp_path: Path) -> None:
+    (tmp_path / "flock.toml").write_text('[mission]\nshape = "square"\nn_robots = 8\n[trial]\nrounds = 2\n')
+    done = flock("run", "--config", "flock.toml", "--robots", "4", "--json", "--out", "x", cwd=tmp_path)
+    assert json.loads(done.stdout)["n_robots"] == 4
+    record = read_record(tmp_path / "x/run.mcap")
+    assert record.run.config["mission"]["shape"] == "square"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--robots", "0"], "n_robots = 0"),
+        (["--spacing", "nan"], "spacing = nan"),
+        (["--spacing", "2"], "spacing = 2.0"),
+        (["--shape", "triangle", "--robots", "4"], "n_robots = 4"),
+        (["--robots", "60"], "arena = "),
+        (["--comm-range", "9"], "sense_range = 9.0"),
+        (["--center", "a,b"], "center = 'a,b'"),
+        (["--model", "openai:o3-mini"], "OPENAI_API_KEY"),
+        (["--model", "nobody:x"], "model = 'nobody:x'"),
+        (["--config", "none.toml"], "config = 'none.toml'"),
+        (["--consensus", "best"], "consensus = 'best'"),
+    ],
+)
+def test_wrong_input_is_one_line_exit_code_2_and_nothing_written(
+    tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "llm_flock", "run", *arguments],
+        cwd=tmp_path,
+        env={k: v for k, v in ENV.items() if not k.endswith("_API_KEY")},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and words in done.stderr and done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: signal.Signals) -> None:
+    running = subprocess.Popen(
+        [sys.executable, "-m", "llm_flock", "run", "--model", "simulated:slow@1.0", "--out", "x", "--rounds", "50"],
+        cwd=tmp_path,
+        env=ENV,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    path = tmp_path / "x/run.mcap"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        time.sleep(0.2)
+        if path.exists() and path.stat().st_size > 100_000:
+            break
+    running.send_signal(sent)
+    _, errors = running.communicate(timeout=30)
+    record = read_record(path)
+    assert len(record.states) >= 2
+    assert record.complete == (sent is signal.SIGINT)
+    if sent is signal.SIGINT:
+        assert running.returncode == 130 and "interrupted" in errors
+        assert record.summary is not None and record.summary["stopped"] == "interrupted"
+
+
+def test_lists_and_help(tmp_path: Path) -> None:
+    assert "polygon" in flock("shapes", cwd=tmp_path).stdout
+    assert "OPENAI_API_KEY" in flock("models", cwd=tmp_path).stdout
+    text = flock("run", "--help", cwd=tmp_path).stdout
+    for flag in ("--shape", "--robots", "--center", "--spacing", "--model", "--base-url", "--consensus", "--assignment",
+                 "--rounds", "--ticks", "--loss", "--delay", "--noise", "--seed", "--out", "--json", "--config"):
+        assert re.search(rf"{flag}\b", text), flag
+
+
+def test_a_comparison_of_three_protocols(tmp_path: Path) -> None:
+    for name, options in {
+        "flock": [],
+        "none": ["--consensus", "none"],
+        "paper": ["--consensus", "influence", "--assignment", "nearest"],
+    }.items():
+        flock("run", "--seed", "7", "--rounds", "30", "--out", name, *options, cwd=tmp_path)
+    flock("figure", "flock", "none", "paper", "--out", "three.png", cwd=tmp_path)
+    assert (tmp_path / "three.png").stat().st_size > 20_000

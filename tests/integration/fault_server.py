@@ -1,0 +1,276 @@
+"""An OpenAI-compatible server that misbehaves on purpose: late, 429, 500, cut connections, garbage.
+
+Runs as a process of its own and answers by a simulated stand-in from nothing but the prompt:
+
+    python tests/integration/fault_server.py --latency 0.02 --rate-limit 0.1 --server-error 0.1 --seed 1
+
+It prints `PORT <number>` once it listens. `GET /stats` returns how often each thing was sent. Tests start it by
+`with running(rate_limit=0.1) as server: ...`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import urllib.request
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Answer = Callable[[list[tuple[str, str]]], str]
+
+FAULTS = ("late", "rate_limit", "server_error", "cut", "garbage")
+GARBAGE = ("html", "broken_json", "wrong_shape", "unusable")
+"""What garbage is sent, in turn. The first three are no chat completion; `unusable` is one, with a useless text."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """Rates are shares of requests in [0, 1] and must add up to at most 1; times are in seconds."""
+
+    port: int = 0
+    latency: float = 0.0
+    late: float = 0.0
+    late_latency: float = 5.0
+    rate_limit: float = 0.0
+    retry_after: float = 0.05
+    server_error: float = 0.0
+    cut: float = 0.0
+    garbage: float = 0.0
+    seed: int = 0
+    profile: str = "ideal"
+    fixed_answer: str = ""
+
+
+class Faults:
+    """Draws what happens to each request, and keeps count."""
+
+    def __init__(self, options: Options) -> None:
+        rates = [getattr(options, name) for name in FAULTS]
+        if min(rates) < 0 or sum(rates) > 1:
+            raise SystemExit("rates must be at least 0 and add up to at most 1")
+        self.bounds = np.cumsum(rates).tolist()
+        self.rng = np.random.default_rng(options.seed)
+        self.counts: Counter[str] = Counter()
+
+    def draw(self) -> str:
+        x = self.rng.random()
+        name = next((name for name, bound in zip(FAULTS, self.bounds, strict=True) if x < bound), "ok")
+        self.counts["requests"] += 1
+        self.counts[name] += 1
+        if name == "garbage":
+            name = GARBAGE[(self.counts["garbage"] - 1) % len(GARBAGE)]
+            self.counts[name] += 1
+        return name
+
+
+class Connection(asyncio.Protocol):
+    """One keep-alive connection. A protocol with timers instead of a task a request: 1,000 of them are cheap."""
+
+    def __init__(self, options: Options, faults: Faults, answer: Answer) -> None:
+        self.options = options
+        self.faults = faults
+        self.answer = answer
+        self.buffer = b""
+        self.transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+        counts = self.faults.counts
+        counts["connections"] += 1
+        counts["open"] += 1
+        counts["most_open"] = max(counts["most_open"], counts["open"])
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.transport = None
+        self.faults.counts["open"] -= 1
+
+    def data_received(self, data: bytes) -> None:
+        self.buffer += data
+        while (end := self.buffer.find(b"\r\n\r\n")) >= 0:
+            head = self.buffer[:end].decode("latin-1").split("\r\n")
+            length = next((int(h.split(":")[1]) for h in head if h.lower().startswith("content-length:")), 0)
+            if len(self.buffer) < end + 4 + length:
+                return
+            body = self.buffer[end + 4 : end + 4 + length]
+            self.buffer = self.buffer[end + 4 + length :]
+            self.handle(head[0], body)
+
+    def handle(self, request: str, body: bytes) -> None:
+        method, path, _ = request.split(" ")
+        if method == "GET" and path == "/stats":
+            self.send(200, json.dumps(self.faults.counts).encode())
+        elif method == "POST" and path == "/v1/chat/completions":
+            fault = self.faults.draw()
+            delay = self.options.late_latency if fault == "late" else self.options.latency
+            if delay > 0:
+                asyncio.get_running_loop().call_later(delay, self.respond, fault, body)
+            else:
+                self.respond(fault, body)
+        else:
+            self.send(404, b'{"error": {"message": "no such path"}}')
+
+    def respond(self, fault: str, body: bytes) -> None:
+        match fault:
+            case "rate_limit":
+                wait = self.options.retry_after
+                extra = f"Retry-After: {math.ceil(wait)}\r\n"
+                if wait != math.ceil(wait):
+                    extra += f"retry-after-ms: {wait * 1000:g}\r\n"
+                self.send(429, b'{"error": {"message": "slow down", "code": "rate_limit_exceeded"}}', extra)
+            case "server_error":
+                self.send(500, b'{"error": {"message": "the server stumbled"}}')
+            case "cut":
+                self.cut(body)
+            case "html":
+                self.send(200, b"<html><body>Bad gateway</body></html>", kind="text/html")
+            case "broken_json":
+                self.send(200, b'{"id": "x", "choices": [{"mess')
+            case "wrong_shape":
+                self.send(200, b'{"choices": [], "surprise": true}')
+            case "unusable":
+                self.send(200, completion(body, "As a robot I would rather talk about the weather."))
+            case _:
+                messages = [(m["role"], text_of(m["content"])) for m in json.loads(body)["messages"]]
+                self.send(200, completion(body, self.answer(messages)))
+
+    def send(self, status: int, body: bytes, extra: str = "", kind: str = "application/json") -> None:
+        if self.transport is None:  # the client gave up waiting
+            self.faults.counts["abandoned"] += 1
+            return
+        head = f"HTTP/1.1 {status} X\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n{extra}\r\n"
+        self.transport.write(head.encode() + body)
+
+    def cut(self, body: bytes) -> None:
+        """Break off: every second time before the first byte, otherwise in the middle of the answer."""
+        if self.transport is None:
+            return
+        if self.faults.counts["cut"] % 2:
+            text = completion(body, "Position: [50.0, 50.0]")
+            head = f"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: {len(text)}\r\n\r\n"
+            self.transport.write(head.encode() + text[: len(text) // 2])
+            self.transport.close()
+        else:
+            self.transport.abort()
+
+
+def text_of(content: str | list[dict[str, str]]) -> str:
+    """A message's content may be a text or a list of parts."""
+    return content if isinstance(content, str) else "\n".join(part.get("text", "") for part in content)
+
+
+def completion(request: bytes, text: str) -> bytes:
+    """A chat completion in OpenAI's form; tokens are a quarter of the characters."""
+    sent, said = math.ceil(len(request) / 4), math.ceil(len(text) / 4)
+    return json.dumps(
+        {
+            "id": "chatcmpl-0",
+            "object": "chat.completion",
+            "created": 1,
+            "model": "stand-in",
+            "choices": [
+                {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": text}},
+            ],
+            "usage": {"prompt_tokens": sent, "completion_tokens": said, "total_tokens": sent + said},
+        }
+    ).encode()
+
+
+def stand_in(options: Options) -> Answer:
+    """Who answers: a fixed text, or a simulated model that reads the prompt."""
+    if options.fixed_answer:
+        return lambda messages: options.fixed_answer
+    from llm_flock.llm.simulated import Responder, parse_profile
+
+    return Responder(parse_profile(options.profile), np.random.default_rng(options.seed + 1)).answer
+
+
+async def serve(options: Options) -> None:
+    """Listen until the process is ended."""
+    faults, answer = Faults(options), stand_in(options)
+    loop = asyncio.get_running_loop()
+    server = await loop.create_server(
+        lambda: Connection(options, faults, answer), "127.0.0.1", options.port, backlog=1024
+    )
+    print(f"PORT {server.sockets[0].getsockname()[1]}", flush=True)
+    async with server:
+        await server.serve_forever()
+
+
+@dataclass(frozen=True, slots=True)
+class Server:
+    """A running server, seen from a test."""
+
+    port: int
+
+    @property
+    def base_url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/v1"
+
+    def stats(self) -> dict[str, int]:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/stats", timeout=10) as response:
+            return json.loads(response.read())
+
+
+@contextlib.contextmanager
+def running(**options: Any) -> Iterator[Server]:
+    """Start the server in its own process with these `Options`; it ends with the block, or with the test process."""
+    source = Path(__file__).parents[2] / "src"
+    command = [sys.executable, __file__, "--end-with-stdin"]
+    for name, value in options.items():
+        command += [f"--{name.replace('_', '-')}", str(value)]
+    path = os.pathsep.join(filter(None, [str(source), os.environ.get("PYTHONPATH")]))
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    ) as process:
+        assert process.stdout is not None
+        try:
+            line = process.stdout.readline().split()
+            if line[:1] != ["PORT"]:
+                raise RuntimeError(f"the fault server did not start: {line}")
+            yield Server(int(line[1]))
+        finally:
+            process.kill()
+
+
+def end_with_stdin() -> None:
+    """End this process when whoever started it is gone."""
+
+    def wait() -> None:
+        sys.stdin.read()
+        os._exit(0)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def main() -> None:
+    """Read the command line and serve."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in ((name, getattr(Options(), name)) for name in Options.__slots__):
+        parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default)
+    parser.add_argument("--end-with-stdin", action="store_true")
+    arguments = vars(parser.parse_args())
+    if arguments.pop("end_with_stdin"):
+        end_with_stdin()
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(serve(Options(**arguments)))
+
+
+if __name__ == "__main__":
+    main()

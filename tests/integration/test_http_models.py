@@ -1,0 +1,216 @@
+"""Models and limits against a real server in its own process, over real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from integration.fault_server import Server, running
+
+from llm_flock.errors import BudgetExceeded, ModelError
+from llm_flock.llm.client import CallSettings
+from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, RetryPolicy
+from llm_flock.llm.models import ModelPool
+from llm_flock.llm.port import Call, ChatMessage, Reply
+
+KEY = "sk-very-secret-0123456789"
+ANSWER = "Position: [1.0, 2.0]"
+
+
+def call(robot: int = 0, round: int = 0) -> Call:
+    messages = (ChatMessage("system", "You are a robot."), ChatMessage("user", "Where to?"))
+    return Call(robot=robot, round=round, kind="step", attempt=0, messages=messages)
+
+
+def pool_for(server: Server | str, timeout_s: float = 5.0) -> ModelPool:
+    url = server if isinstance(server, str) else server.base_url
+    return ModelPool(
+        base_urls={"openai-compatible": url}, timeout_s=timeout_s, environ={"OPENAI_COMPATIBLE_API_KEY": KEY}
+    )
+
+
+async def ask_once(server: Server | str, timeout_s: float = 5.0) -> Reply | ModelError:
+    async with pool_for(server, timeout_s) as pool:
+        model = pool.model("openai-compatible:stand-in", robot=0, rng=np.random.default_rng(0))
+        try:
+            return await model.ask(call())
+        except ModelError as error:
+            return error
+
+
+def test_an_answer_comes_with_its_usage_and_the_name_of_who_answered() -> None:
+    with running(fixed_answer=ANSWER) as server:
+        reply = asyncio.run(ask_once(server))
+    assert isinstance(reply, Reply)
+    assert reply.text == ANSWER
+    assert reply.model == "openai-compatible:stand-in"
+    assert reply.usage.input > 0 and reply.usage.output == 5
+    assert reply.cost_usd is None  # nobody knows what a server at another address charges
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"rate_limit": 1, "retry_after": 0.25}, "rate_limit"),
+        ({"server_error": 1}, "server"),
+        ({"late": 1, "late_latency": 3}, "timeout"),
+    ],
+)
+def test_each_fault_has_its_kind(options: dict[str, float], kind: str) -> None:
+    with running(fixed_answer=ANSWER, **options) as server:
+        error = asyncio.run(ask_once(server, timeout_s=0.3))
+        stats = server.stats()
+    assert isinstance(error, ModelError)
+    assert error.kind == kind
+    assert error.retry_after_s == (0.25 if kind == "rate_limit" else None)
+    assert stats["requests"] == 1  # nothing below us retries behind our back
+
+
+def test_cut_connections_and_garbage_have_their_kinds() -> None:
+    async def many(server: Server) -> list[Reply | ModelError]:
+        return [await ask_once(server) for _ in range(4)]
+
+    with running(fixed_answer=ANSWER, cut=1) as server:
+        cuts = asyncio.run(many(server))
+    assert [error.kind for error in cuts if isinstance(error, ModelError)] == ["connection"] * 4
+    with running(fixed_answer=ANSWER, garbage=1) as server:
+        *garbage, unusable = asyncio.run(many(server))
+    assert [error.kind for error in garbage if isinstance(error, ModelError)] == ["garbage"] * 3
+    assert isinstance(unusable, Reply)  # a proper response: whether its text is of use is the planner's question
+
+
+def test_a_server_that_is_not_there_is_a_connection_fault() -> None:
+    with running(fixed_answer=ANSWER) as server:
+        gone = server.base_url
+    error = asyncio.run(ask_once(gone))
+    assert isinstance(error, ModelError)
+    assert error.kind == "connection"
+
+
+def test_a_wrong_path_is_refused() -> None:
+    with running(fixed_answer=ANSWER) as server:
+        error = asyncio.run(ask_once(server.base_url + "/nowhere"))
+    assert isinstance(error, ModelError)
+    assert error.kind == "refused"
+
+
+def test_limits_get_every_answer_through_and_count_every_fault() -> None:
+    rates = {"rate_limit": 0.1, "server_error": 0.1, "cut": 0.1, "garbage": 0.1, "late": 0.05}
+    meter = BudgetMeter()
+
+    async def scenario(server: Server) -> list[Reply]:
+        limits = Limits(
+            max_concurrent=20,
+            timeout_s=0.6,
+            retry=RetryPolicy(max_tries=12, first_wait_s=0.01, longest_wait_s=0.1),
+            meter=meter,
+            rng=np.random.default_rng(5),
+        )
+        async with pool_for(server) as pool, asyncio.TaskGroup() as group:
+            tasks = [
+                group.create_task(
+                    Limited(
+                        pool.model("openai-compatible:stand-in", robot=i, rng=np.random.default_rng(i)), limits
+                    ).ask(call(i))
+                )
+                for i in range(120)
+            ]
+        return [task.result() for task in tasks]
+
+    with running(fixed_answer=ANSWER, latency=0.01, late_latency=2, retry_after=0.02, seed=3, **rates) as server:
+        replies = asyncio.run(scenario(server))
+        stats = server.stats()
+    met = Counter(fault for reply in replies for fault in reply.faults)
+    # A connection that the server cuts may take the next request on the same socket with it, never the reverse.
+    assert met["rate_limit"] == stats["rate_limit"] > 0
+    assert met["server"] == stats["server_error"] > 0
+    assert met["garbage"] == stats["garbage"] - stats["unusable"] > 0
+    assert met["timeout"] == stats["late"] > 0
+    assert met["connection"] >= stats["cut"] > 0
+    assert met == meter.faults
+    assert meter.answered == meter.calls == 120
+    assert stats["most_open"] <= 20 + 1  # and the one that asks for the counts
+
+
+def test_two_hundred_calls_run_at_once() -> None:
+    async def scenario(server: Server) -> float:
+        limits = Limits(rng=np.random.default_rng(0))
+        async with pool_for(server) as pool:
+            models = [
+                Limited(pool.model("openai-compatible:stand-in", robot=i, rng=np.random.default_rng(i)), limits)
+                for i in range(200)
+            ]
+            await models[0].ask(call(0))  # the first call pays for imports
+            started = time.perf_counter()
+            async with asyncio.TaskGroup() as group:
+                for i, model in enumerate(models):
+                    group.create_task(model.ask(call(i)))
+            return time.perf_counter() - started
+
+    with running(fixed_answer=ANSWER, latency=1) as server:
+        took_s = asyncio.run(scenario(server))
+        stats = server.stats()
+    assert stats["most_open"] >= 200
+    assert took_s < 3.0  # one after another it would be 200 s, through a pool of 100 connections 2 s and the work
+
+
+def test_max_calls_is_exact_under_concurrency() -> None:
+    async def scenario(server: Server) -> int:
+        limits = Limits(meter=BudgetMeter(Budget(max_calls=7)), rng=np.random.default_rng(0))
+        async with pool_for(server) as pool:
+            model = Limited(pool.model("openai-compatible:stand-in", robot=0, rng=np.random.default_rng(0)), limits)
+            results = await asyncio.gather(*(model.ask(call(i)) for i in range(30)), return_exceptions=True)
+        return sum(isinstance(result, BudgetExceeded) for result in results)
+
+    with running(fixed_answer=ANSWER, latency=0.01) as server:
+        refused = asyncio.run(scenario(server))
+        assert server.stats()["requests"] == 7
+    assert refused == 23
+
+
+def test_settings_and_schema_are_sent_and_the_key_is_nowhere_to_be_seen(caplog: pytest.LogCaptureFixture) -> None:
+    """A tiny server that records what it got and answers 401 quoting the key, as careless gateways do."""
+    got: list[str] = []
+
+    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        head = (await reader.readuntil(b"\r\n\r\n")).decode()
+        length = next(int(h.split(":")[1]) for h in head.lower().split("\r\n") if h.startswith("content-length"))
+        got.extend([head, (await reader.readexactly(length)).decode()])
+        body = f'{{"error": {{"message": "bad key {KEY}, starts with sk-very*****6789"}}}}'.encode()
+        writer.write(b"HTTP/1.1 401 X\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(body))
+        writer.write(body)
+        await writer.drain()
+        writer.close()
+
+    async def scenario() -> ModelError:
+        server = await asyncio.start_server(handle, "127.0.0.1", 0)
+        url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1"
+        async with server, pool_for(url) as pool:
+            settings = CallSettings(temperature=0.5, seed=3, reasoning="low", max_tokens=99)
+            model = pool.model("openai-compatible:stand-in", robot=0, rng=np.random.default_rng(0), settings=settings)
+            question = Call(
+                robot=0,
+                round=0,
+                kind="step",
+                attempt=0,
+                messages=(ChatMessage("user", "Where to?"),),
+                schema={"type": "object", "properties": {"position": {"type": "array", "items": {"type": "number"}}}},
+            )
+            with pytest.raises(ModelError) as caught:
+                await model.ask(question)
+            return caught.value
+
+    with caplog.at_level(logging.DEBUG):
+        error = asyncio.run(scenario())
+    assert error.kind == "refused"
+    assert KEY not in str(error) and "6789" not in str(error) and "[key]" in str(error)
+    assert error.__cause__ is None and error.__suppress_context__  # a traceback would print the provider's text
+    assert KEY not in caplog.text
+    head, body = got
+    assert KEY in head  # it was really sent
+    for sent in ('"temperature":0.5', '"seed":3', '"max_tokens":99', '"reasoning_effort":"low"', '"json_schema"'):
+        assert sent in body

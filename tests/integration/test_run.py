@@ -1,0 +1,233 @@
+"""Whole runs in one process: what the presets do, what is recorded, what is reproducible, what goes wrong well."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import llm_flock
+from llm_flock.errors import InputError, ReplayDrift
+from llm_flock.llm.limits import Limited
+from llm_flock.llm.port import Call, Reply
+from llm_flock.record.reader import iter_messages
+from llm_flock.record.schema import without_volatile
+from llm_flock.runtime.trial import Progress
+
+CASES = [("triangle", 3), ("triangle", 6), ("square", 4), ("square", 8), ("cross", 5), ("circle", 5), ("circle", 10)]
+
+
+@pytest.mark.parametrize(("shape", "n"), CASES)
+def test_the_papers_cases_form_and_stay_safe(shape: str, n: int) -> None:
+    result = llm_flock.run(llm_flock.Mission(shape=shape, n_robots=n), seed=11)
+    figures = result.summary
+    assert figures.formed and figures.stopped == "formed" and figures.simulated
+    assert figures.plans_in_use == 1 and figures.distinct_goals == n
+    assert figures.min_separation is not None and figures.min_separation >= 3 - 1e-6
+    assert figures.rounds_to_formed is not None and figures.lower_bound_rounds is not None
+    assert figures.rounds_to_formed >= figures.lower_bound_rounds
+    assert result.positions.shape == (figures.rounds + 1, n, 2)
+    assert result.errors[-1] == figures.procrustes_mean
+
+
+@pytest.mark.parametrize("extra", [{"answers": "json"}, {"history": "last:2"}, {"observe": "all"}, {"noise": 0.1}])
+def test_options_of_the_conversation_do_not_keep_the_team_from_forming(extra: dict[str, Any]) -> None:
+    result = llm_flock.run(llm_flock.Mission(shape="square", n_robots=4), seed=2, **extra)
+    assert result.formed
+    assert result.summary.min_separation is not None and result.summary.min_separation >= 3 - 1e-6
+
+
+def test_the_literal_paper_and_the_baseline_do_not_form_the_circle() -> None:
+    mission = llm_flock.Mission(shape="circle", n_robots=10)
+    for protocol in ("paper", "baseline"):
+        figures = llm_flock.run(mission, protocol=protocol, seed=7, rounds=40).summary
+        assert not figures.formed
+        assert figures.plans_in_use > 1 or figures.distinct_goals < 10
+
+
+def test_without_the_shield_a_model_is_obeyed_to_the_letter() -> None:
+    mission = llm_flock.Mission(shape="circle", n_robots=10)
+    figures = llm_flock.run(mission, protocol="paper", seed=7, rounds=15).summary
+    assert set(figures.waypoints) == {"model"}
+
+
+def test_plain_geometry_needs_no_model() -> None:
+    figures = llm_flock.run(llm_flock.Mission(shape="circle", n_robots=5), model="geometry", seed=1).summary
+    assert figures.formed and figures.model_calls == 0 and not figures.simulated
+
+
+def test_a_single_robot_is_a_team() -> None:
+    result = llm_flock.run(llm_flock.Mission(shape="line", n_robots=1), seed=1)
+    assert result.formed and result.summary.min_separation is None
+
+
+def test_three_dimensions() -> None:
+    corners = ((0, 0, 0), (10, 0, 0), (0, 10, 0), (0, 0, 10))
+    mission = llm_flock.build_mission(points=corners, center=(50, 50, 50), arena=((0, 0, 0), (100, 100, 100)))
+    figures = llm_flock.run(mission, model="geometry", seed=3).summary
+    assert figures.distinct_goals == 4
+    assert figures.min_separation is not None and figures.min_separation >= 3 - 1e-6
+
+
+def test_free_text_has_no_ideal_to_compare_with() -> None:
+    result = llm_flock.run(llm_flock.Mission(shape="text:a ring", n_robots=6), seed=1)
+    assert result.formed and result.summary.procrustes_mean is None
+    assert np.isnan(result.errors).all()
+
+
+def messages(path: Path) -> list[tuple[str, str]]:
+    """Everything in a record but what may differ between two runs of one seed."""
+    return [(m.topic, json.dumps(without_volatile(m.topic, m.data), sort_keys=True)) for m in iter_messages(path)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"seed": 5},
+        {"seed": 5, "loss": 0.3, "delay": 1, "duplicate": 0.1, "reorder": 0.5, "noise": 0.05},
+        {"seed": 5, "model": "simulated:distorted@0.3,overshoot@0.3,malformed@0.2"},
+    ],
+)
+def test_the_same_seed_gives_the_same_record(tmp_path: Path, options: dict[str, Any]) -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=6)
+    for name in ("a", "b"):
+        llm_flock.run(mission, out=str(tmp_path / name), rounds=12, **options)
+    a, b = messages(tmp_path / "a/run.mcap"), messages(tmp_path / "b/run.mcap")
+    a = [m for m in a if m[0] != "/run"]
+    b = [m for m in b if m[0] != "/run"]
+    assert a == b and len(a) > 100
+    other = {**options, "seed": 6}
+    llm_flock.run(mission, out=str(tmp_path / "c"), rounds=12, **other)
+    assert messages(tmp_path / "c/run.mcap") != a
+
+
+def test_the_protocol_does_not_change_starts_or_proposals(tmp_path: Path) -> None:
+    """Two protocols on one seed can be compared, because only the rules differ."""
+    mission = llm_flock.Mission(shape="square", n_robots=4)
+    a = llm_flock.run(mission, protocol="flock", seed=9, out=str(tmp_path / "a"), rounds=3)
+    b = llm_flock.run(mission, protocol="baseline", seed=9, out=str(tmp_path / "b"), rounds=3)
+    assert (a.positions[0] == b.positions[0]).all()
+    plans = [[p.points for p in llm_flock.read_record(tmp_path / x / "run.mcap").plans] for x in "ab"]
+    assert plans[0] == plans[1]
+
+
+def test_a_recorded_conversation_replays_call_for_call(tmp_path: Path) -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=6)
+    tape = tmp_path / "tape.jsonl"
+    options = {"seed": 4, "rounds": 12}
+    model = "simulated:malformed@0.3,overshoot@0.3"
+    first = llm_flock.run(mission, model=model, record_llm=str(tape), **options)
+    again = llm_flock.run(mission, model=f"replay:{tape}", **options)
+    assert again.summary.simulated
+    assert (first.positions == again.positions).all()
+    for key in ("model_calls", "calls_rejected", "tokens", "faults", "formed"):
+        assert getattr(first.summary, key) == getattr(again.summary, key)
+    with pytest.raises(ReplayDrift, match="robot"):
+        llm_flock.run(mission, model=f"replay:{tape}", seed=5, rounds=12)
+
+
+def test_faulty_models_hold_their_robot_and_never_the_others(tmp_path: Path) -> None:
+    mission = llm_flock.Mission(shape="square", n_robots=4)
+    model = "0-2=simulated:ideal,3=simulated:malformed"
+    result = llm_flock.run(mission, model=model, seed=3, out=str(tmp_path), rounds=25)
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert result.summary.waypoints["hold"] == 25
+    assert {e.robot for e in record.events if e.kind in ("held", "no_plan")} == {3}
+    assert np.linalg.norm(result.positions[-1][:3] - result.positions[0][:3], axis=1).min() > 0
+    assert (result.positions[-1][3] == result.positions[0][3]).all()
+
+
+def test_overshooting_models_are_held_to_the_step_limit() -> None:
+    result = llm_flock.run(llm_flock.Mission(shape="triangle", n_robots=3), model="simulated:overshoot", seed=3)
+    steps = np.linalg.norm(np.diff(result.positions, axis=0), axis=2)
+    assert steps.max() <= 6 + 1e-6
+    assert not result.formed
+
+
+def test_a_budget_stops_the_run_cleanly(tmp_path: Path) -> None:
+    mission = llm_flock.Mission(shape="circle", n_robots=5)
+    figures = llm_flock.run(mission, max_calls=12, seed=1, out=str(tmp_path)).summary
+    assert figures.stopped == "budget"
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert record.complete and any(e.detail.get("cause") == "budget" for e in record.events)
+    assert sum(entry.text is not None for entry in record.llm) == 12
+
+
+def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+
+    async def scene() -> None:
+        running = asyncio.create_task(
+            llm_flock.run_async(llm_flock.Mission(), seed=1, out=str(tmp_path), on_round=seen.append)
+        )
+        while len(seen) < 3:
+            await asyncio.sleep(0.001)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+
+    asyncio.run(scene())
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert record.complete and len(record.states) >= 4
+    assert record.summary is not None and record.summary["stopped"] == "interrupted"
+
+
+def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:
+    for options in ({"model": "nobody:nothing"}, {"model": "openai:o3-mini"}, {"history": "some"}, {"prompts": "none"}):
+        with pytest.raises(InputError):
+            llm_flock.run(llm_flock.Mission(), out=str(tmp_path / "run"), record_llm=str(tmp_path / "tape"), **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_record_is_never_overwritten(tmp_path: Path) -> None:
+    llm_flock.run(llm_flock.Mission(shape="line", n_robots=2), seed=1, out=str(tmp_path), rounds=1)
+    with pytest.raises(InputError, match="out"):
+        llm_flock.run(llm_flock.Mission(shape="line", n_robots=2), seed=1, out=str(tmp_path), rounds=1)
+
+
+def test_given_starts_are_taken_or_refused() -> None:
+    mission = llm_flock.Mission(shape="line", n_robots=2)
+    result = llm_flock.run(mission, start_positions=((1, 2), (30, 40)), rounds=1)
+    assert result.positions[0].tolist() == [[1, 2], [30, 40]]
+    with pytest.raises(InputError, match="start_positions"):
+        llm_flock.run(mission, start_positions=((1, 2),), rounds=1)
+
+
+def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> None:
+    from llm_flock.metrics import min_separation
+    from llm_flock.robots.simulated import draw_start
+
+    mission = llm_flock.Mission(n_robots=10)
+    near = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        assert min_separation(draw_start(mission, "separated", rng)) >= 3
+        near += min_separation(draw_start(mission, "uniform", np.random.default_rng(seed))) < 3
+    assert near > 10
+
+
+def test_every_robot_thinks_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All calls of a round are under way together, up to the limit."""
+    now = most = 0
+
+    async def slowly(self: Limited, call: Call) -> Reply:
+        nonlocal now, most
+        now += 1
+        most = max(most, now)
+        await asyncio.sleep(0.01)
+        now -= 1
+        return await original(self, call)
+
+    original = Limited.ask
+    monkeypatch.setattr(Limited, "ask", slowly)
+    llm_flock.run(llm_flock.Mission(n_robots=10), seed=1, rounds=2)
+    assert most == 10
+
+
+def test_config_and_options_are_not_mixed() -> None:
+    from llm_flock.runtime.config import build_config
+
+    with pytest.raises(InputError, match="config"):
+        llm_flock.run(llm_flock.Mission(), config=build_config())
