@@ -19,6 +19,8 @@ def rank(plan: Plan) -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class SmallestBox:
+    """Smaller plans win."""
+
     name: str = "smallest-box"
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:

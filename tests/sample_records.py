@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from llm_flock import graph
-from llm_flock.mission import Mission
+from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import (
     CallUsage,
@@ -75,7 +75,7 @@ class FakeRun:
         rng = np.random.default_rng(seed)
         self.rounds, self.seed, self.agree, self.dim = rounds, seed, agree, dim
         side = max(100.0, 10.0 * n)
-        self.mission = Mission(n_robots=n, center=(side / 2, side / 2), arena=((0.0, 0.0), (side, side)))
+        self.mission = build_mission(n_robots=n, center=(side / 2, side / 2), arena=((0.0, 0.0), (side, side)))
         ideal = np.array(self.mission.ideal)
         self.ideal = self._lifted(ideal)
         self.start = rng.uniform(0.1 * side, 0.9 * side, (n, dim))
@@ -94,7 +94,15 @@ class FakeRun:
         for number in range(self.rounds + 1):
             self.write_round(sink, number, llm=llm)
         if finish:
-            sink.summary({"formed": self.agree, "rounds": self.rounds, "wall_s": 1.5, "cost_usd": None})
+            sink.summary(
+                {
+                    "formed": self.agree,
+                    "rounds": self.rounds,
+                    "rounds_to_formed": self.rounds if self.agree else None,
+                    "wall_s": 1.5,
+                    "cost_usd": None,
+                }
+            )
 
     def write_round(self, sink: RecordSink, number: int, *, llm: bool = True) -> None:
         n = self.mission.n_robots
@@ -113,7 +121,7 @@ class FakeRun:
         goals = np.array([self.plans[leader].points[i] for i, leader in enumerate(leaders)])
         share = 0.0 if not self.rounds else min(1.0, 1.2 * number / self.rounds)
         positions = self.start + share * (goals - self.start)
-        none = [None] * n
+        none: list[Any] = [None] * n
         sink.state(
             State(
                 round=number,

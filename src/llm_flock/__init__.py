@@ -1,10 +1,10 @@
 """LLM-Flock: robots that agree on a formation, each with its own language model, without a central controller.
 
-    import llm_flock
+import llm_flock
 
-    mission = llm_flock.Mission(shape="circle", n_robots=10)
-    result = llm_flock.run(mission, model="simulated:ideal", seed=7)
-    print(result.formed, result.summary.rounds_to_formed)
+mission = llm_flock.Mission(shape="circle", n_robots=10)
+result = llm_flock.run(mission, model="simulated:ideal", seed=7)
+print(result.formed, result.summary.rounds_to_formed)
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from functools import cached_property
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -30,30 +30,36 @@ class Mission(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    shape: str = Field("circle", description="Named shape, optionally with an argument: circle, polygon:5, text:...")
-    n_robots: int = Field(10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
-    center: tuple[Finite, ...] = Field((50.0, 50.0), description="Centre of the formation [units]")
-    spacing: Positive = Field(10.0, description="Desired distance between neighbouring robots d_d [units]")
-    safe_distance: Positive = Field(3.0, description="Smallest distance allowed between any two robots d_s [units]")
-    max_step: Positive = Field(6.0, description="Longest move in one round v_m [units]")
-    comm_range: Positive = Field(15.0, description="Radio range r_comm [units]")
-    sense_range: Positive | None = Field(None, description="Range of the position sensors [units]; comm_range if unset")
+    shape: str = Field(
+        default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."
+    )
+    n_robots: int = Field(default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
+    center: tuple[Finite, ...] = Field(default=(50.0, 50.0), description="Centre of the formation [units]")
+    spacing: Positive = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
+    safe_distance: Positive = Field(
+        default=3.0, description="Smallest distance allowed between any two robots d_s [units]"
+    )
+    max_step: Positive = Field(default=6.0, description="Longest move in one round v_m [units]")
+    comm_range: Positive = Field(default=15.0, description="Radio range r_comm [units]")
+    sense_range: Positive | None = Field(
+        default=None, description="Range of the position sensors [units]; comm_range if unset"
+    )
     arena: tuple[tuple[Finite, ...], tuple[Finite, ...]] = Field(
-        ((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corner of the flight space [units]"
+        default=((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corner of the flight space [units]"
     )
     points: tuple[tuple[Finite, ...], ...] | None = Field(
-        None, description="Target points of the shape 'points' [units], used relative to their own mean"
+        default=None, description="Target points of the shape 'points' [units], used relative to their own mean"
     )
 
     @model_validator(mode="before")
     @classmethod
     def _fill_from_points(cls, data: Any) -> Any:
         """`points` alone says how many robots there are and what the shape is."""
-        if isinstance(data, dict) and data.get("points") is not None:
-            data = dict(data)
-            data.setdefault("shape", "points")
-            data.setdefault("n_robots", len(data["points"]))
-        return data
+        if not isinstance(data, dict):
+            return data
+        given = cast("dict[str, Any]", data)
+        points = given.get("points")
+        return given if points is None else {"shape": "points", "n_robots": len(points), **given}
 
     @model_validator(mode="after")
     def _check(self) -> Self:

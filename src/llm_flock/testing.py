@@ -1,9 +1,9 @@
 """Conformance tests for rules of one's own: call them from a test; they raise AssertionError with what is wrong.
 
-    from llm_flock.testing import check_assignment_rule, check_consensus_rule
+from llm_flock.testing import check_assignment_rule, check_consensus_rule
 
-    def test_my_rule():
-        check_consensus_rule(MyRule())
+def test_my_rule():
+    check_consensus_rule(MyRule())
 """
 
 from __future__ import annotations
@@ -38,9 +38,7 @@ def random_message(sender: int, n: int, plan: Plan | None, rng: np.random.Genera
             sequence=0,
         )
     slot = None if plan is None or rng.random() < 0.2 else int(rng.integers(0, n))
-    return Message(
-        sender=sender, sequence=0, neighbors=int(rng.integers(0, n)), plan=plan, pedigree=origin, slot=slot
-    )
+    return Message(sender=sender, sequence=0, neighbors=int(rng.integers(0, n)), plan=plan, pedigree=origin, slot=slot)
 
 
 def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 0) -> None:
@@ -65,7 +63,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
             continue
         assert choice in heard, f"{rule.name} chose a message that was not heard"
         assert choice.plan is not None, f"{rule.name} chose a message without a plan"
-        shuffled = [heard[k] for k in rng.permutation(len(heard))]
+        shuffled = [heard[int(k)] for k in rng.permutation(len(heard))]
         again = rule.choose(own, shuffled)
         assert again is not None and again.plan == choice.plan, f"{rule.name} depends on the order of messages"
         settled = Standing(plan=choice.plan, pedigree=choice.pedigree, neighbors=own.neighbors)

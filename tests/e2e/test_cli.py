@@ -123,8 +123,25 @@ def test_lists_and_help(tmp_path: Path) -> None:
     assert "polygon" in flock("shapes", cwd=tmp_path).stdout
     assert "OPENAI_API_KEY" in flock("models", cwd=tmp_path).stdout
     text = flock("run", "--help", cwd=tmp_path).stdout
-    for flag in ("--shape", "--robots", "--center", "--spacing", "--model", "--base-url", "--consensus", "--assignment",
-                 "--rounds", "--ticks", "--loss", "--delay", "--noise", "--seed", "--out", "--json", "--config"):
+    for flag in (
+        "--shape",
+        "--robots",
+        "--center",
+        "--spacing",
+        "--model",
+        "--base-url",
+        "--consensus",
+        "--assignment",
+        "--rounds",
+        "--ticks",
+        "--loss",
+        "--delay",
+        "--noise",
+        "--seed",
+        "--out",
+        "--json",
+        "--config",
+    ):
         assert re.search(rf"{flag}\b", text), flag
 
 

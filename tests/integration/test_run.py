@@ -156,14 +156,18 @@ def test_a_budget_stops_the_run_cleanly(tmp_path: Path) -> None:
 
 
 def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
-    seen: list[Progress] = []
 
     async def scene() -> None:
+        third = asyncio.Event()
+
+        def watch(now: Progress) -> None:
+            if now.round == 3:
+                third.set()
+
         running = asyncio.create_task(
-            llm_flock.run_async(llm_flock.Mission(), seed=1, out=str(tmp_path), on_round=seen.append)
+            llm_flock.run_async(llm_flock.Mission(), seed=1, out=str(tmp_path), on_round=watch)
         )
-        while len(seen) < 3:
-            await asyncio.sleep(0.001)
+        await third.wait()
         running.cancel()
         with pytest.raises(asyncio.CancelledError):
             await running

@@ -41,7 +41,9 @@ def test_no_pair_comes_too_near_whatever_everybody_wants(seed: int, n: int, dim:
         wishes = rng.uniform(-10, side + 10, (n, dim)) if rng.random() < 0.5 else np.tile(positions.mean(0), (n, 1))
         after = np.array(
             [
-                project(tuple(positions[i]), tuple(wishes[i]), in_range(positions, i), safe_distance=SAFE, max_step=STEP)
+                project(
+                    tuple(positions[i]), tuple(wishes[i]), in_range(positions, i), safe_distance=SAFE, max_step=STEP
+                )
                 for i in range(n)
             ]
         )
@@ -65,9 +67,7 @@ def test_no_pair_comes_too_near_with_bounded_noise(seed: int, n: int, noise: flo
         for i in range(n):
             own = reading(positions[i])
             others = [tuple(reading(positions[j])) for j in range(n) if j != i]
-            target = project(
-                tuple(own), (8.0, 8.0), others, safe_distance=SAFE, max_step=STEP, noise_bound=noise
-            )
+            target = project(tuple(own), (8.0, 8.0), others, safe_distance=SAFE, max_step=STEP, noise_bound=noise)
             moved[i] = positions[i] + (np.array(target) - own)
         assert segment_separation(positions, moved) >= SAFE - 1e-6
         positions = moved
@@ -87,7 +87,10 @@ def test_the_projection_is_the_nearest_safe_waypoint(seed: int, n: int, dim: int
     rules = [{"type": "ineq", "fun": lambda u, s=s: s.room - float(np.dot(s.normal, u))} for s in sides]
     rules.append({"type": "ineq", "fun": lambda u: STEP**2 - float(u @ u)})
     found = minimize(
-        lambda u: float((u - want) @ (u - want)), np.zeros(dim), constraints=rules, method="SLSQP",
+        lambda u: float((u - want) @ (u - want)),
+        np.zeros(dim),
+        constraints=rules,
+        method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-14},
     )
     reach = float(np.linalg.norm(ours - wish))

@@ -195,11 +195,7 @@ def test_with_every_slot_lost_the_robot_holds() -> None:
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
     agent.handle(
-        Received(
-            encode(
-                Message(sender=1, sequence=0, neighbors=2, plan=PLAN, pedigree=origin(1), slot=0, table=won)
-            )
-        )
+        Received(encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, pedigree=origin(1), slot=0, table=won)))
     )
     agent.handle(TickEnded())
     note, _ = agent.handle(NegotiationEnded())

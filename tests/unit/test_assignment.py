@@ -26,14 +26,10 @@ def start(robot: int, x: float, *, chosen: int | None = None, adopted: bool = Tr
 
 
 def says(sender: int, slot: int | None, table: Table | None = None) -> Message:
-    return Message(
-        sender=sender, sequence=0, neighbors=0, plan=PLAN, pedigree=ORIGIN, slot=slot, table=table
-    )
+    return Message(sender=sender, sequence=0, neighbors=0, plan=PLAN, pedigree=ORIGIN, slot=slot, table=table)
 
 
-@pytest.mark.parametrize(
-    "rule", [IndexAssignment(), NearestAssignment(), NearestFreeAssignment(), AuctionAssignment()]
-)
+@pytest.mark.parametrize("rule", [IndexAssignment(), NearestAssignment(), NearestFreeAssignment(), AuctionAssignment()])
 def test_rules_keep_the_contract(rule: AssignmentRule) -> None:
     check_assignment_rule(rule)
 
@@ -108,5 +104,3 @@ def test_auction_without_a_winnable_slot_has_no_goal() -> None:
     assert claim.slot is None
     freed: Table = ((0, 0.0, 1), (0, 0.0, 2), (1, 0.0, -1))
     assert rule.update(5, (100.0, 0.0), PLAN, claim, [says(1, 0, freed)]).slot == 2
-
-

@@ -19,9 +19,7 @@ B = Plan.of([[1, 1], [11, 1], [6, 9]])
 
 
 def origin(proposer: int, neighbors: int) -> Pedigree:
-    return Pedigree(
-        mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0
-    )
+    return Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0)
 
 
 def says(sender: int, neighbors: int, plan: Plan | None, pedigree: Pedigree | None = None) -> Message:

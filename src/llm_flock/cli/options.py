@@ -6,7 +6,7 @@ import inspect
 import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
@@ -70,7 +70,7 @@ def _shown(value: object) -> str:
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):
-        return str(value).replace(" ", "").strip("()").replace("),(", ",")
+        return str(cast("tuple[Any, ...]", value)).replace(" ", "").strip("()").replace("),(", ",")
     return str(value)
 
 
@@ -91,11 +91,9 @@ def _flag_type(annotation: Any) -> tuple[Any, str | None]:
 
 def with_config_flags(command: Callable[..., None]) -> Callable[..., None]:
     """Add one flag for each field of the configuration to a command that takes them as `**flags`."""
-    own = [
-        p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD
-    ]
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD]
     parameters = own + config_parameters()
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    vars(command)["__signature__"] = inspect.Signature(parameters)
     command.__annotations__ = {p.name: p.annotation for p in parameters}
     return command
 
@@ -115,7 +113,7 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         low, high = (corner[:half], corner[half:]) if len(corner) >= 4 else ((0.0,) * len(corner), corner)
         values["arena"] = (low, high)
     if "start_positions" in values:
-        values["start_positions"] = formations.load_points(Path(values["start_positions"]))
+        values["start_positions"] = formations.load_points(Path(values["start_positions"]), "start_positions")
     return values
 
 

@@ -28,7 +28,7 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(field, str(path), f"a readable file ({error})") from None
-    rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text)
+    rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text, path, field)
     points: list[Point] = []
     for where, row in rows:
         point = _point(row)
@@ -52,30 +52,28 @@ def _json_rows(text: str, path: Path, field: str) -> list[tuple[str, Any]]:
     return [(f"row {i + 1}", row) for i, row in enumerate(cast("list[Any]", data))]
 
 
-def _csv_rows(text: str) -> list[tuple[str, list[str]]]:
+def _csv_rows(text: str, path: Path, field: str) -> list[tuple[str, list[Any]]]:
     reader = csv.reader(text.splitlines())
-    rows = [(f"line {reader.line_num}", [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
-    if rows and not any(map(_is_number, rows[0][1])):
-        del rows[0]
-    return rows
-
-
-def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        rows = [(f"line {reader.line_num}", [_cell(cell) for cell in row]) for row in reader if "".join(row).strip()]
+    except csv.Error as error:
+        raise InputError(field, f"{path}, line {reader.line_num}", f"comma-separated values ({error})") from None
+    has_header = bool(rows) and all(isinstance(cell, str) for cell in rows[0][1])
+    return rows[1:] if has_header else rows
+
+
+def _cell(text: str) -> float | str:
+    try:
+        return float(text)
     except ValueError:
-        return False
-    return True
+        return text.strip()
 
 
 def _point(row: Any) -> Point | None:
-    """The row as 2 or 3 finite numbers, or None; text is read only where it comes from CSV."""
+    """The row as 2 or 3 finite numbers, or None."""
     if not isinstance(row, list) or len(cells := cast("list[Any]", row)) not in (2, 3):
         return None
-    if not all(
-        _is_number(cell) if isinstance(cell, str) else isinstance(cell, int | float) and not isinstance(cell, bool)
-        for cell in cells
-    ):
+    if any(isinstance(cell, bool) or not isinstance(cell, int | float) for cell in cells):
         return None
     try:
         point = tuple(float(cell) for cell in cells)

@@ -35,7 +35,7 @@ from llm_flock.llm.prices import cost_usd
 
 logger = logging.getLogger(__name__)
 
-Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh"]
+Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
 
 DETAIL_LENGTH = 400
 """Characters of a provider's error text that are kept."""
@@ -72,6 +72,11 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
         if secret and secret in text:
             text = text.replace(secret, "[key]")
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
+
+
+def _writable(text: str) -> str:
+    """The text with lone surrogates replaced: they are no text in UTF-8, and no record could hold them."""
+    return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
 
 
 class PydanticModel:
@@ -157,7 +162,7 @@ class PydanticModel:
         answered_by = response.model_name or self._name.partition(":")[2]
         cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
         return Reply(
-            text=scrub(response.text or "", self._secrets),
+            text=_writable(scrub(response.text or "", self._secrets)),
             model=self._name if self._name.startswith("simulated:") else f"{self._provider}:{answered_by}",
             settings=self._asked,
             usage=usage,

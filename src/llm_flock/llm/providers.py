@@ -48,7 +48,7 @@ _PROVIDERS = (
         key_env="ANTHROPIC_API_KEY",
         key_required=True,
         base_url="https://api.anthropic.com",
-        example="anthropic:claude-sonnet-4-5",
+        example="anthropic:claude-sonnet-4-6",
         price_id="anthropic",
     ),
     ProviderInfo(

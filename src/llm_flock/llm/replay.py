@@ -154,6 +154,7 @@ class ReplayModel:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._models: set[str] = set()
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -168,6 +169,16 @@ class ReplayModel:
     def name(self) -> str:
         """`replay:FILE`."""
         return f"replay:{self._path}"
+
+    @property
+    def models(self) -> frozenset[str]:
+        """Names of all models that were asked when the cassette was recorded."""
+        return frozenset(self._models)
+
+    @property
+    def models(self) -> frozenset[str]:
+        """Names of the models that answered when the cassette was recorded."""
+        return frozenset(self._models)
 
     def __len__(self) -> int:
         """Number of recorded attempts."""
@@ -247,6 +258,8 @@ class ReplayModel:
                     f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
                 )
             places[key] = offset
+            self._models.add(line.model)
+            self._models.add(line.model)
 
     def _check_header(self, raw: bytes) -> None:
         try:

@@ -274,9 +274,7 @@ class Agent:
         self.neighbors = sum(math.dist(event.position, x) <= reach for x in event.sensed.values())
         if self.plan is not None:
             return Phase.NEGOTIATING, []
-        question = PlanQuestion(
-            robot=self.robot, round=event.round, position=event.position, neighbors=event.observed
-        )
+        question = PlanQuestion(robot=self.robot, round=event.round, position=event.position, neighbors=event.observed)
         return Phase.PLANNING, [AskPlan(question)]
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
@@ -353,21 +351,24 @@ class Agent:
         self._inbox = {}
         own = Standing(plan=self.plan, pedigree=self.pedigree, neighbors=self.neighbors)
         slot_before = self.claim.slot
-        effects: list[Effect] = []
         source = self._consensus.choose(own, heard)
-        if source is not None:
-            assert source.plan is not None and source.pedigree is not None, "a rule may only choose a plan"
-        if source is not None and source.plan != self.plan:
-            self._follow(source.plan, source.pedigree, adopted=True, heard=heard)
-            effects.append(Note("adopted", {"plan": source.plan.digest, "from": source.sender}))
-        elif self.plan is not None:
-            if source is not None:  # the same points with a better origin: claims and bids stay
-                self.pedigree = source.pedigree
+        effects = [] if source is None else self._adopt(source, heard)
+        if not effects and self.plan is not None:
             same = [m for m in heard if m.plan == self.plan]
             self.claim = self._assignment.update(self.robot, self.position, self.plan, self.claim, same)
         if self.claim.slot != slot_before:
             effects.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         return effects
+
+    def _adopt(self, source: Message, heard: list[Message]) -> list[Effect]:
+        """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
+        plan, origin = source.plan, source.pedigree
+        assert plan is not None and origin is not None, "a rule may only choose a message with a plan"
+        if plan == self.plan:
+            self.pedigree = origin
+            return []
+        self._follow(plan, origin, adopted=True, heard=heard)
+        return [Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
         if self.plan is None or self.claim.slot is None:

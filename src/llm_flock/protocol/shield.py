@@ -129,9 +129,7 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
             mx, my = other.normal[0], other.normal[1]
             det = nx * my - ny * mx
             if abs(det) > 1e-12:
-                candidates.append(
-                    ((side.room * my - other.room * ny) / det, (other.room * nx - side.room * mx) / det)
-                )
+                candidates.append(((side.room * my - other.room * ny) / det, (other.room * nx - side.room * mx) / det))
     candidates.sort(key=lambda u: (u[0] - wx) ** 2 + (u[1] - wy) ** 2)
     limit = radius + TOLERANCE
     for ux, uy in candidates:

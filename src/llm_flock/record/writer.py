@@ -141,11 +141,9 @@ class RecordWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=BUFFER_BYTES)
-        except FileExistsError:
-            raise InputError(
-                "out", str(path), "a place that holds no record yet: records are not overwritten"
-            ) from None
         except OSError as error:
+            if path.exists():
+                raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
             raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
         self._mcap = Writer(
             self._file, use_chunking=False, index_types=IndexType.NONE, use_summary_offsets=False, enable_crcs=True

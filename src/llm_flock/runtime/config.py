@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -29,16 +29,18 @@ class Section(BaseModel):
 class ProtocolConfig(Section):
     """How the robots come to one plan and to distinct places."""
 
-    protocol: Literal["flock", "paper", "baseline"] = Field("flock", description="Preset of the four options below")
+    protocol: Literal["flock", "paper", "baseline"] = Field(
+        default="flock", description="Preset of the four options below"
+    )
     consensus: str | None = Field(
-        None, description="Plan consensus: none, influence, pedigree, or package.module:Class [preset's]"
+        default=None, description="Plan consensus: none, influence, pedigree, or package.module:Class [preset's]"
     )
     assignment: str | None = Field(
-        None,
+        default=None,
         description="Goal assignment: index, nearest, nearest-free, auction, or package.module:Class [preset's]",
     )
-    shield: bool | None = Field(None, description="Buffered Voronoi safety shield [preset's]")
-    ticks: Count | None = Field(None, description="Message exchanges per motion round [preset's]")
+    shield: bool | None = Field(default=None, description="Buffered Voronoi safety shield [preset's]")
+    ticks: Count | None = Field(default=None, description="Message exchanges per motion round [preset's]")
 
     @model_validator(mode="after")
     def _resolve(self) -> Self:
@@ -52,46 +54,54 @@ class ProtocolConfig(Section):
 class ModelConfig(Section):
     """Who thinks for the robots."""
 
-    model: str = Field("simulated:ideal", description="provider:model for all robots, or by id: 0-4=A,5-9=B")
-    base_url: str | None = Field(None, description="Address of an OpenAI-compatible server")
-    answers: Literal["text", "json"] = Field("text", description="Answer format: the paper's text, or a JSON schema")
-    history: str = Field("none", description="Conversation kept between questions: none, last:K or full")
-    observe: Literal["in-range", "all"] = Field("in-range", description="Robots whose positions the model is told")
-    max_retries: int = Field(2, ge=0, le=20, description="How often a rejected answer is sent back to the model")
-    prompts: str | None = Field(None, description="Folder with prompt templates that replace the packaged ones")
-    temperature: PerRobot = Field(None, description="Sampling temperature, for all or by id")
-    reasoning_effort: PerRobot = Field(None, description="Reasoning effort (minimal .. max), for all or by id")
-    model_seed: PerRobot = Field(None, description="Sampling seed sent to the provider, for all or by id")
-    record_llm: str | None = Field(None, description="File to record every model call in, for replay:FILE")
+    model: str = Field(default="simulated:ideal", description="provider:model for all robots, or by id: 0-4=A,5-9=B")
+    base_url: str | None = Field(default=None, description="Address of an OpenAI-compatible server")
+    answers: Literal["text", "json"] = Field(
+        default="text", description="Answer format: the paper's text, or a JSON schema"
+    )
+    history: str = Field(default="none", description="Conversation kept between questions: none, last:K or full")
+    observe: Literal["in-range", "all"] = Field(
+        default="in-range", description="Robots whose positions the model is told"
+    )
+    max_retries: int = Field(
+        default=2, ge=0, le=20, description="How often a rejected answer is sent back to the model"
+    )
+    prompts: str | None = Field(default=None, description="Folder with prompt templates that replace the packaged ones")
+    temperature: PerRobot = Field(default=None, description="Sampling temperature, for all or by id")
+    reasoning_effort: PerRobot = Field(default=None, description="Reasoning effort (minimal .. max), for all or by id")
+    model_seed: PerRobot = Field(default=None, description="Sampling seed sent to the provider, for all or by id")
+    record_llm: str | None = Field(default=None, description="File to record every model call in, for replay:FILE")
 
 
 class LimitConfig(Section):
     """What a run may use."""
 
-    max_concurrent: Count = Field(1000, description="Model calls in flight at once")
-    timeout_s: float = Field(120.0, gt=0, allow_inf_nan=False, description="Time-out of one try of a model call [s]")
-    max_tries: Count = Field(8, description="Tries of one model call when the provider fails")
-    max_calls: Count | None = Field(None, description="Budget: model calls of the whole run")
-    max_tokens: Count | None = Field(None, description="Budget: tokens in and out of the whole run")
+    max_concurrent: Count = Field(default=1000, description="Model calls in flight at once")
+    timeout_s: float = Field(
+        default=120.0, gt=0, allow_inf_nan=False, description="Time-out of one try of a model call [s]"
+    )
+    max_tries: Count = Field(default=8, description="Tries of one model call when the provider fails")
+    max_calls: Count | None = Field(default=None, description="Budget: model calls of the whole run")
+    max_tokens: Count | None = Field(default=None, description="Budget: tokens in and out of the whole run")
     max_cost: float | None = Field(
-        None, gt=0, allow_inf_nan=False, description="Budget: cost of the whole run [US dollars]"
+        default=None, gt=0, allow_inf_nan=False, description="Budget: cost of the whole run [US dollars]"
     )
 
 
 class TrialConfig(Section):
     """One seeded run."""
 
-    rounds: int = Field(60, ge=0, le=100_000, description="Motion rounds at most")
-    stop_when_formed: bool = Field(True, description="End as soon as the formation has been held")
-    seed: int = Field(0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
+    rounds: int = Field(default=60, ge=0, le=100_000, description="Motion rounds at most")
+    stop_when_formed: bool = Field(default=True, description="End as soon as the formation has been held")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
     start: Literal["separated", "uniform"] = Field(
-        "separated", description="Random starts: never nearer than safe_distance, or the paper's raw draw"
+        default="separated", description="Random starts: never nearer than safe_distance, or the paper's raw draw"
     )
     start_positions: tuple[tuple[Finite, ...], ...] | None = Field(
-        None, description="Given start positions instead of random ones [units]"
+        default=None, description="Given start positions instead of random ones [units]"
     )
-    noise: float = Field(0.0, ge=0, allow_inf_nan=False, description="Largest localisation error [units]")
-    out: str | None = Field(None, description="Folder for the record (run.mcap) and all that is drawn from it")
+    noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Largest localisation error [units]")
+    out: str | None = Field(default=None, description="Folder for the record (run.mcap) and all that is drawn from it")
 
 
 class RunConfig(Section):
@@ -145,7 +155,7 @@ def build_config(base: Mapping[str, Any] | None = None, **overrides: Any) -> Run
             raise InputError(name, "...", f"one of the sections {', '.join(RunConfig.model_fields)}")
         if not isinstance(section, Mapping):
             raise InputError(name, section, "a table")
-        data[name] = dict(section)
+        data[name] = dict(cast("Mapping[str, Any]", section))
     for field, value in overrides.items():
         if value is not None:
             data.setdefault(section_of(field), {})[field] = value

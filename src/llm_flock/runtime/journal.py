@@ -153,7 +153,7 @@ class Journal:
             goal_distances=distances,
             residual=None if shape is None else shape.mean,
         )
-        self.at_goal = sum(d <= metrics.AT_GOAL * self.mission.spacing for d in distances)
+        self.at_goal = metrics.robots_at_goal(distances, self.mission.spacing)
         self.writer.metrics(
             MetricsRow(
                 round=round_number,

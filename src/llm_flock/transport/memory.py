@@ -17,10 +17,12 @@ class LinkFaults(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    loss: Share = Field(0.0, description="Probability that a message is lost on a link")
-    delay: int = Field(0, ge=0, le=1000, description="Longest delay [ticks]; each message draws 0..delay uniformly")
-    duplicate: Share = Field(0.0, description="Probability that a message arrives twice")
-    reorder: Share = Field(0.0, description="Probability that a robot gets a tick's messages in random order")
+    loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
+    delay: int = Field(
+        default=0, ge=0, le=1000, description="Longest delay [ticks]; each message draws 0..delay uniformly"
+    )
+    duplicate: Share = Field(default=0.0, description="Probability that a message arrives twice")
+    reorder: Share = Field(default=0.0, description="Probability that a robot gets a tick's messages in random order")
 
     @property
     def any(self) -> bool:

@@ -1,0 +1,100 @@
+"""What the framework itself costs, apart from the models: `make bench`.
+
+    python -m benchmarks [overhead] [http] [late]
+
+`overhead`  an instant simulated model, record on, one core: milliseconds per robot and round at N = 10 and N = 100
+`http`      a zero-latency OpenAI-compatible server in a process of its own: milliseconds per robot and round
+`late`      50 robots and a server that takes 1 s to answer: seconds per round
+
+Each figure is the smallest and the median of several runs; the bar stands beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import llm_flock
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+ROUNDS = 30
+
+
+def circle(n: int) -> llm_flock.Mission:
+    """A circle of n in an arena that fits it."""
+    side = max(100.0, 4.5 * n)
+    return llm_flock.Mission(shape="circle", n_robots=n, center=(side / 2, side / 2), arena=((0, 0), (side, side)))
+
+
+def per_robot_round_ms(n: int, rounds: int, **options: Any) -> float:
+    """One run with the record on; planning and all else included [ms]."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        result = llm_flock.run(circle(n), rounds=rounds, stop_when_formed=False, out=folder, seed=1, **options)
+        took = time.perf_counter() - began
+    assert result.summary.rounds == rounds and result.summary.calls_failed == 0
+    return 1000 * took / (n * rounds)
+
+
+def report(name: str, bar: float, unit: str, measure: Callable[[], float], runs: int) -> None:
+    """Print one line: smallest and median of several runs, and the bar."""
+    measure()
+    values = [measure() for _ in range(runs)]
+    print(f"{name:58} min {min(values):6.3f}  median {statistics.median(values):6.3f} {unit}   bar {bar:g}", flush=True)
+
+
+def overhead() -> None:
+    """The instant simulated model, on one core."""
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        report("instant model, N = 10", 0.7, "ms/robot-round", lambda: per_robot_round_ms(10, ROUNDS), 5)
+        report("instant model, N = 100", 1.5, "ms/robot-round", lambda: per_robot_round_ms(100, 15), 3)
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def http() -> None:
+    """Over HTTP to a server without latency."""
+    from integration.fault_server import running
+
+    with running() as server:
+        options = {"model": "openai-compatible:test", "base_url": server.base_url}
+        report("HTTP, no latency, N = 10", 4.0, "ms/robot-round", lambda: per_robot_round_ms(10, ROUNDS, **options), 5)
+
+
+def late() -> None:
+    """50 robots and a server that answers after one second: duration of a round, without start-up."""
+    from integration.fault_server import running
+
+    def slowest_round() -> float:
+        times: list[float] = [time.perf_counter()]
+        llm_flock.run(
+            circle(50),
+            rounds=4,
+            stop_when_formed=False,
+            seed=1,
+            model="openai-compatible:test",
+            base_url=server.base_url,
+            on_round=lambda _: times.append(time.perf_counter()),
+        )
+        # The first round asks twice, for a plan and for a step.
+        return max(b - a for a, b in pairwise(times[1:]))
+
+    with running(latency=1.0) as server:
+        report("1 s latency, N = 50, slowest round", 1.25, "s", slowest_round, 2)
+
+
+PARTS = {"overhead": overhead, "http": http, "late": late}
+
+if __name__ == "__main__":
+    for part in sys.argv[1:] or list(PARTS):
+        PARTS[part]()

@@ -1,0 +1,229 @@
+"""From a question of the core to the text that a model reads: templates that an operator may replace.
+
+The paper's messages are the system message (lines 101-113), the plan generation message (115-120) and the position
+update (166-171); the wording here is our own, and the plan message also gives the robot's id and the centre.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import chain
+from pathlib import Path
+from typing import Any, Self
+
+import jinja2
+import jinja2.meta
+from jinja2.sandbox import SandboxedEnvironment
+
+from llm_flock import formations
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.llm.port import Kind
+from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.plan import DECIMALS, Plan
+from llm_flock.protocol.planning import PlanQuestion, StepQuestion
+
+logger = logging.getLogger(__name__)
+
+AXES = ("x", "y", "z")
+
+TEAM = frozenset({"shape", "n_robots", "dim", "center", "spacing", "safe_distance", "max_step", "comm_range"})
+COMMON = TEAM | {"json", "point_format", "plan_format"}
+OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
+VARIABLES: Mapping[str, frozenset[str]] = {
+    "system.j2": COMMON,
+    "plan.j2": COMMON | OBSERVED,
+    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal"},
+    "retry.j2": frozenset({"json", "reason", "kind"}),
+}
+"""The templates, and the variables that each may use."""
+
+
+def number_text(value: float) -> str:
+    """A number as short as it can be said, to six decimals at most: `10`, `2.5`."""
+    rounded = round(value, DECIMALS)
+    return str(int(rounded)) if rounded == int(rounded) else repr(rounded)
+
+
+def place_text(place: Point) -> str:
+    """A place of a plan as it was given, to six decimals at most: `[45.0, 65.388418]`."""
+    # Adding zero turns -0.0 into 0.0.
+    return repr([round(x, DECIMALS) + 0.0 for x in place])
+
+
+def position_text(position: Point, decimals: int) -> str:
+    """An observed position, with a fixed number of decimals: `[12.346, 3.000]`."""
+    return "[" + ", ".join([f"%.{decimals}f"] * len(position)) % position + "]"
+
+
+def positions_text(positions: Sequence[Point], decimals: int) -> str:
+    """Observed positions as `[[x, y], ...]`, or `none`."""
+    if not positions:
+        return "none"
+    # One format for all: a hundred neighbours cost a third of what a format for each would.
+    one = "[" + ", ".join([f"%.{decimals}f"] * len(positions[0])) + "]"
+    return "[" + ", ".join([one] * len(positions)) % tuple(chain.from_iterable(positions)) + "]"
+
+
+def position_decimals(max_step: float) -> int:
+    """Decimals of observed positions: 3, and more where a thousandth of the step limit is finer than that."""
+    return min(DECIMALS, max(3, 3 - math.floor(math.log10(max_step))))
+
+
+@lru_cache(maxsize=1024)
+def plan_text(plan: Plan) -> str:
+    """A plan as it was given, to six decimals; the same few plans are shown many times in a run."""
+    return "[" + ", ".join(map(place_text, plan.points)) + "]"
+
+
+def shape_text(mission: Mission) -> str:
+    """The shape in words; a custom shape is given by its points relative to its centre, in any orientation."""
+    if mission.points is None or mission.ideal is None:
+        return formations.describe(mission.shape)
+    offsets = [tuple(x - c for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal]
+    return f"a given shape, turned in any direction; relative to its centre its places are {positions_text(offsets, 4)}"
+
+
+def mission_variables(mission: Mission) -> Mapping[str, Any]:
+    """What every template but `retry.j2` may use of the mission."""
+    axes = ", ".join(AXES[: mission.dim])
+    return {
+        "shape": shape_text(mission),
+        "n_robots": mission.n_robots,
+        "dim": mission.dim,
+        "center": "[" + ", ".join(map(number_text, mission.center)) + "]",
+        "spacing": number_text(mission.spacing),
+        "safe_distance": number_text(mission.safe_distance),
+        "max_step": number_text(mission.max_step),
+        "comm_range": number_text(mission.comm_range),
+        "point_format": f"[{axes}]",
+        "plan_format": f"[[{axes}], [{axes}], ...]" if mission.n_robots > 1 else f"[[{axes}]]",
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptSet:
+    """Four templates, compiled and checked.
+
+    Attributes:
+        json: whether the templates ask for a JSON object instead of the paper's text forms.
+        templates: compiled template by file name.
+    """
+
+    json: bool
+    templates: Mapping[str, jinja2.Template]
+    _missions: dict[str, Mapping[str, Any]] = field(
+        default_factory=dict[str, Mapping[str, Any]], init=False, repr=False
+    )
+
+    @classmethod
+    def load(cls, directory: Path | None = None, *, json: bool = False) -> Self:
+        """The packaged templates, each replaced by the file of the same name in `directory` where there is one.
+
+        Args:
+            directory: the operator's own templates; they may include one another.
+            json: ask for JSON objects.
+
+        Raises:
+            InputError: for field `prompts`: there is no such directory, it holds none of the templates, or a template
+                cannot be used (syntax, unknown variable, or a failure on an example), naming the file.
+        """
+        if directory is not None:
+            replaced = [name for name in VARIABLES if (directory / name).is_file()]
+            if not replaced:
+                raise InputError("prompts", str(directory), f"a folder with at least one of {', '.join(VARIABLES)}")
+            logger.info("prompt templates from %s: %s", directory, ", ".join(replaced))
+        folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
+        # Templates may come from strangers; the sandbox keeps them from anything but text.
+        environment = SandboxedEnvironment(
+            loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", "prompts")]),
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        prompts = cls(json=json, templates={name: _compiled(environment, name, directory) for name in VARIABLES})
+        prompts._try_out()
+        return prompts
+
+    def system(self, mission: Mission) -> str:
+        """The system message: the same text for every robot of the team."""
+        return self._render("system.j2", self._common(mission))
+
+    def plan(self, mission: Mission, question: PlanQuestion) -> str:
+        """The plan generation message."""
+        return self._render("plan.j2", self._observed(mission, question))
+
+    def step(self, mission: Mission, question: StepQuestion) -> str:
+        """The position update message."""
+        variables = self._observed(mission, question)
+        variables["plan"] = plan_text(question.plan)
+        variables["slot"] = question.slot
+        variables["goal"] = place_text(question.goal)
+        return self._render("step.j2", variables)
+
+    def retry(self, reason: str, kind: Kind) -> str:
+        """What follows an answer that cannot be used; `reason` is a sentence that says why."""
+        return self._render("retry.j2", {"reason": reason, "kind": kind, "json": self.json})
+
+    def _common(self, mission: Mission) -> Mapping[str, Any]:
+        """Written out once for each mission, because every message needs it."""
+        known = self._missions.get(mission.digest)
+        if known is None:
+            known = self._missions[mission.digest] = {**mission_variables(mission), "json": self.json}
+        return known
+
+    def _observed(self, mission: Mission, question: PlanQuestion | StepQuestion) -> dict[str, Any]:
+        decimals = position_decimals(mission.max_step)
+        return {
+            **self._common(mission),
+            "robot": question.robot,
+            "round": question.round,
+            "position": position_text(question.position, decimals),
+            "neighbors": positions_text(question.neighbors, decimals),
+        }
+
+    def _render(self, name: str, variables: Mapping[str, Any]) -> str:
+        template = self.templates[name]
+        try:
+            return template.render(variables).strip()
+        except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
+            # Whatever an expression in a template can do wrong: it is the operator's text, not our code.
+            raise InputError(
+                "prompts", template.filename or name, f"a template that can be rendered: {error}"
+            ) from None
+
+    def _try_out(self) -> None:
+        """Render everything once, so that a template that fails does so before a run begins."""
+        mission = build_mission(shape="triangle", n_robots=3)
+        here, there = (40.0, 40.0), ((45.0, 40.0),)
+        plan = Plan.of(mission.ideal or ())
+        self.system(mission)
+        self.plan(mission, PlanQuestion(robot=0, round=1, position=here, neighbors=there))
+        self.step(mission, StepQuestion(robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0))
+        for kind in ("plan", "step"):
+            self.retry("the answer is an example.", kind)
+
+
+def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> jinja2.Template:
+    """A template whose syntax and variables are known to be right."""
+    assert environment.loader is not None
+    file = name if directory is None else str(directory / name)
+    try:
+        source, filename, _ = environment.loader.get_source(environment, name)
+        file = filename or file
+        used = jinja2.meta.find_undeclared_variables(environment.parse(source, name, filename))
+        template = environment.get_template(name)
+    except jinja2.TemplateSyntaxError as error:
+        where = f"{error.filename or file}, line {error.lineno}"
+        raise InputError("prompts", where, f"a Jinja template: {error.message}") from None
+    except (jinja2.TemplateError, OSError, UnicodeDecodeError) as error:
+        raise InputError("prompts", file, f"a readable text file in UTF-8: {error}") from None
+    unknown = sorted(used - VARIABLES[name])
+    if unknown:
+        known = ", ".join(sorted(VARIABLES[name]))
+        raise InputError("prompts", file, f"a template of the variables {known}; not {', '.join(unknown)}")
+    return template

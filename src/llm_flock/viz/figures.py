@@ -1,0 +1,231 @@
+"""Figures drawn from records, as in the paper: snapshots of a run, and the error over time of many."""
+
+# Matplotlib's types leave **kwargs open.
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from scipy import stats
+
+from llm_flock.errors import InputError
+from llm_flock.record.reader import RunRecord
+from llm_flock.record.scene import PALETTE
+from llm_flock.viz.panel import Box, Panel, view
+from llm_flock.viz.style import INK, LINES, MARKERS, heading, house_style, thinkers
+
+CONFIDENCE = 0.95
+PANELS_A_ROW = 4
+PANEL_INCHES = 2.75
+DPI = 160
+
+
+def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
+    """The team at chosen rounds: paths, discs by plan, influence, radio links and goals (paper, section 4.1).
+
+    Args:
+        record: the run.
+        rounds: which rounds; the start, two between and the last if left out.
+
+    Raises:
+        InputError: the record has no such round, or no round is asked for.
+    """
+    chosen = _default_rounds(record.rounds) if rounds is None else list(rounds)
+    if not chosen or any(not 0 <= k <= record.rounds for k in chosen):
+        raise InputError("rounds", chosen, f"rounds of this record: 0 to {record.rounds}")
+    with house_style():
+        columns = min(PANELS_A_ROW, len(chosen))
+        rows = -(-len(chosen) // columns)
+        panel = Panel(record)
+        width = max(columns * PANEL_INCHES, 5.5)
+        figure = _figure(width, rows * PANEL_INCHES * _tallness(panel.window) + 0.85)
+        grid = _grid(figure, rows, columns)
+        for axes, k in zip(grid, chosen, strict=False):
+            panel.draw(axes, k)
+            axes.set_title(_moment(record, k))
+        for axes in grid[len(chosen) :]:
+            axes.set_axis_off()
+        figure.suptitle(heading(record), fontsize=10)
+        figure.legend(handles=panel.key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
+        return figure
+
+
+def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
+    """Mean shape error of all records that share a label, with 95 % Student-t intervals (paper, section 4.2).
+
+    A run that ended early keeps its last error, so that all means are over the same runs.
+
+    Args:
+        records: runs of shapes with a known ideal.
+        labels: one a record; records with equal labels are averaged.
+
+    Raises:
+        InputError: no records, not one label a record, or a record without errors.
+    """
+    groups = _groups(records, labels)
+    with house_style():
+        figure = _figure(5.2, 3.4)
+        axes = figure.add_subplot()
+        _curves(axes, groups)
+        axes.legend(loc="upper right")
+        figure.suptitle(thinkers(records), fontsize=8)
+        return figure
+
+
+def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
+    """Runs side by side: how each ended, and below it the error of all over time.
+
+    Raises:
+        InputError: no records, not one label a record, or a record without errors.
+    """
+    groups = _groups(records, labels)
+    with house_style():
+        window = _union([view(record) for record in records])
+        columns = len(records)
+        tall = PANEL_INCHES * _tallness(window)
+        figure = _figure(max(columns * (PANEL_INCHES + 0.2), 5.5), tall + 3.3)
+        grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1])
+        panels = [Panel(record, window=window) for record in records]
+        for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):
+            axes = figure.add_subplot(grid[0, column])
+            panel.draw(axes, panel.record.rounds)
+            axes.set_title(f"{label}\n{outcome(panel.record)}", linespacing=1.4)
+        below = figure.add_subplot(grid[1, :])
+        _curves(below, groups)
+        below.legend(loc="upper right")
+        mission = records[0].mission.mission
+        figure.suptitle(f"{mission['shape']} · {mission['n_robots']} robots · {thinkers(records)}", fontsize=10)
+        figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
+        return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure; the file's ending decides the format (png, pdf, svg). Missing folders are made.
+
+    Raises:
+        InputError: the format is not known, or the file cannot be written.
+    """
+    formats = FigureCanvasAgg(figure).get_supported_filetypes()
+    if path.suffix.lstrip(".").lower() not in formats:
+        raise InputError("out", str(path), f"a file that ends in one of: {', '.join(sorted(formats))}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with house_style():
+            figure.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+
+
+def outcome(record: RunRecord) -> str:
+    """How a run ended, in a few words."""
+    last = record.metrics[-1]
+    formed = (record.result or {}).get("rounds_to_formed")
+    if (record.result or {}).get("formed") and formed is not None:
+        return f"formed in round {formed}"
+    plans = "1 plan" if last.plans_in_use == 1 else f"{last.plans_in_use} plans"
+    goals = "1 goal" if last.distinct_goals == 1 else f"{last.distinct_goals} goals"
+    return f"not formed: {plans}, {goals}"
+
+
+def mean_and_interval(curves: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean of runs of different length, and half the width of its 95 % Student-t interval (NaN for one run).
+
+    Args:
+        curves: one error a round for each run, shapes (rounds_i + 1,) [units].
+
+    Returns:
+        Two arrays of shape (max rounds + 1,) [units]; a run that ended early keeps its last value.
+    """
+    longest = max(len(curve) for curve in curves)
+    table = np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves])
+    count = len(curves)
+    if count == 1:
+        return table[0], np.full(longest, np.nan)
+    quantile = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1))
+    return table.mean(axis=0), quantile * table.std(axis=0, ddof=1) / np.sqrt(count)
+
+
+def _curves(axes: Axes, groups: dict[str, list[NDArray[np.float64]]]) -> None:
+    largest = 1
+    for number, (label, curves) in enumerate(groups.items()):
+        mean, half = mean_and_interval(curves)
+        rounds = np.arange(len(mean))
+        largest = max(largest, len(mean) - 1)
+        colour = PALETTE[number % len(PALETTE)]
+        many = f" (mean of {len(curves)} runs, {CONFIDENCE:.0%} interval)" if len(curves) > 1 else ""
+        axes.plot(
+            rounds,
+            mean,
+            color=colour,
+            linestyle=LINES[number % len(LINES)],
+            marker=MARKERS[number % len(MARKERS)],
+            markevery=max(1, len(mean) // 10),
+            markersize=4,
+            markeredgecolor=INK,
+            markeredgewidth=0.4,
+            linewidth=1.4,
+            label=label + many,
+        )
+        if len(curves) > 1:
+            axes.fill_between(rounds, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
+    axes.set_xlim(0, largest)
+    axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlabel("round")
+    axes.set_ylabel("mean distance\nto the ideal shape [units]")
+    axes.grid(color="#E4E4E4", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, list[NDArray[np.float64]]]:
+    if not records:
+        raise InputError("records", 0, "at least one record")
+    if len(labels) != len(records):
+        raise InputError("label", list(labels), f"one label for each of the {len(records)} records")
+    groups: dict[str, list[NDArray[np.float64]]] = {}
+    for record, label in zip(records, labels, strict=True):
+        if np.isnan(record.errors).any():
+            raise InputError("records", str(record.path), "records of shapes whose ideal points are known")
+        groups.setdefault(label, []).append(record.errors)
+    return groups
+
+
+def _default_rounds(last: int) -> list[int]:
+    """Start, two between and end, spread as in the paper's figures (steps 0, 4, 7, 10)."""
+    return sorted({0, round(0.4 * last), round(0.7 * last), last})
+
+
+def _moment(record: RunRecord, k: int) -> str:
+    error = record.metrics[k].procrustes_mean
+    name = "start" if k == 0 else f"round {k}"
+    return name if error is None else f"{name} · error {error:.2f}"
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _grid(figure: Figure, rows: int, columns: int) -> list[Axes]:
+    axes = figure.subplots(rows, columns, squeeze=False)
+    return list(axes.ravel())
+
+
+def _tallness(window: Box) -> float:
+    """Height of a window in widths, kept within reason."""
+    left, right, bottom, top = window
+    return min(2.0, max(0.4, (top - bottom) / (right - left)))
+
+
+def _union(windows: Sequence[Box]) -> Box:
+    lefts, rights, bottoms, tops = zip(*windows, strict=True)
+    return (min(lefts), max(rights), min(bottoms), max(tops))

@@ -1,0 +1,137 @@
+"""How plans, robots and words look, the same in every figure and animation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
+
+from llm_flock.record.reader import RunRecord
+from llm_flock.record.scene import NO_PLAN, PALETTE
+
+INK = "#222222"
+FAINT = "#9A9A9A"
+PAPER = "#FFFFFF"
+BRIGHT = 0.6
+"""Relative luminance from which a thin line is hard to see on white."""
+
+LINES: tuple[str, ...] = ("-", "--", "-.", ":")
+MARKERS: tuple[str, ...] = ("o", "s", "^", "D", "v", "P", "X", "*")
+
+RC: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 8.0,
+    "axes.edgecolor": "#888888",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": True,
+    "axes.spines.right": True,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "figure.facecolor": PAPER,
+    "axes.facecolor": PAPER,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "svg.hashsalt": "llm-flock",
+}
+"""Settings of all figures, so that a user's own do not change them."""
+
+
+def house_style() -> AbstractContextManager[None]:
+    """Settings in force while a figure is made."""
+    return rc_context(RC)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanLook:
+    """How a plan is shown: never by colour alone.
+
+    Attributes:
+        name: a letter, then two: A .. Z, AA, AB, ...
+        fill: colour of its robots.
+        line: colour of their paths and goals, dark enough on white paper.
+        ink: colour of letters on it.
+        rim: line style of a robot's rim; changes when the colours begin again.
+    """
+
+    name: str
+    fill: str
+    line: str
+    ink: str
+    rim: str
+
+
+WITHOUT_PLAN = PlanLook(name="", fill=NO_PLAN, line=FAINT, ink=INK, rim=":")
+
+
+def plan_looks(record: RunRecord) -> dict[str | None, PlanLook]:
+    """A look for every plan of a record, in the order in which they were first seen; None is no plan at all."""
+    seen = dict.fromkeys(plan.plan_id for plan in record.plans)
+    for state in record.states:
+        seen.update(dict.fromkeys(plan_id for plan_id in state.plan_ids if plan_id is not None))
+    looks: dict[str | None, PlanLook] = {None: WITHOUT_PLAN}
+    for number, plan_id in enumerate(seen):
+        fill = PALETTE[number % len(PALETTE)]
+        rim = LINES[number // len(PALETTE) % len(LINES)]
+        looks[plan_id] = PlanLook(name=letters(number), fill=fill, line=line_colour(fill), ink=ink_on(fill), rim=rim)
+    return looks
+
+
+def letters(number: int) -> str:
+    """0, 1, ... as A .. Z, AA, AB, ..."""
+    name = ""
+    number += 1
+    while number:
+        number, rest = divmod(number - 1, 26)
+        name = chr(ord("A") + rest) + name
+    return name
+
+
+def ink_on(fill: str) -> str:
+    """Black or white, whichever has the higher contrast on a colour."""
+    light = luminance(fill)
+    return PAPER if 1.05 / (light + 0.05) > (light + 0.05) / 0.05 else INK
+
+
+def line_colour(fill: str) -> str:
+    """The colour itself, or a darker one where it would be lost on white paper."""
+    if luminance(fill) < BRIGHT:
+        return fill
+    return "#" + "".join(f"{round(0.78 * int(fill[i : i + 2], 16)):02X}" for i in (1, 3, 5))
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of a colour such as #0072B2, from 0 for black to 1 for white (WCAG 2.2)."""
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def heading(record: RunRecord) -> str:
+    """What was flown: shape, N, rules and model; says when the models were simulated."""
+    mission = record.mission.mission
+    robots = "1 robot" if mission["n_robots"] == 1 else f"{mission['n_robots']} robots"
+    return " · ".join(part for part in (str(mission["shape"]), robots, rules(record), thinkers([record])) if part)
+
+
+def rules(record: RunRecord) -> str:
+    """The rules that chose plan and places, where the record says so."""
+    protocol = record.run.config.get("protocol", {})
+    return " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
+
+
+def thinkers(records: Sequence[RunRecord]) -> str:
+    """The models that were asked, and whether any of them was simulated."""
+    names = dict.fromkeys(name for record in records for name in record.models)
+    if not names:
+        names = dict.fromkeys(str(record.run.config.get("model", {}).get("model", "")) for record in records)
+    shown = ", ".join(name for name in names if name)
+    simulated = "simulated language models" if any(record.run.simulated for record in records) else ""
+    return " · ".join(part for part in (shown, simulated) if part)

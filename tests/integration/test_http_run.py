@@ -1,0 +1,78 @@
+"""The whole protocol over real HTTP, against a server that is late, turns away, breaks, cuts and babbles."""
+
+import time
+from itertools import pairwise
+from pathlib import Path
+
+from integration.fault_server import running
+
+import llm_flock
+
+MODEL = "openai-compatible:test"
+
+
+def test_circle_of_ten_against_a_faulty_server(tmp_path: Path) -> None:
+    """The run ends with a readable record, and every fault that the server sent is counted, kind by kind."""
+    with running(
+        late=0.02, late_latency=3, rate_limit=0.05, server_error=0.05, cut=0.05, garbage=0.08, seed=3
+    ) as server:
+        result = llm_flock.run(
+            llm_flock.Mission(shape="circle", n_robots=10),
+            model=MODEL,
+            base_url=server.base_url,
+            seed=7,
+            rounds=20,
+            timeout_s=0.5,
+            out=str(tmp_path),
+        )
+        sent = server.stats()
+    figures = result.summary
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert record.complete and len(record.states) == figures.rounds + 1
+    assert sent["late"] and sent["rate_limit"] and sent["server_error"] and sent["cut"] and sent["garbage"]
+    assert figures.faults["timeout"] == sent["late"]
+    assert figures.faults["rate_limit"] == sent["rate_limit"]
+    # Bodies that are no chat completion are faults; a chat completion with a useless text is a rejected answer.
+    bodies = sent["garbage"] - sent["unusable"]
+    assert figures.faults["server"] + figures.faults["connection"] + figures.faults.get("garbage", 0) == (
+        sent["server_error"] + sent["cut"] + bodies
+    )
+    assert figures.calls_rejected == sent["unusable"]
+    assert sum(len(entry.faults) for entry in record.llm) == sum(figures.faults.values())
+    assert figures.plans_in_use == 1 and figures.distinct_goals == 10
+    assert figures.min_separation is not None and figures.min_separation >= 3 - 1e-6
+
+
+def test_a_server_that_is_down_makes_every_robot_hold(tmp_path: Path) -> None:
+    result = llm_flock.run(
+        llm_flock.Mission(shape="triangle", n_robots=3),
+        model=MODEL,
+        base_url="http://127.0.0.1:9/v1",
+        rounds=1,
+        max_tries=2,
+        out=str(tmp_path),
+    )
+    figures = result.summary
+    assert figures.robots_without_plan == 3 and figures.waypoints == {"hold": 3}
+    assert figures.faults == {"connection": 6} and figures.calls_failed == 3
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert all(entry.error is not None and entry.error.startswith("connection") for entry in record.llm)
+
+
+def test_fifty_robots_do_not_wait_for_each_other() -> None:
+    """A server that takes 0.3 s: a round of fifty takes little more, because all ask at once."""
+    side = 200.0
+    mission = llm_flock.Mission(shape="circle", n_robots=50, center=(side / 2, side / 2), arena=((0, 0), (side, side)))
+    times = [time.perf_counter()]
+    with running(latency=0.3) as server:
+        llm_flock.run(
+            mission,
+            model=MODEL,
+            base_url=server.base_url,
+            rounds=4,
+            stop_when_formed=False,
+            on_round=lambda _: times.append(time.perf_counter()),
+        )
+    rounds = [b - a for a, b in pairwise(times[1:])]
+    assert min(rounds) >= 0.3
+    assert sorted(rounds)[1] < 0.3 + 0.5

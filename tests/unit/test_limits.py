@@ -1,0 +1,269 @@
+"""Queue, time-outs, retries and budget, with a fake clock where time matters."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from llm_flock.errors import BudgetExceeded, InputError, ModelError
+from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
+from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
+
+QUESTION = Call(robot=0, round=0, kind="step", attempt=0, messages=(ChatMessage("user", "?"),))
+ANSWER = Reply(text="ok", model="m:x", usage=Usage(input=30, output=10, cached=5), cost_usd=0.25)
+
+
+class Scripted:
+    """A model that plays a list of replies and errors, and watches how many ask at once."""
+
+    name = "m:x"
+
+    def __init__(self, *script: Reply | ModelError, delay_s: float = 0.0) -> None:
+        self.script = list(script)
+        self.delay_s = delay_s
+        self.asked = 0
+        self.inside = 0
+        self.most_inside = 0
+
+    async def ask(self, call: Call) -> Reply:
+        self.asked += 1
+        self.inside += 1
+        self.most_inside = max(self.most_inside, self.inside)
+        try:
+            await asyncio.sleep(self.delay_s)
+        finally:
+            self.inside -= 1
+        outcome = self.script.pop(0) if self.script else ANSWER
+        if isinstance(outcome, ModelError):
+            raise outcome
+        return outcome
+
+
+class FakeTime:
+    """A clock that only moves while somebody sleeps on it."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.sleeps: list[float] = []
+
+    def clock(self) -> float:
+        return self.now
+
+    async def sleep(self, seconds: float) -> None:
+        self.sleeps.append(seconds)
+        self.now += seconds
+        await asyncio.sleep(0)
+
+
+def limits(time: FakeTime | None = None, **options: Any) -> Limits:
+    time = time or FakeTime()
+    return Limits(rng=np.random.default_rng(1), clock=time.clock, sleep=time.sleep, **options)
+
+
+def outcomes(model: Scripted, shared: Limits, calls: int = 1) -> list[Reply | BaseException]:
+    async def scenario() -> Sequence[Reply | BaseException]:
+        limited = Limited(model, shared)
+        return await asyncio.gather(*(limited.ask(QUESTION) for _ in range(calls)), return_exceptions=True)
+
+    return list(asyncio.run(scenario()))
+
+
+def faults(*kinds: str) -> list[ModelError]:
+    return [ModelError(kind, "x") for kind in kinds]
+
+
+def test_faults_are_retried_collected_and_counted() -> None:
+    time = FakeTime()
+    shared = limits(time)
+    model = Scripted(*faults("server", "connection", "garbage", "timeout", "rate_limit"))
+    (reply,) = outcomes(model, shared)
+    assert isinstance(reply, Reply)
+    assert reply.text == "ok"
+    assert reply.faults == ("server", "connection", "garbage", "timeout", "rate_limit")
+    assert reply.latency_s == pytest.approx(sum(time.sleeps))
+    assert shared.meter.calls == shared.meter.answered == 1
+    assert shared.meter.faults == dict.fromkeys(reply.faults, 1)
+
+
+def test_waits_double_within_their_jitter_and_stop_growing() -> None:
+    time = FakeTime()
+    policy = RetryPolicy(max_tries=8, first_wait_s=1.0, longest_wait_s=10.0)
+    outcomes(Scripted(*faults(*["server"] * 7)), limits(time, retry=policy))
+    for wait, scale in zip(time.sleeps, (1, 2, 4, 8, 10, 10, 10), strict=True):
+        assert scale / 2 <= wait <= scale
+    assert len(set(time.sleeps)) == 7
+
+
+@pytest.mark.parametrize(("asked", "low", "high"), [(3.0, 3.0, 3.3), (1000.0, 60.0, 66.0), (0.0, 0.0, 0.0)])
+def test_retry_after_is_honoured_up_to_a_limit(asked: float, low: float, high: float) -> None:
+    time = FakeTime()
+    outcomes(Scripted(ModelError("rate_limit", "x", asked)), limits(time))
+    (wait,) = time.sleeps
+    assert low <= wait <= high
+
+
+def test_the_same_seed_waits_the_same() -> None:
+    runs: list[list[float]] = []
+    for _ in range(2):
+        time = FakeTime()
+        outcomes(Scripted(*faults("server", "server")), limits(time))
+        runs.append(time.sleeps)
+    assert runs[0] == runs[1]
+
+
+def test_giving_up_tells_the_whole_story() -> None:
+    model = Scripted(*faults(*["server"] * 9))
+    (error,) = outcomes(model, limits(retry=RetryPolicy(max_tries=3)))
+    assert isinstance(error, ModelError)
+    assert (error.kind, error.faults, model.asked) == ("server", ("server",) * 3, 3)
+
+
+def test_a_refusal_is_final() -> None:
+    shared = limits()
+    model = Scripted(*faults("server", "refused"))
+    (error,) = outcomes(model, shared)
+    assert isinstance(error, ModelError)
+    assert (error.kind, error.faults, model.asked) == ("refused", ("server", "refused"), 2)
+    assert shared.meter.calls == 1 and shared.meter.answered == 0
+
+
+def test_no_more_than_allowed_at_once() -> None:
+    model = Scripted(delay_s=0.001)
+    results = outcomes(model, limits(max_concurrent=3), calls=20)
+    assert model.most_inside == 3
+    assert all(isinstance(result, Reply) for result in results)
+
+
+def test_a_slot_is_free_while_somebody_waits_to_retry() -> None:
+    """With one slot, the second call is answered while the first sits out its wait."""
+    order: list[str] = []
+
+    class Ordered(Scripted):
+        async def ask(self, call: Call) -> Reply:
+            order.append(f"robot {call.robot}")
+            return await super().ask(call)
+
+    async def scenario() -> None:
+        model = Ordered(*faults("server"))
+        shared = Limits(max_concurrent=1, retry=RetryPolicy(first_wait_s=0.02), rng=np.random.default_rng(0))
+        limited = Limited(model, shared)
+        other = Call(robot=1, round=0, kind="step", attempt=0, messages=QUESTION.messages)
+        await asyncio.gather(limited.ask(QUESTION), limited.ask(other))
+
+    asyncio.run(scenario())
+    assert order == ["robot 0", "robot 1", "robot 0"]
+
+
+def test_a_try_times_out_but_standing_in_the_queue_does_not_count() -> None:
+    async def scenario(delay_s: float, calls: int) -> list[Reply | BaseException]:
+        shared = Limits(max_concurrent=1, timeout_s=0.2, retry=RetryPolicy(max_tries=1), rng=np.random.default_rng(0))
+        limited = Limited(Scripted(delay_s=delay_s), shared)
+        return list(await asyncio.gather(*(limited.ask(QUESTION) for _ in range(calls)), return_exceptions=True))
+
+    (late,) = asyncio.run(scenario(5.0, 1))
+    assert isinstance(late, ModelError)
+    assert (late.kind, late.faults) == ("timeout", ("timeout",))
+    # The last of them is answered long after its time-out, had the queue counted.
+    assert all(isinstance(reply, Reply) for reply in asyncio.run(scenario(0.05, 8)))
+
+
+def test_cancelling_is_not_a_fault() -> None:
+    async def scenario() -> Limits:
+        shared = Limits(rng=np.random.default_rng(0))
+        task = asyncio.create_task(Limited(Scripted(delay_s=5), shared).ask(QUESTION))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        return shared
+
+    assert not asyncio.run(scenario()).meter.faults
+
+
+def test_max_calls_is_never_overrun() -> None:
+    shared = limits(meter=BudgetMeter(Budget(max_calls=4)))
+    model = Scripted(delay_s=0.001)
+    results = outcomes(model, shared, calls=10)
+    assert model.asked == 4
+    assert sum(isinstance(result, BudgetExceeded) for result in results) == 6
+    assert shared.meter.calls == 4 and shared.meter.exhausted
+    assert shared.meter.reason == "max_calls = 4 is used up"
+
+
+def test_a_retried_call_counts_once() -> None:
+    shared = limits(meter=BudgetMeter(Budget(max_calls=1)))
+    (reply,) = outcomes(Scripted(*faults("server", "server")), shared)
+    assert isinstance(reply, Reply)
+    assert shared.meter.calls == 1 and not shared.meter.exhausted
+
+
+@pytest.mark.parametrize(
+    ("budget", "says"), [(Budget(max_tokens=100), "max_tokens = 100"), (Budget(max_cost_usd=0.7), "max_cost = 0.7")]
+)
+def test_tokens_and_money_stop_calls_that_stand_in_the_queue(budget: Budget, says: str) -> None:
+    shared = limits(max_concurrent=1, meter=BudgetMeter(budget))
+    model = Scripted()
+    results = outcomes(model, shared, calls=10)
+    assert model.asked == 3  # 3 x 40 tokens, 3 x 0.25 dollars
+    refused = [result for result in results if isinstance(result, BudgetExceeded)]
+    assert len(refused) == 7 and all(says in str(error) for error in refused)
+    assert shared.meter.calls == 3  # those turned away in the queue were taken back
+    assert shared.meter.usage == Usage(input=90, output=30, cached=15)
+    assert shared.meter.cost_usd == 0.75
+
+
+def test_cost_is_unknown_only_where_nothing_is_known() -> None:
+    meter = BudgetMeter()
+    assert meter.cost_usd == 0.0
+    meter.settle(Reply(text="", model="m"))
+    assert meter.cost_usd is None
+    meter.settle(ANSWER)
+    assert meter.cost_usd == 0.25
+    assert (meter.answered, meter.priced) == (2, 1)
+
+
+def test_a_replay_counts_as_the_recorded_run_did() -> None:
+    """The same outcomes, once live under limits and once passed on as recorded, give the same counters."""
+    live = limits(meter=BudgetMeter(Budget(max_calls=3)), retry=RetryPolicy(max_tries=2))
+    script = [*faults("server"), ANSWER, *faults("server", "timeout", "refused")]
+    recorded = outcomes(Scripted(*script), live) + outcomes(Scripted(*script[2:4]), live)
+    recorded += outcomes(Scripted(*script[4:]), live) + outcomes(Scripted(), live)
+    meter = BudgetMeter(Budget(max_calls=1))
+
+    async def replay() -> None:
+        model = Metered(Scripted(*[r for r in recorded if isinstance(r, Reply | ModelError)]), meter)
+        assert model.name == "m:x"
+        for outcome in recorded:
+            if isinstance(outcome, Reply):
+                assert await model.ask(QUESTION) == outcome
+            else:
+                with pytest.raises(ModelError):
+                    await model.ask(QUESTION)
+
+    asyncio.run(replay())
+    for name in ("calls", "answered", "usage", "cost_usd", "faults", "reason"):
+        assert getattr(meter, name) == getattr(live.meter, name), name
+    assert meter.reason == "max_calls = 3 is used up" and meter.calls == 3
+
+
+@pytest.mark.parametrize(
+    ("build", "field"),
+    [
+        (lambda: Budget(max_calls=0), "max_calls"),
+        (lambda: Budget(max_tokens=0), "max_tokens"),
+        (lambda: Budget(max_cost_usd=0.0), "max_cost"),
+        (lambda: Budget(max_cost_usd=float("nan")), "max_cost"),
+        (lambda: RetryPolicy(max_tries=0), "max_tries"),
+        (lambda: RetryPolicy(longest_wait_s=float("nan")), "longest_wait_s"),
+        (lambda: limits(max_concurrent=0), "max_concurrent"),
+        (lambda: limits(timeout_s=0.0), "timeout_s"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(build: Callable[[], object], field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        build()
+    assert caught.value.field == field

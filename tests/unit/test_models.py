@@ -1,0 +1,218 @@
+"""Names of models, ranges over robots, settings, addresses, keys."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from llm_flock.errors import InputError
+from llm_flock.llm.client import CallSettings
+from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings, per_robot
+from llm_flock.llm.port import Usage
+from llm_flock.llm.prices import cost_usd, price_known
+from llm_flock.llm.providers import known_providers, parse_base_urls, parse_model
+from llm_flock.llm.replay import CassetteLine
+
+
+@pytest.mark.parametrize("info", known_providers(), ids=lambda info: info.name)
+def test_every_provider_in_the_table_can_be_built(info) -> None:
+    """The example parses, and the pydantic-ai model behind it comes to life without a network."""
+    name = parse_model(info.example)
+    assert (name.kind, name.provider, name.info) == ("provider", info.name, info)
+
+    async def build() -> str:
+        urls = {} if info.base_url else {info.name: "http://localhost:9/v1"}
+        async with ModelPool(base_urls=urls, environ={info.key_env: "key-0123456789"}) as pool:
+            pool.check(info.example)
+            first = pool.model(info.example, robot=0, rng=np.random.default_rng(0))
+            second = pool.model(info.example, robot=1, rng=np.random.default_rng(1))
+            assert first._model is second._model  # one model, one set of connections, for all robots
+            assert first._model.model_name == name.model
+            assert first._model.client.max_retries == 0  # pyright: ignore[reportAttributeAccessIssue]
+            return first.name
+
+    assert asyncio.run(build()) == info.example
+
+
+def test_other_kinds_of_models() -> None:
+    assert parse_model("geometry").kind == "geometry"
+    replay = parse_model("replay:runs/a=b, c.jsonl")
+    assert (replay.kind, replay.model) == ("replay", "runs/a=b, c.jsonl")
+    simulated = parse_model("simulated:distorted@0.3,overshoot@0.3")
+    assert (simulated.kind, simulated.model) == ("simulated", "distorted@0.3,overshoot@0.3")
+    assert parse_model("ollama:qwen3:8b").model == "qwen3:8b"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "gpt", "nobody:x", "openai:", "simulated:", "replay:", "openai:a b", "openai:a,b"]
+)
+def test_a_bad_model_string_says_what_exists(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_model(text)
+    assert caught.value.field == "model"
+
+
+def test_models_per_robot() -> None:
+    assert parse_models("geometry", 3) == ("geometry",) * 3
+    assert parse_models("2=openai:b, 0-1=openai:a", 3) == ("openai:a", "openai:a", "openai:b")
+    mixed = parse_models("0-1=simulated:distorted@0.3,overshoot@0.3,2-3=ollama:qwen3:8b", 4)
+    assert mixed == ("simulated:distorted@0.3,overshoot@0.3",) * 2 + ("ollama:qwen3:8b",) * 2
+    assert parse_models("simulated:distorted@0.3,overshoot@0.3", 1) == ("simulated:distorted@0.3,overshoot@0.3",)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("0-1=geometry,1-2=geometry", "robot 1 is named twice"),
+        ("0=geometry", "none for 1, 2"),
+        ("0-3=geometry", "within 0..2"),
+        ("2-0=geometry", "within 0..2"),
+        ("0-2=", "value after"),
+        ("0-2=nobody:x", "PROVIDER:MODEL"),
+        ("0-1=openai:a,2=", "value after"),
+        ("0-2=openai:a,2", "without spaces, commas"),
+    ],
+)
+def test_bad_ranges_say_what_is_wrong(text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        parse_models(text, 3)
+    assert caught.value.field == "model"
+
+
+def test_settings_per_robot() -> None:
+    assert parse_settings(2) == (CallSettings(), CallSettings())
+    got = parse_settings(3, temperature="0-1=0.2,2=1", seed="7", reasoning="2=high,0-1=none", max_tokens="500")
+    assert got[0] == CallSettings(temperature=0.2, seed=7, reasoning="none", max_tokens=500)
+    assert got[2].plain() == {"temperature": 1.0, "seed": 7, "reasoning": "high", "max_tokens": 500}
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        ("temperature", "hot"),
+        ("temperature", "2.1"),
+        ("temperature", "nan"),
+        ("seed", "1.5"),
+        ("seed", "-1"),
+        ("max_tokens", "0"),
+        ("reasoning", "hard"),
+    ],
+)
+def test_a_bad_setting_names_itself(field: str, text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_settings(1, **{field: text})
+    assert (caught.value.field, caught.value.value) == (field, text)
+
+
+def test_a_missing_key_names_its_variable() -> None:
+    for info in known_providers():
+        pool = ModelPool(environ={}, base_urls={} if info.base_url else {info.name: "http://localhost:9"})
+        if info.key_required:
+            with pytest.raises(InputError, match=info.key_env):
+                pool.check(info.example)
+        else:
+            pool.check(info.example)
+
+
+def test_no_key_is_needed_at_another_address_and_no_address_is_invented() -> None:
+    ModelPool(environ={}, base_urls={"openai": "http://localhost:9/v1"}).check("openai:o3-mini")
+    with pytest.raises(InputError, match="an address for 'llama'"):
+        ModelPool(environ={}).check("llama:any")
+
+
+def test_base_urls() -> None:
+    assert parse_base_urls(None, ["openai:a", "geometry"]) == {}
+    assert parse_base_urls("http://h:8000/v1/", ["llama:a", "llama:b"]) == {"llama": "http://h:8000/v1"}
+    both = parse_base_urls("llama=http://h/v1,vllm=https://g", ["llama:a", "vllm:b", "openai:c"])
+    assert both == {"llama": "http://h/v1", "vllm": "https://g"}
+    assert parse_base_urls("http://h/v1", ["simulated:ideal"]) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "an address for 'llama'"),
+        ("localhost:8000", "http://HOST"),
+        ("ftp://h", "http://HOST"),
+        ("http://h:port", "http://HOST"),
+        ("http://", "http://HOST"),
+        ("vllm=http://h", "a provider in use: llama"),
+    ],
+)
+def test_bad_base_urls(text: str | None, says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        parse_base_urls(text, ["llama:a"])
+    assert caught.value.field == "base_url"
+
+
+def test_one_address_for_two_providers_is_refused() -> None:
+    """Otherwise the key of the one would travel to the other."""
+    with pytest.raises(InputError, match="provider=URL"):
+        parse_base_urls("http://h/v1", ["openai:a", "llama:b"])
+
+
+def test_a_password_in_an_address_is_refused_without_repeating_it() -> None:
+    with pytest.raises(InputError) as caught:
+        parse_base_urls("http://me:hunter2@h/v1", ["llama:a"])
+    assert "hunter2" not in str(caught.value)
+
+
+def test_prices() -> None:
+    usage = Usage(input=1_000_000, output=100_000, cached=400_000)
+    # o3-mini: 1.10 in, 0.55 cached, 4.40 out [US dollars per million tokens]
+    assert cost_usd("openai", "o3-mini", usage) == pytest.approx(0.6 * 1.10 + 0.4 * 0.55 + 0.1 * 4.40)
+    assert cost_usd("openai", "model-of-tomorrow", usage) is None
+    assert cost_usd(None, "o3-mini", usage) is None
+    assert price_known("deepseek", "deepseek-reasoner") and not price_known("openai", "model-of-tomorrow")
+
+
+def test_a_money_budget_needs_prices() -> None:
+    check_priced(None, ["ollama:x"], {})
+    check_priced(1.0, ["openai:o3-mini", "simulated:ideal", "geometry"], {})
+    with pytest.raises(InputError, match="ollama:x"):
+        check_priced(1.0, ["openai:o3-mini", "ollama:x"], {})
+    with pytest.raises(InputError, match="openai:o3-mini"):
+        check_priced(1.0, ["openai:o3-mini"], {"openai": "http://localhost/v1"})
+
+
+def test_simulated_models_are_free_and_go_through_the_same_door() -> None:
+    pool = ModelPool(environ={})
+    model = pool.model("simulated:ideal", robot=0, rng=np.random.default_rng(0))
+    assert model.name == "simulated:ideal"
+    assert type(model._model).__name__ == "FunctionModel"
+    for text in ("geometry", "replay:x"):
+        with pytest.raises(InputError):
+            pool.model(text, robot=0, rng=np.random.default_rng(0))
+
+
+def test_per_robot_names_the_field_it_was_asked_about() -> None:
+    with pytest.raises(InputError) as caught:
+        per_robot("temperature", "9=1", 3)
+    assert caught.value.field == "temperature"
+
+
+DOCS = Path(__file__).parents[2] / "docs" / "models.md"
+
+
+def rows_of(page: str, first_header: str) -> list[list[str]]:
+    """Cells of the table whose first header is this, without markup."""
+    lines = page[page.index(f"| {first_header} |") :].splitlines()[2:]
+    rows = itertools.takewhile(lambda line: line.startswith("|"), lines)
+    return [[cell.strip().replace("`", "") for cell in row.strip("|").split("|")] for row in rows]
+
+
+def test_docs_list_exactly_the_providers_there_are() -> None:
+    expected = [
+        [info.name, info.key_env, "yes" if info.key_required else "no", info.base_url or "to be given", info.example]
+        for info in known_providers()
+    ]
+    assert rows_of(DOCS.read_text(encoding="utf-8"), "Provider") == expected
+
+
+def test_docs_list_exactly_the_fields_of_a_cassette() -> None:
+    names = [name.strip() for row in rows_of(DOCS.read_text(encoding="utf-8"), "Field") for name in row[0].split(",")]
+    assert names == list(CassetteLine.model_fields)

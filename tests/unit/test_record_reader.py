@@ -1,0 +1,158 @@
+"""What is read back: everything of complete rounds, nothing of a broken one, clear errors for the rest."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import IndexType, Writer
+from sample_records import FakeRun, llm_entry, make_record, run_info
+
+from llm_flock.errors import RecordError
+from llm_flock.record.reader import iter_messages, read_record
+from llm_flock.record.schema import RunInfo
+from llm_flock.record.writer import RecordWriter
+
+
+def test_everything_comes_back(tmp_path: Path) -> None:
+    fake = FakeRun(n=6, rounds=5, seed=2)
+    path = tmp_path / "run.mcap"
+    with RecordWriter(path) as writer:
+        fake.write(writer)
+    record = read_record(path)
+    assert record.complete and record.rounds == 5
+    assert record.run == run_info(2)
+    assert record.mission.mission == fake.mission.model_dump(mode="json")
+    assert record.positions.shape == (6, 6, 2)
+    np.testing.assert_array_equal(record.positions[0], fake.start)
+    assert [plan.plan_id for plan in record.plans] == [plan.digest for plan in fake.plans]
+    assert len(record.llm) == len(record.events) == 30
+    assert record.llm[7] == llm_entry(2, 1)
+    assert record.models == ("simulated:ideal",)
+    assert [row.round for row in record.metrics] == [state.round for state in record.states] == list(range(6))
+    assert record.errors.tolist() == [row.procrustes_mean for row in record.metrics]
+    assert record.result == {"formed": True, "rounds": 5, "rounds_to_formed": 5, "wall_s": 1.5, "cost_usd": None}
+
+
+def test_an_unknown_error_is_not_a_number(tmp_path: Path) -> None:
+    path = make_record(tmp_path / "run.mcap", n=2, rounds=1)
+    record = read_record(path)
+    rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
+    assert np.isnan(replace(record, metrics=rows).errors).all()
+
+
+def test_a_file_cut_anywhere_gives_its_complete_rounds(tmp_path: Path) -> None:
+    """No error and no half round, at every length around the ends of two rounds and at many others."""
+    whole = make_record(tmp_path / "run.mcap", n=2, rounds=6, llm=False).read_bytes()
+    ends = [i for i in range(len(whole)) if whole.startswith(b'{"round":', i) and whole[i + 10 : i + 11] == b"}"]
+    assert len(ends) == 7
+    cut = tmp_path / "cut.mcap"
+    around = {end + k for end in ends[:2] for k in range(-30, 60)}
+    for length in sorted(around | set(range(ends[0], len(whole), 101))):
+        cut.write_bytes(whole[:length])
+        complete = sum(end + 11 <= length for end in ends)
+        if complete == 0:
+            with pytest.raises(RecordError, match="nothing to show"):
+                read_record(cut)
+            continue
+        record = read_record(cut)
+        assert len(record.states) == len(record.metrics) == complete
+        assert record.positions.shape == (complete, 2, 2)
+        if not record.complete:
+            assert all(event.round < complete for event in record.events)
+            assert all(plan.round < complete for plan in record.plans)
+
+
+def test_calls_of_a_round_that_was_interrupted_are_kept_when_the_run_ended_cleanly(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordWriter(path) as writer:
+        FakeRun(n=2, rounds=1).write(writer, finish=False)
+        writer.llm(llm_entry(2, 0))
+        writer.summary({"stopped": "interrupted"})
+    record = read_record(path)
+    assert record.rounds == 1 and record.llm[-1].round == 2
+
+
+def test_channels_of_others_are_passed_over(tmp_path: Path) -> None:
+    path, more = make_record(tmp_path / "run.mcap", n=2, rounds=1), tmp_path / "more.mcap"
+    with more.open("wb") as file:
+        writer = Writer(file, use_chunking=True)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channels = {}
+        for message in iter_messages(path):
+            if message.topic not in channels:
+                channels[message.topic] = writer.register_channel(message.topic, "json", schema)
+            writer.add_message(channels[message.topic], message.round * 10**9, message.data, 0)
+        writer.add_message(writer.register_channel("/theirs", "json", schema), 0, b"{}", 0)
+        writer.finish()
+    assert read_record(more).states == read_record(path).states
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty file"),
+        (b"not a record at all, just words", "not a readable MCAP file"),
+        (b"\x89MCAP0\r\n", "nothing to show"),
+    ],
+)
+def test_what_is_no_record_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordError, match=rf"run\.mcap: .*{message}"):
+        read_record(path)
+
+
+def test_a_missing_file_or_a_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"gone\.mcap: cannot be read \(No such file"):
+        read_record(tmp_path / "gone.mcap")
+    with pytest.raises(RecordError, match="Is a directory"):
+        read_record(tmp_path)
+
+
+def plain_file(path: Path, *messages: tuple[str, bytes]) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False, index_types=IndexType.NONE)
+        writer.start()
+        for topic, data in messages:
+            channel = writer.register_channel(topic, "json", 0)
+            writer.add_message(channel, 0, data, 0)
+        writer.finish()
+    return path
+
+
+def test_a_newer_format_is_refused_even_with_fields_that_are_not_known(tmp_path: Path) -> None:
+    newer = json.loads(run_info().encoded()) | {"format_version": 2, "new_field": 1}
+    path = plain_file(tmp_path / "run.mcap", ("/run", json.dumps(newer).encode()))
+    with pytest.raises(RecordError, match="format version 2; this release reads version 1"):
+        read_record(path)
+
+
+def test_a_damaged_message_is_named(tmp_path: Path) -> None:
+    path = plain_file(tmp_path / "run.mcap", ("/run", run_info().encoded()), ("/round", b'{"round": "soon"}'))
+    with pytest.raises(RecordError, match=r"/round of round 0 is not valid \(round: "):
+        read_record(path)
+
+
+def test_an_mcap_file_of_something_else_is_no_record(tmp_path: Path) -> None:
+    path = plain_file(tmp_path / "run.mcap", ("/round", b'{"round":0}'))
+    with pytest.raises(RecordError, match="not a record of a run"):
+        read_record(path)
+
+
+def test_a_message_on_a_channel_that_was_never_announced_is_damage(tmp_path: Path) -> None:
+    data = plain_file(tmp_path / "run.mcap", ("/run", run_info().encoded())).read_bytes()
+    # The channel record says id 1; the message after it then belongs to nobody.
+    damaged = data.replace(b"\x01\x00\x00\x00\x04\x00\x00\x00/run", b"\x09\x00\x00\x00\x04\x00\x00\x00/run", 1)
+    assert damaged != data
+    (tmp_path / "run.mcap").write_bytes(damaged)
+    with pytest.raises(RecordError, match="not a readable MCAP file"):
+        read_record(tmp_path / "run.mcap")
+
+
+def test_the_format_version_that_is_written_is_the_one_that_is_read() -> None:
+    assert RunInfo.model_fields["format_version"].default == run_info().format_version
