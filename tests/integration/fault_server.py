@@ -192,7 +192,8 @@ def stand_in(options: Options) -> Answer:
     """Who answers: a fixed text, or a simulated model that reads the prompt."""
     if options.fixed_answer:
         return lambda messages: options.fixed_answer
-    from llm_flock.llm.simulated import Responder, parse_profile
+    from llm_flock.llm.profiles import parse_profile
+    from llm_flock.llm.simulated import Responder
 
     return Responder(parse_profile(options.profile), np.random.default_rng(options.seed + 1)).answer
 

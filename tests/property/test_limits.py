@@ -104,6 +104,7 @@ def test_ranges_give_every_robot_its_own_value(cuts: list[int], values: list[str
 @given(text=st.text("0123456789-=,a ", max_size=20), n=st.integers(1, 5))
 def test_any_text_gives_n_values_or_a_clear_error(text: str, n: int) -> None:
     try:
-        assert len(per_robot("model", text, n)) == n
-    except InputError as error:
-        assert error.field == "model"
+        values = per_robot("model", text, n)
+    except InputError:
+        return  # and nothing else
+    assert len(values) == n

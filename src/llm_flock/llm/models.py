@@ -13,8 +13,9 @@ import numpy as np
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, Effort, PydanticModel
 from llm_flock.llm.prices import price_known
+from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
-from llm_flock.llm.simulated import parse_profile, simulated_model
+from llm_flock.llm.simulated import simulated_model
 
 if TYPE_CHECKING:
     import httpx2

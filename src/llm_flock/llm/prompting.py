@@ -69,9 +69,9 @@ def positions_text(positions: Sequence[Point], decimals: int) -> str:
     return "[" + ", ".join([one] * len(positions)) % tuple(chain.from_iterable(positions)) + "]"
 
 
-def position_decimals(max_step: float) -> int:
-    """Decimals of observed positions: 3, and more where a thousandth of the step limit is finer than that."""
-    return min(DECIMALS, max(3, 3 - math.floor(math.log10(max_step))))
+def position_decimals(length: float) -> int:
+    """Decimals of positions where `length` (the step limit, say) matters: 3, more if a thousandth of it is finer."""
+    return min(DECIMALS, max(3, 3 - math.floor(math.log10(length))))
 
 
 @lru_cache(maxsize=1024)

@@ -172,11 +172,6 @@ class ReplayModel:
 
     @property
     def models(self) -> frozenset[str]:
-        """Names of all models that were asked when the cassette was recorded."""
-        return frozenset(self._models)
-
-    @property
-    def models(self) -> frozenset[str]:
         """Names of the models that answered when the cassette was recorded."""
         return frozenset(self._models)
 
@@ -258,7 +253,6 @@ class ReplayModel:
                     f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
                 )
             places[key] = offset
-            self._models.add(line.model)
             self._models.add(line.model)
 
     def _check_header(self, raw: bytes) -> None:

@@ -57,7 +57,10 @@ class Journal:
         self._previous: Points | None = None
 
     def attempt(self, attempt: Attempt) -> None:
-        """Take note of one model call."""
+        """Take note of one model call; one that the budget refused was never made, and is only recorded."""
+        self._attempts.append(attempt)
+        if attempt.error is not None and attempt.error[0] == "budget":
+            return
         self.calls += 1
         self.latency_s += attempt.latency_s
         self.faults.update(attempt.faults)
@@ -68,7 +71,6 @@ class Journal:
             self.usage = self.usage + attempt.reply.usage
             cost = attempt.reply.cost_usd
             self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
-        self._attempts.append(attempt)
 
     def flush_attempts(self) -> None:
         """Write the model calls made since the last flush, by robot and attempt."""

@@ -20,7 +20,7 @@ from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.scene import PALETTE
 from llm_flock.viz.panel import Box, Panel, view
-from llm_flock.viz.style import INK, LINES, MARKERS, heading, house_style, thinkers
+from llm_flock.viz.style import INK, LINES, MARKERS, fitted, heading, house_style, thinkers
 
 CONFIDENCE = 0.95
 PANELS_A_ROW = 4
@@ -53,7 +53,7 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
             axes.set_title(_moment(record, k))
         for axes in grid[len(chosen) :]:
             axes.set_axis_off()
-        figure.suptitle(heading(record), fontsize=10)
+        figure.suptitle(heading(record, 0.8 * width), fontsize=10)
         figure.legend(handles=panel.key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
         return figure
 
@@ -76,7 +76,7 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
         axes = figure.add_subplot()
         _curves(axes, groups)
         axes.legend(loc="upper right")
-        figure.suptitle(thinkers(records), fontsize=8)
+        figure.suptitle(fitted(thinkers(records), 5.2), fontsize=8)
         return figure
 
 
@@ -91,18 +91,20 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         window = _union([view(record) for record in records])
         columns = len(records)
         tall = PANEL_INCHES * _tallness(window)
-        figure = _figure(max(columns * (PANEL_INCHES + 0.2), 5.5), tall + 3.3)
+        width = max(columns * (PANEL_INCHES + 0.2), 5.5)
+        figure = _figure(width, tall + 3.3)
         grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1])
         panels = [Panel(record, window=window) for record in records]
         for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):
             axes = figure.add_subplot(grid[0, column])
             panel.draw(axes, panel.record.rounds)
-            axes.set_title(f"{label}\n{outcome(panel.record)}", linespacing=1.4)
+            axes.set_title(f"{fitted(label, PANEL_INCHES)}\n{outcome(panel.record)}", linespacing=1.4)
         below = figure.add_subplot(grid[1, :])
         _curves(below, groups)
         below.legend(loc="upper right")
         mission = records[0].mission.mission
-        figure.suptitle(f"{mission['shape']} · {mission['n_robots']} robots · {thinkers(records)}", fontsize=10)
+        title = f"{mission['shape']} · {mission['n_robots']} robots · {thinkers(records)}"
+        figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
         figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
         return figure
 

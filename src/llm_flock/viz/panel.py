@@ -47,7 +47,7 @@ class Panel:
         n = record.positions.shape[1]
         spacing = float(record.mission.mission["spacing"]) * width / (self.window[1] - self.window[0])
         self._disc = max(3.5, min(width / 17.0, DISC_SHARE * spacing))
-        self._font = 0.6 * self._disc
+        self._font = min(7.5, 0.6 * self._disc)
         self.labelled = n <= MOST_LABELLED and self._disc >= SMALLEST_LABELLED
         self._path = record.positions[:, :, :2]
 
@@ -59,22 +59,27 @@ class Panel:
             round_number: which round; 0 is the start.
             part: how much of the round has been flown; robots fly straight from one round to the next.
         """
-        state = self.record.states[round_number]
-        before = self._path[max(0, round_number - 1)]
-        places = before + part * (self._path[round_number] - before)
-        looks = [self.looks[plan_id] for plan_id in state.plan_ids]
-        self._frame(axes)
-        self._links(axes, places)
-        self._trails(axes, round_number, places)
-        self._goals(axes, state, looks)
-        self._robots(axes, state, places, looks)
+        self.frame(axes)
+        self.draw_team(axes, round_number, part)
 
-    def _frame(self, axes: Axes) -> None:
+    def frame(self, axes: Axes) -> None:
+        """Show this panel's window."""
         left, right, bottom, top = self.window
         axes.set_xlim(left, right)
         axes.set_ylim(bottom, top)
         axes.set_aspect("equal")
         axes.tick_params(length=2)
+
+    def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
+        """As `draw`, on axes that have been framed."""
+        state = self.record.states[round_number]
+        before = self._path[max(0, round_number - 1)]
+        places = before + part * (self._path[round_number] - before)
+        looks = [self.looks[plan_id] for plan_id in state.plan_ids]
+        self._links(axes, places)
+        self._trails(axes, round_number, places)
+        self._goals(axes, state, looks)
+        self._robots(axes, state, places, looks)
 
     def _links(self, axes: Axes, places: NDArray[np.float64]) -> None:
         adjacent = graph.adjacency(places, float(self.record.mission.mission["comm_range"]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -17,6 +18,9 @@ FAINT = "#9A9A9A"
 PAPER = "#FFFFFF"
 BRIGHT = 0.6
 """Relative luminance from which a thin line is hard to see on white."""
+
+LETTERS_AN_INCH = 15
+"""Letters of a title that fit into an inch, with some room to spare."""
 
 LINES: tuple[str, ...] = ("-", "--", "-.", ":")
 MARKERS: tuple[str, ...] = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -114,11 +118,17 @@ def luminance(colour: str) -> float:
     return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
 
 
-def heading(record: RunRecord) -> str:
-    """What was flown: shape, N, rules and model; says when the models were simulated."""
+def heading(record: RunRecord, inches: float) -> str:
+    """What was flown: shape, N, rules and model; says when the models were simulated. Broken to fit a width."""
     mission = record.mission.mission
     robots = "1 robot" if mission["n_robots"] == 1 else f"{mission['n_robots']} robots"
-    return " · ".join(part for part in (str(mission["shape"]), robots, rules(record), thinkers([record])) if part)
+    parts = (str(mission["shape"]), robots, rules(record), thinkers([record]))
+    return fitted(" · ".join(part for part in parts if part), inches)
+
+
+def fitted(text: str, inches: float) -> str:
+    """A title broken into lines of a width."""
+    return textwrap.fill(text, max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 
 def rules(record: RunRecord) -> str:

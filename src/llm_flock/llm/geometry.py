@@ -1,0 +1,73 @@
+"""A planner without a language model: ideal points, straight lines. The baseline that models are compared with."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from llm_flock import formations
+from llm_flock.arrays import Points
+from llm_flock.errors import InputError
+from llm_flock.mission import Mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+
+
+def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
+    """A formation, shape (n, d), turned about its centre: in the plane, or about the third axis in space."""
+    out = np.array(points, dtype=np.float64)
+    out[:, :2] = formations.rotated(out[:, :2], center[:2], angle_rad)
+    return out
+
+
+class GeometryPlanner:
+    """A `Planner` that knows the shape: the ideal points in some orientation, and the straight way to the goal.
+
+    Args:
+        robot: whose planner this is.
+        mission: what the team is asked to do.
+        rng: draws the orientation, as independent models would choose theirs; without it, the reference orientation.
+        choice: the place that the robot takes: the one of its own number, or the one nearest to it.
+
+    Raises:
+        InputError: there is no such choice.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        mission: Mission,
+        rng: np.random.Generator | None = None,
+        *,
+        choice: Literal["own", "nearest"] = "own",
+    ) -> None:
+        if choice not in ("own", "nearest"):
+            raise InputError("choice", choice, "own or nearest")
+        self._robot = robot
+        self._mission = mission
+        self._nearest = choice == "nearest"
+        self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """The ideal points; the same ones every time. No answer for a shape in words, whose points nobody knows."""
+        mission = self._mission
+        if mission.ideal is None:
+            return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
+        plan = Plan.of(turned(np.array(mission.ideal), mission.center, self._angle_rad).tolist())
+        slot = self._robot
+        if self._nearest:
+            slot = int(np.linalg.norm(plan.array - np.array(question.position), axis=1).argmin())
+        return PlanAnswer(plan=plan, slot=slot)
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """Straight towards the goal, as far as the step limit allows."""
+        distance = math.dist(question.position, question.goal)
+        if distance <= self._mission.max_step:
+            return StepAnswer(waypoint=question.goal)
+        # A hair short of the limit, so that rounding cannot exceed it.
+        share = self._mission.max_step * (1 - 1e-12) / distance
+        return StepAnswer(
+            waypoint=tuple(x + share * (g - x) for x, g in zip(question.position, question.goal, strict=True))
+        )

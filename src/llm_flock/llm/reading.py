@@ -1,0 +1,179 @@
+"""What a simulated model reads: the numbers and words of the packaged prompts, and nothing else."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from llm_flock import formations
+from llm_flock.arrays import Point, Points
+from llm_flock.errors import InputError
+
+_FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
+_TEAM = re.compile(r"in a team of ([0-9]+)")
+_LINE = re.compile(r"^- ([A-Z][a-z ]+): (.*)$", re.MULTILINE)
+_ROBOT = re.compile(r"You are robot ([0-9]+)")
+_POLYGON = re.compile(r"a regular polygon with ([0-9]+) sides")
+_GIVEN = "relative to its centre its places are [["
+
+PLAN_MARK = "Work out a plan:"
+STEP_MARK = "Your position: "
+_NEIGHBORS_MARK = "\nRobots near you, moving as well: "
+_GOAL_MARK = "\nYour goal, place "
+_JSON_MARK = "JSON object"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What the system message says.
+
+    Attributes:
+        shape: the shape in words.
+        n_robots: number of robots.
+        center: centre of the shape [units].
+        spacing: distance between neighbouring places [units].
+        max_step: longest step [units].
+    """
+
+    shape: str
+    n_robots: int
+    center: Point
+    spacing: float
+    max_step: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanPrompt:
+    """What the plan message says: whose plan it is, and whether it is to be JSON."""
+
+    robot: int
+    json: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepPrompt:
+    """What the position update says.
+
+    Attributes:
+        position: own position [units].
+        goal: own goal [units].
+        goal_text: the goal as it was written.
+        neighbors: where the other robots are said to be, not yet read.
+        json: whether the answer is to be JSON.
+    """
+
+    position: Point
+    goal: Point
+    goal_text: str
+    neighbors: str
+    json: bool
+
+    def seen(self) -> list[Point]:
+        """Positions of the other robots."""
+        dim, values = len(self.position), numbers(self.neighbors)
+        return [values[i : i + dim] for i in range(0, len(values), dim)]
+
+
+def numbers(text: str) -> Point:
+    """All numbers of a text, in order."""
+    return tuple(float(number) for number in _FLOAT.findall(text))
+
+
+def sensible_decimals(length: float) -> int:
+    """Two, as models answer, and more where lengths are shorter than one unit."""
+    return max(2, 2 - math.floor(math.log10(length)))
+
+
+@lru_cache(maxsize=64)
+def read_task(system: str) -> Task:
+    """Read the system message.
+
+    Raises:
+        InputError: for field `prompts`: it does not say the task in the packaged words.
+    """
+    team, lines = _TEAM.search(system), dict(_LINE.findall(system))
+    center = numbers(lines.get("Centre of the shape", ""))
+    spacing, max_step = numbers(lines.get("Spacing", "")), numbers(lines.get("Step limit", ""))
+    if team is None or "Shape" not in lines or not (center and spacing and max_step):
+        raise _other_words("system.j2", system)
+    return Task(shape=lines["Shape"], n_robots=int(team[1]), center=center, spacing=spacing[0], max_step=max_step[0])
+
+
+def read_plan(text: str) -> PlanPrompt:
+    """Read the plan message.
+
+    Raises:
+        InputError: for field `prompts`: it does not give the robot's id in the packaged words.
+    """
+    robot = _ROBOT.search(text)
+    if robot is None:
+        raise _other_words("plan.j2", text)
+    return PlanPrompt(robot=int(robot[1]), json=_JSON_MARK in text)
+
+
+def read_step(text: str) -> StepPrompt:
+    """Read the position update; a long plan in it is passed over.
+
+    Raises:
+        InputError: for field `prompts`: it does not give position and goal in the packaged words.
+    """
+    position = numbers(_line_after(text, STEP_MARK))
+    goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
+    goal = numbers(goal_text)
+    if not position or len(goal) != len(position):
+        raise _other_words("step.j2", text)
+    return StepPrompt(
+        position=position,
+        goal=goal,
+        goal_text=goal_text,
+        neighbors=_line_after(text, _NEIGHBORS_MARK),
+        json=_JSON_MARK in text,
+    )
+
+
+def _line_after(text: str, mark: str) -> str:
+    """What follows a mark on its line, "" where there is no such mark."""
+    begin = text.find(mark)
+    if begin < 0:
+        return ""
+    begin += len(mark)
+    end = text.find("\n", begin)
+    return text[begin:] if end < 0 else text[begin:end]
+
+
+def _other_words(template: str, text: str) -> InputError:
+    return InputError("prompts", text[:80], f"{template} in the packaged words: simulated models understand no others")
+
+
+@lru_cache(maxsize=64)
+def formation(task: Task) -> Points:
+    """Ideal points of the task's shape, shape (n, d) [units]; do not change them.
+
+    A shape that is only described in words becomes a circle: that is all a stand-in can imagine.
+    """
+    center, n = task.center, task.n_robots
+    if _GIVEN in task.shape:
+        rows = np.array(numbers(task.shape.partition(_GIVEN)[2])).reshape(n, len(center))
+        points = formations.ideal_points("points", n, center, task.spacing, rows.tolist())
+    else:
+        spec = _spec(task.shape)
+        points = formations.ideal_points(spec, n, center[:2], task.spacing)
+    assert points is not None, "only free text has no ideal points, and it was taken for a circle"
+    if points.shape[1] < len(center):
+        height = np.full((n, len(center) - 2), center[2:])
+        points = np.hstack([points, height])
+    points.setflags(write=False)
+    return points
+
+
+def _spec(words: str) -> str:
+    """The named shape that is described by these words."""
+    polygon = _POLYGON.match(words)
+    if polygon is not None:
+        return f"polygon:{polygon[1]}"
+    plain = (info.name for info in formations.shapes() if ":" not in info.name and info.name != "points")
+    return next((name for name in plain if formations.describe(name) == words), "circle")

@@ -1,0 +1,245 @@
+"""Simulated language models: stand-ins that read nothing but the prompt and answer in prose, or in JSON when asked.
+
+They stand where a provider's model would, behind pydantic-ai's FunctionModel; only the words come from here. Whatever
+shows their results says that they are simulated.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import Awaitable, Callable, Sequence
+
+import numpy as np
+from pydantic_ai import exceptions as pai
+from pydantic_ai.messages import ModelMessage, ModelResponse, SystemPromptPart, TextPart, UserPromptPart
+from pydantic_ai.models.function import AgentInfo, FunctionModel
+from pydantic_ai.usage import RequestUsage
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.llm.geometry import turned
+from llm_flock.llm.profiles import FAILURES, PROFILES, Profile, parse_profile
+from llm_flock.llm.reading import (
+    PLAN_MARK,
+    STEP_MARK,
+    PlanPrompt,
+    StepPrompt,
+    Task,
+    formation,
+    read_plan,
+    read_step,
+    read_task,
+    sensible_decimals,
+)
+
+__all__ = ["PROFILES", "Profile", "Responder", "parse_profile", "simulated_model"]
+
+NOTHING: frozenset[str] = frozenset()
+CHARS_PER_TOKEN = 4
+"""Rule of thumb for tokens, which are only estimated here."""
+
+SLOW_SPREAD = 0.5
+"""Standard deviation of the logarithm of a slow answer's latency; the median is 1 s."""
+
+
+class Responder:
+    """One simulated model: text in, text out.
+
+    Args:
+        profile: what it gets wrong, and how often.
+        rng: its chance. The same conversation with the same chance gives the same answers.
+    """
+
+    def __init__(self, profile: Profile, rng: np.random.Generator) -> None:
+        self._rates = [getattr(profile, name) for name in FAILURES]
+        self._always_right = not any(self._rates)
+        self._rng = rng
+
+    def draw(self) -> frozenset[str]:
+        """The failures that befall the next call."""
+        if self._always_right:
+            return NOTHING
+        # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
+        chance = self._rng.random(len(FAILURES)).tolist()
+        return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
+
+    def latency_s(self) -> float:
+        """How long a slow answer takes [s]."""
+        return float(self._rng.lognormal(0.0, SLOW_SPREAD))
+
+    def fault(self, model: str, robot: int) -> pai.ModelAPIError:
+        """What a flaky provider raises."""
+        match int(self._rng.integers(3)):
+            case 0:
+                return pai.ModelRateLimitError(model, f"simulated 429 for robot {robot}", retry_after=0.02)
+            case 1:
+                return pai.ModelServerError(model, f"simulated 500 for robot {robot}")
+            case _:
+                return pai.ModelTimeoutError(model, f"simulated time-out for robot {robot}")
+
+    def answer(self, conversation: Sequence[tuple[str, str]], failures: frozenset[str] | None = None) -> str:
+        """The answer to the last question of a conversation.
+
+        Args:
+            conversation: (role, text) of each message: `system`, `user` or `assistant`.
+            failures: what befalls this call; drawn where not given.
+
+        Raises:
+            InputError: for field `prompts`: the question is not asked in the packaged words.
+        """
+        if failures is None:
+            failures = self.draw()
+        system = next((text for role, text in conversation if role == "system"), "")
+        # After a rejected answer the question is not the last message.
+        for role, text in reversed(conversation):
+            if role == "user" and STEP_MARK in text:
+                return self._step(read_task(system), read_step(text), failures)
+            if role == "user" and PLAN_MARK in text:
+                return self._plan(read_task(system), read_plan(text), failures)
+        last = conversation[-1][1] if conversation else ""
+        raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
+
+    def _plan(self, task: Task, prompt: PlanPrompt, failures: frozenset[str]) -> str:
+        angle_rad = self._rng.uniform(0.0, 2 * math.pi)
+        points = turned(formation(task), task.center, angle_rad)
+        if "distorted" in failures:
+            stretch = self._rng.uniform(0.6, 1.4, len(task.center))
+            noise = self._rng.normal(0.0, 0.2 * task.spacing, points.shape)
+            points = task.center + (points - task.center) * stretch + noise
+        rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
+        index, cut = prompt.robot, False
+        if "malformed" in failures:
+            match int(self._rng.integers(5)):
+                case 0:
+                    return "I would rather not commit myself to a formation before I know more about the others."
+                case 1:
+                    rows = rows[:-1]
+                case 2:
+                    index = task.n_robots
+                case 3:
+                    rows[0][0] = math.nan
+                case _:
+                    cut = True
+        said = json.dumps({"plan": rows, "my_plan": index}) if prompt.json else f"Plan: {rows}\nmy plan: {index}"
+        if not prompt.json:
+            said = (
+                f"The shape is {task.shape[:200]}. I put its {task.n_robots} places around the centre, "
+                f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
+                f"and take the place with my own number.\n\n{said}"
+            )
+        return said[: len(said) * 2 // 3] if cut else said
+
+    def _step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> str:
+        if failures:
+            waypoint, reason = self._faulty_step(task, prompt, failures)
+        elif math.dist(prompt.position, prompt.goal) <= _reach(task):
+            waypoint, reason = prompt.goal_text, "I reach my goal within one step, so I go exactly there."
+        else:
+            waypoint = repr(list(_towards(prompt.goal, task, prompt)))
+            reason = "My goal is farther away than one step, so I take a full step straight towards it."
+        if "malformed" in failures:
+            return self._malformed_step(prompt, waypoint)
+        return f'{{"position": {waypoint}}}' if prompt.json else f"{reason}\n\nPosition: {waypoint}"
+
+    def _faulty_step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str]:
+        """A step with a wrong target, of a wrong length, or both."""
+        target, reason = prompt.goal, "I head for my goal"
+        if "collapse" in failures:
+            everybody = [prompt.position, *prompt.seen()]
+            target = tuple(sum(values) / len(everybody) for values in zip(*everybody, strict=True))
+            reason = "I keep to the middle of the robots around me"
+        distance = math.dist(prompt.position, target)
+        if "overshoot" in failures:
+            if distance < 1e-9:
+                angle_rad = self._rng.uniform(0.0, 2 * math.pi)
+                x, y, *rest = prompt.position
+                target = (x + math.cos(angle_rad), y + math.sin(angle_rad), *rest)
+            reason += f" and move {task.max_step:g} units"
+        elif distance <= _reach(task):
+            places = sensible_decimals(task.max_step)
+            exact = prompt.goal_text if target == prompt.goal else repr([round(x, places) for x in target])
+            return exact, reason + "."
+        return repr(list(_towards(target, task, prompt))), reason + "."
+
+    def _malformed_step(self, prompt: StepPrompt, waypoint: str) -> str:
+        form = '{{"position": {}}}' if prompt.json else "Position: {}"
+        match int(self._rng.integers(5)):
+            case 0:
+                return "It depends on what the others are going to do; I will wait and see."
+            case 1:
+                return form.format(waypoint[:-1] + ", 0.0, 1.0]")
+            case 2:
+                return form.format("[NaN, " + waypoint.partition(", ")[2])
+            case 3:
+                return form.format(waypoint)[: len(waypoint)]
+            case _:
+                return form.format(waypoint[:-1] + " + 0.5]")
+
+
+def _reach(task: Task) -> float:
+    """How far a step may be said to go, so that rounding of the printed position cannot carry it over the limit."""
+    return task.max_step - max(1e-6, 10.0 ** -(sensible_decimals(task.max_step) + 1))
+
+
+def _towards(target: Point, task: Task, prompt: StepPrompt) -> Point:
+    """A full step towards a target, each coordinate rounded back towards the own position."""
+    share = _reach(task) / math.dist(prompt.position, target)
+    scale = 10 ** sensible_decimals(task.max_step)
+    return tuple(
+        (math.floor if t > x else math.ceil)((x + share * (t - x)) * scale) / scale
+        for x, t in zip(prompt.position, target, strict=True)
+    )
+
+
+def simulated_model(
+    profile: Profile,
+    robot: int,
+    rng: np.random.Generator,
+    *,
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+) -> FunctionModel:
+    """A simulated model as pydantic-ai sees any other, named `simulated:PROFILE`.
+
+    Args:
+        profile: what it gets wrong, and how often.
+        robot: whose model it is, for error texts; the model itself learns that from the prompt only.
+        rng: its chance.
+        sleep: waits that many seconds.
+    """
+    name = f"simulated:{profile.text}"
+    responder = Responder(profile, rng)
+
+    async def respond(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
+        failures = responder.draw()
+        if "slow" in failures:
+            await sleep(responder.latency_s())
+        if "flaky" in failures:
+            raise responder.fault(name, robot)
+        conversation = _conversation(messages)
+        text = responder.answer(conversation, failures)
+        usage = RequestUsage(
+            input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
+        )
+        return ModelResponse(parts=[TextPart(text)], usage=usage)
+
+    return FunctionModel(respond, model_name=name)
+
+
+def _tokens(chars: int) -> int:
+    return -(-chars // CHARS_PER_TOKEN)
+
+
+def _conversation(messages: Sequence[ModelMessage]) -> list[tuple[str, str]]:
+    """Role and text of every message."""
+    out: list[tuple[str, str]] = []
+    for message in messages:
+        for part in message.parts:
+            if isinstance(part, UserPromptPart) and isinstance(part.content, str):
+                out.append(("user", part.content))
+            elif isinstance(part, SystemPromptPart):
+                out.append(("system", part.content))
+            elif isinstance(part, TextPart):
+                out.append(("assistant", part.content))
+    return out
