@@ -116,7 +116,7 @@ def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: sign
     assert record.complete == (sent is signal.SIGINT)
     if sent is signal.SIGINT:
         assert running.returncode == 130 and "interrupted" in errors
-        assert record.summary is not None and record.summary["stopped"] == "interrupted"
+        assert record.result is not None and record.result["stopped"] == "interrupted"
 
 
 def test_lists_and_help(tmp_path: Path) -> None:

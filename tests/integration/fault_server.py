@@ -28,6 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from llm_flock.errors import FlockError
+
 Answer = Callable[[list[tuple[str, str]]], str]
 
 FAULTS = ("late", "rate_limit", "server_error", "cut", "garbage")
@@ -143,8 +145,12 @@ class Connection(asyncio.Protocol):
             case "unusable":
                 self.send(200, completion(body, "As a robot I would rather talk about the weather."))
             case _:
-                messages = [(m["role"], text_of(m["content"])) for m in json.loads(body)["messages"]]
-                self.send(200, completion(body, self.answer(messages)))
+                try:
+                    messages = [(m["role"], text_of(m["content"])) for m in json.loads(body)["messages"]]
+                    self.send(200, completion(body, self.answer(messages)))
+                except (FlockError, ValueError, LookupError) as error:
+                    self.faults.counts["not_understood"] += 1
+                    self.send(400, json.dumps({"error": {"message": repr(error)}}).encode())
 
     def send(self, status: int, body: bytes, extra: str = "", kind: str = "application/json") -> None:
         if self.transport is None:  # the client gave up waiting

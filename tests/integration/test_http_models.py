@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import time
 from collections import Counter
 from typing import Any
@@ -17,8 +18,12 @@ from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, RetryPolicy
 from llm_flock.llm.models import ModelPool
-from llm_flock.llm.port import Call, ChatMessage, Reply
+from llm_flock.llm.planner import LanguagePlanner
+from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
+from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.providers import known_providers
+from llm_flock.mission import Mission
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 KEY = "sk-very-secret-0123456789"
 ANSWER = "Position: [1.0, 2.0]"
@@ -159,6 +164,50 @@ def test_two_hundred_calls_run_at_once() -> None:
         stats = server.stats()
     assert stats["most_open"] >= 200
     assert took_s < 3.0  # one after another it would be 200 s, through a pool of 100 connections 2 s and the work
+
+
+def test_the_stand_in_plans_and_steps_over_http() -> None:
+    """Prompt, wire, answer and parser together, through every fault at once."""
+    mission = Mission(n_robots=10)
+    attempts: list[Attempt] = []
+
+    async def scenario(server: Server) -> list[tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]]:
+        limits = Limits(timeout_s=0.5, retry=RetryPolicy(max_tries=20, first_wait_s=0.01), rng=np.random.default_rng(2))
+
+        async def think(robot: int, pool: ModelPool) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:
+            model = pool.model("openai-compatible:stand-in", robot=robot, rng=np.random.default_rng(robot))
+            planner = LanguagePlanner(
+                robot,
+                mission,
+                Limited(model, limits),
+                PromptSet.load(None, json=False),
+                max_retries=8,
+                on_attempt=attempts.append,
+            )
+            here = (10.0 * robot, 20.0)
+            plan = await planner.plan(PlanQuestion(robot=robot, round=0, position=here, neighbors=()))
+            assert isinstance(plan, PlanAnswer)
+            step = await planner.step(
+                StepQuestion(robot=robot, round=1, position=here, neighbors=(), plan=plan.plan, slot=plan.slot)
+            )
+            return plan, step
+
+        async with pool_for(server) as pool:
+            return await asyncio.gather(*(think(robot, pool) for robot in range(10)))
+
+    rates = {"rate_limit": 0.1, "server_error": 0.1, "cut": 0.1, "garbage": 0.2, "late": 0.1}
+    with running(latency=0.01, late_latency=2, retry_after=0.02, seed=1, **rates) as server:
+        answers = asyncio.run(scenario(server))
+        stats = server.stats()
+    for robot, (plan, step) in enumerate(answers):
+        assert isinstance(plan, PlanAnswer) and plan.slot == robot
+        assert isinstance(step, StepAnswer)
+        assert math.dist(step.waypoint, (10.0 * robot, 20.0)) <= mission.max_step + 1e-9
+    met = Counter(fault for attempt in attempts for fault in attempt.faults)
+    for kind, sent in (("rate_limit", "rate_limit"), ("server", "server_error"), ("timeout", "late")):
+        assert met[kind] == stats[sent] > 0
+    assert met["garbage"] == stats["garbage"] - stats["unusable"]
+    assert sum(attempt.rejected is not None for attempt in attempts) == stats["unusable"] > 0
 
 
 def test_max_calls_is_exact_under_concurrency() -> None:

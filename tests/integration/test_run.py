@@ -79,7 +79,7 @@ def test_free_text_has_no_ideal_to_compare_with() -> None:
 
 def messages(path: Path) -> list[tuple[str, str]]:
     """Everything in a record but what may differ between two runs of one seed."""
-    return [(m.topic, json.dumps(without_volatile(m.topic, m.data), sort_keys=True)) for m in iter_messages(path)]
+    return [(m.topic, json.dumps(without_volatile(m.topic, m.decoded()), sort_keys=True)) for m in iter_messages(path)]
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
     asyncio.run(scene())
     record = llm_flock.read_record(tmp_path / "run.mcap")
     assert record.complete and len(record.states) >= 4
-    assert record.summary is not None and record.summary["stopped"] == "interrupted"
+    assert record.result is not None and record.result["stopped"] == "interrupted"
 
 
 def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ _LISTS = rf"[\[(]\s*+{_LIST}(?:\s*+[,;]?+\s*+{_LIST})*+\s*+[,;]?+\s*+[\])]"
 _MARKUP = r"\s*_`\"'$&{}|~>#"
 _GAP = rf"[{_MARKUP}:=≈→-]*+"
 _WRAP = r"(?:[\[(]\s*+){0,2}?"
+_LANGUAGE = rf"(?:(?:json|python|text|latex|math)(?![A-Za-z]){_GAP})?+"
+"""What a code fence may say after its backticks."""
 
 _POSITION = re.compile(
     rf"(?:(?P<certain>(?:next|new|final)[{_MARKUP}]++position|\\boxed)|(?P<plain>(?<![A-Za-z])position))(?![A-Za-z])"
@@ -65,11 +67,11 @@ _BEFORE_POSITION = re.compile(
 """What may stand before a bare `Position:`; "Your position:" and "Goal position:" only repeat the question."""
 
 _PLAN = re.compile(
-    rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}(?:(?:json|python|text|latex|math)(?![A-Za-z]){_GAP})?+{_WRAP}(?P<list>{_LISTS})",
+    rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
     re.IGNORECASE,
 )
 _BARE_PLAN = re.compile(rf"(?P<list>{_LISTS})", re.IGNORECASE)
-_BARE_POSITION = re.compile(rf"[{_MARKUP}]*+(?P<list>{_LIST})[{_MARKUP}.]*+", re.IGNORECASE)
+_BARE_POSITION = re.compile(rf"[{_MARKUP}]*+{_LANGUAGE}(?P<list>{_LIST})[{_MARKUP}.]*+", re.IGNORECASE)
 _INDEX = re.compile(
     rf"(?<![A-Za-z])my[\s_\\-]*+plan[{_MARKUP}:=]*+"
     rf"(?:(?:is|index|number|place|location|position|point|slot)(?![A-Za-z])[{_MARKUP}:=]*+){{0,3}}+"

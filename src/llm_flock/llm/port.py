@@ -134,6 +134,6 @@ class Attempt:
 class AttemptSink(Protocol):
     """Told of every attempt as soon as it is over."""
 
-    def __call__(self, attempt: Attempt) -> None:
+    def __call__(self, attempt: Attempt, /) -> None:
         """Take note of one attempt."""
         ...

@@ -84,8 +84,12 @@ def shape_text(mission: Mission) -> str:
     """The shape in words; a custom shape is given by its points relative to its centre, in any orientation."""
     if mission.points is None or mission.ideal is None:
         return formations.describe(mission.shape)
-    offsets = [tuple(x - c for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal]
-    return f"a given shape, turned in any direction; relative to its centre its places are {positions_text(offsets, 4)}"
+    # Rounding, and adding zero, takes away differences like -1e-15, which would be told as -0.000.
+    offsets = [
+        tuple(round(x - c, DECIMALS) + 0.0 for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal
+    ]
+    places = positions_text(offsets, position_decimals(mission.spacing))
+    return f"a given shape, turned in any direction; relative to its centre its places are {places}"
 
 
 def mission_variables(mission: Mission) -> Mapping[str, Any]:
@@ -215,8 +219,8 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
     try:
         source, filename, _ = environment.loader.get_source(environment, name)
         file = filename or file
-        used = jinja2.meta.find_undeclared_variables(environment.parse(source, name, filename))
         template = environment.get_template(name)
+        used = jinja2.meta.find_undeclared_variables(environment.parse(source, name, filename))
     except jinja2.TemplateSyntaxError as error:
         where = f"{error.filename or file}, line {error.lineno}"
         raise InputError("prompts", where, f"a Jinja template: {error.message}") from None

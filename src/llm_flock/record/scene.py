@@ -1,6 +1,6 @@
 """The `/scene` channel: the team as a `foxglove.SceneUpdate`, for viewers that show such scenes.
 
-Field names and meanings are those of https://docs.foxglove.dev/docs/visualization/message-schemas/scene-update.
+Field names and meanings are those of https://docs.foxglove.dev/docs/sdk/schemas/scene-update.
 Robots are spheres as wide as the safe distance, so two that touch have come too near. One unit is one metre.
 """
 

@@ -75,7 +75,7 @@ class State(Entry):
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="What was commanded this round [units], null at the start")
-    origins: list[str] = Field(description="Who made the waypoint: start, model, shield, fallback or hold")
+    origins: list[str] = Field(description="Who made the waypoint: start, model, shield or hold")
     phases: list[str] = Field(description="Phase of each robot's state machine")
 
 
@@ -83,9 +83,9 @@ class ProtocolEvent(Entry):
     """Something that a robot decided or met, when it happened."""
 
     round: int = Field(description="Motion round")
-    tick: int | None = Field(None, description="Message exchange within the round; left out outside of exchanges")
+    tick: int | None = Field(None, description="Message exchange in the round; left out between exchanges")
     robot: int = Field(description="Whose event it is")
-    kind: str = Field(description="What happened: adopted, claimed, no_plan, shield, rejected_message, ...")
+    kind: str = Field(description="What happened: proposed, adopted, claimed, shielded, ...")
     detail: dict[str, Any] = Field(description="What belongs to this kind of event")
 
 

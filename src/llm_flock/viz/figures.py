@@ -33,7 +33,7 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
 
     Args:
         record: the run.
-        rounds: which rounds; the start, two between and the last if left out.
+        rounds: which rounds; the start, the first, half-way and the last if left out.
 
     Raises:
         InputError: the record has no such round, or no round is asked for.
@@ -201,8 +201,8 @@ def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, li
 
 
 def _default_rounds(last: int) -> list[int]:
-    """Start, two between and end, spread as in the paper's figures (steps 0, 4, 7, 10)."""
-    return sorted({0, round(0.4 * last), round(0.7 * last), last})
+    """The start, the first round (when there are plans to see), half-way and the end."""
+    return sorted({0, min(1, last), last // 2, last})
 
 
 def _moment(record: RunRecord, k: int) -> str:

@@ -173,7 +173,7 @@ def short(share: float) -> str:
     return f"{share:.0f}" if share in (0.0, 1.0) else f"{share:.2f}".removeprefix("0")
 
 
-def view(record: RunRecord, margin: float = 0.06) -> Box:
+def view(record: RunRecord, margin: float = 0.08) -> Box:
     """The arena, or more where a robot or a goal lies outside, with a margin [units]."""
     low, high = (np.array(corner[:2], dtype=np.float64) for corner in record.mission.mission["arena"])
     goals = [goal[:2] for state in record.states for goal in state.goals if goal is not None]

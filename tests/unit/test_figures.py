@@ -1,0 +1,222 @@
+"""Figures: what they show, in numbers; and that a user's own settings stay as they were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from sample_records import FakeRun, make_record
+from scipy import stats
+
+from llm_flock.errors import InputError
+from llm_flock.record.reader import RunRecord, read_record
+from llm_flock.record.scene import PALETTE
+from llm_flock.viz import figures
+from llm_flock.viz.panel import Panel, short, view
+from llm_flock.viz.style import heading, ink_on, letters, line_colour, luminance, plan_looks, thinkers
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> RunRecord:
+    return read_record(make_record(tmp_path / "run.mcap", n=5, rounds=10))
+
+
+def words(figure: Figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(mpl.text.Text))  # pyright: ignore
+
+
+def test_snapshots_at_chosen_rounds_show_paths_plans_influence_and_links(record: RunRecord) -> None:
+    figure = figures.snapshots(record, [0, 2, 10])
+    assert [axes.get_title().split(" · ")[0] for axes in figure.axes] == ["start", "round 2", "round 10"]
+    start, second, last = figure.axes
+    assert all(axes.get_aspect() == 1.0 for axes in figure.axes)
+    names = [[t.get_text() for t in axes.texts] for axes in figure.axes]
+    # Name and influence of each robot; nobody has a plan at the start, and all have the first at the end.
+    assert names[0][::2] == [""] * 5
+    assert names[1][::2] == ["A", "A", "C", "D", "A"]
+    assert names[2][::2] == ["A"] * 5
+    assert names[2][1::2] == [short(share) for share in record.states[10].influence]
+    links, paths = (c for c in last.collections if isinstance(c, LineCollection))
+    ends = {tuple(np.round(p, 6)) for p in record.positions[10]}
+    assert len(links.get_segments()) > 0
+    assert {tuple(np.round(p, 6)) for segment in links.get_segments() for p in segment} <= ends
+    assert len(paths.get_segments()) == 5 * 10
+    drawn = {tuple(np.round(np.asarray(c.get_offsets())[0], 6)) for c in last.collections[3:]}
+    assert ends <= drawn
+    assert start.get_xlim() == second.get_xlim() == last.get_xlim()
+
+
+def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record: RunRecord) -> None:
+    said = words(figures.snapshots(record))
+    assert "circle · 5 robots" in said and "simulated:ideal" in said and "simulated language models" in said
+    real = replace(record, run=record.run.model_copy(update={"simulated": False}))
+    assert "simulated language models" not in words(figures.snapshots(real))
+    assert "simulated language models" in thinkers([real, record])
+    rules = {"protocol": {"consensus": "pedigree", "assignment": "auction"}}
+    ruled = replace(record, run=record.run.model_copy(update={"config": rules}))
+    assert heading(ruled, 10).startswith("circle · 5 robots · pedigree + auction · simulated:ideal")
+    assert max(len(line) for line in heading(ruled, 3).splitlines()) <= 45
+
+
+def test_without_calls_the_configured_model_is_named(record: RunRecord) -> None:
+    assert thinkers([replace(record, llm=())]) == "simulated:ideal · simulated language models"
+    run = record.run.model_copy(update={"config": {}, "simulated": False})
+    assert thinkers([replace(record, llm=(), run=run)]) == ""
+
+
+@pytest.mark.parametrize("rounds", [[], [-1], [0, 11]])
+def test_rounds_that_the_record_lacks_are_refused(record: RunRecord, rounds: list[int]) -> None:
+    with pytest.raises(InputError, match="0 to 10"):
+        figures.snapshots(record, rounds)
+
+
+@pytest.mark.parametrize(("rounds", "shown"), [(10, [0, 1, 5, 10]), (1, [0, 1]), (0, [0])])
+def test_rounds_chosen_by_default(tmp_path: Path, rounds: int, shown: list[int]) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=rounds))
+    titles = [axes.get_title().split(" · ")[0] for axes in figures.snapshots(record).axes]
+    assert titles == ["start", *(f"round {k}" for k in shown[1:])]
+
+
+def test_many_panels_go_into_rows(record: RunRecord) -> None:
+    figure = figures.snapshots(record, list(range(6)))
+    assert len(figure.axes) == 8
+    assert [axes.axison for axes in figure.axes] == [True] * 6 + [False] * 2
+
+
+def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -> None:
+    curves = [np.array([4.0, 2.0, 1.0]), np.array([6.0, 4.0]), np.array([5.0, 6.0, 3.0])]
+    mean, half = figures.mean_and_interval(curves)
+    assert mean == pytest.approx([5.0, 4.0, 8.0 / 3.0])
+    for k, sample in enumerate([[4, 6, 5], [2, 4, 6], [1, 4, 3]]):
+        low, high = stats.t.interval(0.95, 2, loc=np.mean(sample), scale=stats.sem(sample))
+        assert (mean[k] - half[k], mean[k] + half[k]) == pytest.approx((low, high))
+    alone, none = figures.mean_and_interval(curves[:1])
+    assert alone.tolist() == [4.0, 2.0, 1.0] and np.isnan(none).all()
+
+
+def test_error_over_time_draws_one_line_a_label_with_a_band_for_many_runs(tmp_path: Path) -> None:
+    runs = [read_record(make_record(tmp_path / f"{i}.mcap", n=3, rounds=5 + i, seed=i)) for i in range(3)]
+    figure = figures.error_over_time(runs, ["ours", "ours", "theirs"])
+    (axes,) = figure.axes
+    assert [line.get_label() for line in axes.lines] == ["ours (mean of 2 runs, 95% interval)", "theirs"]
+    assert len(axes.collections) == 1
+    assert np.asarray(axes.lines[1].get_ydata()).tolist() == runs[2].errors.tolist()
+    assert "simulated language models" in words(figure)
+    one, two = axes.lines
+    assert one.get_linestyle() != two.get_linestyle() and one.get_marker() != two.get_marker()
+
+
+def test_comparison_shows_the_end_of_every_run_and_all_errors(tmp_path: Path) -> None:
+    good = read_record(make_record(tmp_path / "a.mcap", n=4, rounds=6))
+    bad = read_record(make_record(tmp_path / "b.mcap", n=4, rounds=8, agree=False))
+    figure = figures.comparison([good, bad], ["ours", "theirs"])
+    assert [axes.get_title() for axes in figure.axes] == [
+        "ours\nformed in round 6",
+        "theirs\nnot formed: 4 plans, 4 goals",
+        "",
+    ]
+    assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
+    assert len(figure.axes[2].lines) == 2
+    assert figures.outcome(replace(good, result=None)) == "not formed: 1 plan, 4 goals"
+
+
+def test_records_and_labels_must_fit(record: RunRecord) -> None:
+    with pytest.raises(InputError, match="at least one record"):
+        figures.error_over_time([], [])
+    with pytest.raises(InputError, match="one label for each of the 2 records"):
+        figures.comparison([record, record], ["only one"])
+    rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
+    with pytest.raises(InputError, match="ideal points are known"):
+        figures.error_over_time([replace(record, metrics=rows)], ["free text"])
+    assert "error" not in words(figures.snapshots(replace(record, metrics=rows)))
+
+
+def test_save_writes_by_ending_and_names_what_it_cannot(record: RunRecord, tmp_path: Path) -> None:
+    figure = figures.snapshots(record, [10])
+    for name, magic in (("a/b.png", b"\x89PNG"), ("c.pdf", b"%PDF"), ("d.svg", b"<?xml")):
+        figures.save(figure, tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
+    with pytest.raises(InputError, match=r"out = .*figure\.doc.* png"):
+        figures.save(figure, tmp_path / "figure.doc")
+    with pytest.raises(InputError, match="can be written to"):
+        figures.save(figure, tmp_path / "c.pdf" / "x.png")
+
+
+def test_a_users_settings_are_neither_used_nor_changed(record: RunRecord) -> None:
+    with mpl.rc_context({"font.size": 30.0, "axes.facecolor": "red"}):
+        figure = figures.snapshots(record, [0])
+        assert mpl.rcParams["font.size"] == 30.0
+    assert figure.axes[0].get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_a_large_team_is_drawn_without_letters(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=40, rounds=2, llm=False))
+    (axes,) = figures.snapshots(record, [2]).axes
+    assert not axes.texts
+    robots = np.asarray(axes.collections[-1].get_offsets())
+    np.testing.assert_allclose(robots, record.positions[2])
+
+
+def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> None:
+    axes = Figure().add_subplot()
+    Panel(record).draw(axes, 3, 0.25)
+    middle = 0.75 * record.positions[2] + 0.25 * record.positions[3]
+    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-5:]])
+    np.testing.assert_allclose(drawn, middle)
+
+
+def test_three_dimensions_are_seen_from_above(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=4, rounds=2, dim=3))
+    (axes,) = figures.snapshots(record, [2]).axes
+    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-4:]])
+    np.testing.assert_allclose(drawn, record.positions[2, :, :2])
+
+
+def test_the_window_holds_arena_robots_and_goals(record: RunRecord) -> None:
+    assert view(record) == pytest.approx((-8.0, 108.0, -8.0, 108.0))
+    far = record.positions.copy()
+    far[3, 2] = (150.0, 50.0)
+    left, right, *_ = view(replace(record, positions=far), margin=0.0)
+    assert (left, right) == (0.0, 150.0)
+
+
+def test_plans_look_different_even_without_colour(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=20, rounds=1, llm=False))
+    looks = plan_looks(record)
+    assert list(looks)[1:] == [plan.plan_id for plan in record.plans]
+    assert len({look.name for look in looks.values()}) == 21
+    assert len({(look.fill, look.rim) for look in looks.values()}) == 21
+    assert looks[None].name == ""
+
+
+def test_a_plan_that_was_not_announced_still_has_a_look(record: RunRecord) -> None:
+    assert set(plan_looks(replace(record, plans=()))) - {None} <= {plan.plan_id for plan in record.plans}
+    assert len(plan_looks(replace(record, plans=()))) > 1
+
+
+def test_letters_count_on() -> None:
+    assert [letters(k) for k in (0, 25, 26, 27, 51, 52, 701, 702)] == ["A", "Z", "AA", "AB", "AZ", "BA", "ZZ", "AAA"]
+
+
+def test_letters_and_lines_can_be_read() -> None:
+    for fill in PALETTE:
+        light, letter = luminance(fill), luminance(ink_on(fill))
+        contrast = (max(light, letter) + 0.05) / (min(light, letter) + 0.05)
+        assert contrast >= 3.9, fill
+        assert luminance(line_colour(fill)) <= 0.6, fill
+    assert line_colour(PALETTE[0]) == PALETTE[0]
+
+
+def test_influence_in_few_signs() -> None:
+    assert [short(x) for x in (0.0, 0.1, 0.25, 1.0)] == ["0", ".10", ".25", "1"]
+
+
+def test_one_robot_can_be_drawn(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=1, rounds=1))
+    assert "1 robot ·" in words(figures.snapshots(record))
+    assert FakeRun(n=1).mission.n_robots == 1

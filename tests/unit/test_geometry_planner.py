@@ -1,0 +1,79 @@
+"""The baseline without a language model."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from llm_flock.errors import InputError
+from llm_flock.llm.geometry import GeometryPlanner, turned
+from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+
+CIRCLE = build_mission(shape="circle", n_robots=10)
+
+
+def plan_of(planner: GeometryPlanner, position: tuple[float, ...] = (0.0, 0.0)) -> PlanAnswer:
+    answer = asyncio.run(planner.plan(PlanQuestion(robot=3, round=1, position=position, neighbors=())))
+    assert isinstance(answer, PlanAnswer)
+    return answer
+
+
+def step_of(mission: Mission, position: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, ...]:
+    question = StepQuestion(robot=3, round=1, position=position, neighbors=(), plan=Plan.of([goal]), slot=0)
+    answer = asyncio.run(GeometryPlanner(3, mission).step(question))
+    assert isinstance(answer, StepAnswer)
+    return answer.waypoint
+
+
+def test_without_chance_the_plan_is_the_reference_orientation() -> None:
+    answer = plan_of(GeometryPlanner(3, CIRCLE))
+    assert answer.slot == 3
+    np.testing.assert_allclose(answer.plan.array, np.array(CIRCLE.ideal), atol=1e-6)
+
+
+def test_chance_turns_the_plan_about_the_centre_and_the_seed_repeats_it() -> None:
+    plans = [plan_of(GeometryPlanner(3, CIRCLE, np.random.default_rng(seed))).plan for seed in (1, 1, 2)]
+    assert plans[0] == plans[1] != plans[2]
+    radii = np.linalg.norm(plans[2].array - CIRCLE.center, axis=1)
+    np.testing.assert_allclose(radii, radii[0], atol=1e-5)
+    planner = GeometryPlanner(3, CIRCLE, np.random.default_rng(1))
+    assert plan_of(planner) == plan_of(planner)
+
+
+def test_a_robot_may_take_the_nearest_place() -> None:
+    planner = GeometryPlanner(3, CIRCLE, choice="nearest")
+    place = np.array(CIRCLE.ideal)[7]
+    assert plan_of(planner, tuple(place + 0.5)).slot == 7
+    wrong: Any = "best"
+    with pytest.raises(InputError, match="own or nearest"):
+        GeometryPlanner(3, CIRCLE, choice=wrong)
+
+
+def test_nobody_knows_the_points_of_a_shape_in_words() -> None:
+    planner = GeometryPlanner(0, build_mission(shape="text:a cloud", n_robots=4))
+    answer = asyncio.run(planner.plan(PlanQuestion(robot=0, round=1, position=(0.0, 0.0), neighbors=())))
+    assert isinstance(answer, NoAnswer) and "a cloud" in answer.reason
+
+
+def test_steps_go_straight_and_end_at_the_goal() -> None:
+    assert step_of(CIRCLE, (0.0, 0.0), (3.0, 4.0)) == (3.0, 4.0)
+    waypoint = step_of(CIRCLE, (10.0, 20.0), (40.0, 60.0))
+    np.testing.assert_allclose(waypoint, (13.6, 24.8), atol=1e-9)
+    assert math.dist(waypoint, (10.0, 20.0)) <= CIRCLE.max_step
+
+
+def test_in_space_a_formation_turns_about_the_third_axis() -> None:
+    points = np.array([[6.0, 5.0, 2.0], [4.0, 5.0, 8.0]])
+    np.testing.assert_allclose(turned(points, (5, 5, 5), math.pi / 2), [[5, 6, 2], [5, 4, 8]], atol=1e-12)
+    assert points[0, 0] == 6.0
+    mission = build_mission(points=points.tolist(), center=(5, 5, 5), arena=((0, 0, 0), (20, 20, 20)), spacing=4)
+    plan = plan_of(GeometryPlanner(1, mission, np.random.default_rng(0))).plan
+    assert math.isclose(math.dist(*plan.points), math.sqrt(40), abs_tol=1e-5)
+    waypoint = step_of(mission, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0))
+    assert waypoint == pytest.approx((0, 0, 6))

@@ -1,0 +1,168 @@
+"""Prompts: every field of the paper is told, files replace the packaged ones, and a bad template says where."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from llm_flock.errors import InputError
+from llm_flock.llm.prompting import VARIABLES, PromptSet, number_text, position_decimals
+from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import PlanQuestion, StepQuestion
+
+ROOT = Path(__file__).parents[2]
+MISSION = build_mission(
+    shape="triangle", n_robots=3, center=(41.5, 52), spacing=11, safe_distance=2.5, max_step=7, comm_range=17
+)
+PLAN = Plan.of([[41.5, 58.350853], [36, 48.824573], [47, 48.824573]])
+SEEN = ((1.0, 2.0), (-3.14159, 4.00004))
+
+
+def plan_question(**changes: Any) -> PlanQuestion:
+    return PlanQuestion(**{"robot": 2, "round": 4, "position": (12.3456, 7.0), "neighbors": SEEN} | changes)
+
+
+def step_question(**changes: Any) -> StepQuestion:
+    fields = {"robot": 2, "round": 4, "position": (12.3456, 7.0), "neighbors": SEEN, "plan": PLAN, "slot": 1}
+    return StepQuestion(**fields | changes)
+
+
+def test_the_system_message_holds_every_field_of_the_paper() -> None:
+    text = PromptSet.load().system(MISSION)
+    for field in (
+        "team of 3",
+        "an equilateral triangle",
+        "[41.5, 52]",
+        "Spacing: 11 ",
+        "than 2.5\n",
+        "moves 7 ",
+        "17;",
+    ):
+        assert field in text, field
+
+
+def test_the_plan_message_gives_id_centre_and_form() -> None:
+    text = PromptSet.load().plan(MISSION, plan_question())
+    assert "You are robot 2." in text and "[41.5, 52]" in text and "exactly 3 places" in text
+    assert text.endswith("Plan: [[x, y], [x, y], ...]\nmy plan: a")
+
+
+def test_the_step_message_gives_position_neighbours_plan_goal_and_form() -> None:
+    text = PromptSet.load().step(MISSION, step_question())
+    assert "Your position: [12.346, 7.000]\n" in text
+    assert "[[1.000, 2.000], [-3.142, 4.000]]\n" in text
+    assert "[[41.5, 58.350853], [36.0, 48.824573], [47.0, 48.824573]]\n" in text
+    assert "place 1 of the plan: [36.0, 48.824573]\n" in text
+    assert text.endswith("Position: [x, y]")
+    assert ": none\n" in PromptSet.load().step(MISSION, step_question(neighbors=()))
+
+
+def test_json_prompts_ask_for_objects_only() -> None:
+    prompts = PromptSet.load(json=True)
+    plan, step = prompts.plan(MISSION, plan_question()), prompts.step(MISSION, step_question())
+    assert '{"plan": [[x, y], [x, y], ...], "my_plan": a}' in plan and "my plan:" not in plan
+    assert step.endswith('{"position": [x, y]}')
+    assert "JSON" in prompts.retry("it is empty.", "step") and "JSON" not in PromptSet.load().retry(
+        "it is empty.", "step"
+    )
+
+
+def test_a_retry_gives_the_reason() -> None:
+    assert "the plan holds 9 points, 10 are required." in PromptSet.load().retry(
+        "the plan holds 9 points, 10 are required.", "plan"
+    )
+
+
+def test_nothing_assumes_a_plane() -> None:
+    points = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 10.0))
+    mission = build_mission(
+        points=points, center=(5, 5, 5), arena=((0, 0, 0), (40, 40, 40)), spacing=9, safe_distance=3
+    )
+    prompts = PromptSet.load()
+    assert "three-dimensional" in prompts.system(mission) and "[20, 20, 20]" in prompts.system(mission)
+    question = plan_question(position=(1.0, 2.0, 3.0), neighbors=((4.0, 5.0, 6.0),))
+    assert "Plan: [[x, y, z], [x, y, z], ...]" in prompts.plan(mission, question)
+    step = prompts.step(mission, step_question(position=(1, 2, 3), neighbors=((4, 5, 6),), plan=Plan.of(points)))
+    assert "[[4.000, 5.000, 6.000]]" in step and step.endswith("Position: [x, y, z]")
+
+
+def test_a_custom_shape_is_told_by_its_points_and_a_text_shape_by_its_words() -> None:
+    custom = build_mission(points=((10, 10), (20, 10), (30, 10)))
+    assert "[[-10.000, 0.000], [0.000, 0.000], [10.000, 0.000]]" in PromptSet.load().system(custom)
+    words = build_mission(shape="text:the letter {{ A }}", n_robots=5)
+    assert "- Shape: the letter {{ A }}\n" in PromptSet.load().system(words)
+
+
+def test_a_team_of_one_is_asked_for_one_place() -> None:
+    mission = build_mission(shape="circle", n_robots=1)
+    assert "Plan: [[x, y]]\n" in PromptSet.load().plan(mission, plan_question(robot=0))
+
+
+@pytest.mark.parametrize(("value", "text"), [(10.0, "10"), (2.5, "2.5"), (0.1 + 0.2, "0.3"), (1e6, "1000000")])
+def test_numbers_are_short(value: float, text: str) -> None:
+    assert number_text(value) == text
+
+
+@pytest.mark.parametrize(("max_step", "decimals"), [(6.0, 3), (60.0, 3), (0.6, 4), (0.06, 5), (1e-6, 6)])
+def test_positions_are_told_to_a_thousandth_of_a_step(max_step: float, decimals: int) -> None:
+    assert position_decimals(max_step) == decimals
+
+
+def test_two_missions_do_not_mix() -> None:
+    prompts = PromptSet.load()
+    other = MISSION.model_copy(update={"max_step": 5.0})
+    first = prompts.system(MISSION)
+    assert prompts.system(Mission(**other.model_dump())) == first.replace("moves 7 ", "moves 5 ")
+    assert prompts.system(MISSION) == first
+
+
+def test_files_of_the_operator_replace_packaged_ones(tmp_path: Path) -> None:
+    (tmp_path / "step.j2").write_text(
+        "{% include 'head.j2' %} {{ robot }} {{ round }} {{ n_robots }}", encoding="utf-8"
+    )
+    (tmp_path / "head.j2").write_text("I, robot", encoding="utf-8")
+    prompts = PromptSet.load(tmp_path)
+    assert prompts.step(MISSION, step_question()) == "I, robot 2 4 3"
+    assert prompts.plan(MISSION, plan_question()) == PromptSet.load().plan(MISSION, plan_question())
+
+
+@pytest.mark.parametrize(
+    ("content", "file", "why"),
+    [
+        ("{{ robot", "step.j2, line 1", "a Jinja template"),
+        ("{{ speed }}", "step.j2", "not speed"),
+        ("{{ goal | shout }}", "step.j2, line 1", "shout"),
+        ("{{ plan.points }}", "step.j2", "has no attribute 'points'"),
+        ("{{ 1 // 0 }}", "step.j2", "can be rendered"),
+        ("{% include 'missing.j2' %}", "step.j2", "missing.j2"),
+        ("{{ shape.__class__.__mro__ }}", "step.j2", "unsafe"),
+        (b"\xff\xfe", "step.j2", "UTF-8"),
+    ],
+)
+def test_a_bad_template_is_refused_by_name(tmp_path: Path, content: str | bytes, file: str, why: str) -> None:
+    (tmp_path / "step.j2").write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(InputError) as caught:
+        PromptSet.load(tmp_path)
+    assert caught.value.field == "prompts"
+    assert str(caught.value.value).endswith(file) and why in caught.value.allowed
+
+
+def test_a_folder_without_templates_is_refused(tmp_path: Path) -> None:
+    for folder in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(InputError, match=r"system\.j2, plan\.j2, step\.j2, retry\.j2"):
+            PromptSet.load(folder)
+
+
+def test_the_documentation_lists_exactly_the_variables() -> None:
+    text = (ROOT / "docs" / "prompts.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", text, re.MULTILINE)
+    told = {
+        name: {row for row, files in rows if name.removesuffix(".j2") in re.split(r",\s*", files)} for name in VARIABLES
+    }
+    assert {name: set(known) for name, known in VARIABLES.items()} == {
+        name: {row.strip() for row in told[name]} for name in VARIABLES
+    }
