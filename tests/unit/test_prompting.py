@@ -79,9 +79,7 @@ def test_a_retry_gives_the_reason() -> None:
 
 def test_nothing_assumes_a_plane() -> None:
     points = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 10.0))
-    mission = build_mission(
-        points=points, center=(5, 5, 5), arena=((0, 0, 0), (40, 40, 40)), spacing=9, safe_distance=3
-    )
+    mission = build_mission(points=points, center=(20, 20, 20), arena=((0, 0, 0), (40, 40, 40)))
     prompts = PromptSet.load()
     assert "three-dimensional" in prompts.system(mission) and "[20, 20, 20]" in prompts.system(mission)
     question = plan_question(position=(1.0, 2.0, 3.0), neighbors=((4.0, 5.0, 6.0),))

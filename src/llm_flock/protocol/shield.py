@@ -22,6 +22,9 @@ TOLERANCE = 1e-9
 
 DYKSTRA_SWEEPS = 1000
 
+STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Lengths of step that are tried where positions are uncertain, as shares of `max_step`."""
+
 
 @dataclass(frozen=True, slots=True)
 class HalfSpace:
@@ -42,7 +45,8 @@ def separation_half_spaces(
     """The sides of the buffered Voronoi cell that can matter within one step, as limits on the displacement.
 
     With positions known to within `noise_bound` e [units], each side moves inwards by e for the distance and by
-    4 e max_step / d for the direction: two estimated positions turn the line of sight by at most 4 e / d.
+    4 e max_step / d for the direction: two estimated positions turn the line of sight by at most 4 e / d, and a
+    step of that length along a line so turned is off by that much.
     """
     sides: list[HalfSpace] = []
     for other in neighbors:
@@ -78,6 +82,26 @@ def project(
     Returns:
         The waypoint to fly to; `position` itself where the cell is empty (then standing still is safest).
     """
+    if noise_bound == 0.0:
+        return _project_within(position, waypoint, neighbors, safe_distance, max_step, 0.0)
+    # The margin for the direction grows with the step: a shorter step may lead farther through a narrow gap.
+    others = tuple(neighbors)
+    tries = [
+        _project_within(position, waypoint, others, safe_distance, max_step * share, noise_bound)
+        for share in STEP_SHARES
+    ]
+    return min(tries, key=lambda target: math.dist(target, waypoint))
+
+
+def _project_within(
+    position: Point,
+    waypoint: Point,
+    neighbors: Iterable[Point],
+    safe_distance: float,
+    max_step: float,
+    noise_bound: float,
+) -> Point:
+    """The projection for one length of step; the position itself where the cell is empty."""
     sides = separation_half_spaces(
         position, neighbors, safe_distance=safe_distance, max_step=max_step, noise_bound=noise_bound
     )
