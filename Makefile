@@ -30,8 +30,8 @@ $(STAMP): | $(PINS)
 	@touch $@
 
 demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
-	rm -rf runs/demo
-	$(BIN)/llm-flock run --shape circle --robots 10 --seed 7 --out runs/demo
+	@rm -rf runs/demo
+	$(BIN)/llm-flock run --shape circle --robots 10 --seed 7 --model simulated:slow@0.1 --out runs/demo
 	$(BIN)/llm-flock figure runs/demo/run.mcap
 	$(BIN)/llm-flock animate runs/demo/run.mcap
 

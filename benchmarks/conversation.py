@@ -39,7 +39,9 @@ def main() -> None:
         rounds = statistics.mean(run.rounds for run in runs)
         tokens = statistics.mean(run.tokens_input for run in runs)
         per_call = statistics.mean(run.tokens_input / run.model_calls for run in runs)
-        print(f"| {history} | {observe} | {formed} of {given.trials} | {rounds:.1f} | {per_call:,.0f} | {tokens:,.0f} |")
+        print(
+            f"| {history} | {observe} | {formed} of {given.trials} | {rounds:.1f} | {per_call:,.0f} | {tokens:,.0f} |"
+        )
 
 
 if __name__ == "__main__":

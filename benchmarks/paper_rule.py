@@ -45,7 +45,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.robots.simulated import SimulatedTeam, draw_start
 
-Index: TypeAlias = Literal["id", "random", "nearest"]
+Index: TypeAlias = Literal["id", "first", "random", "nearest"]
 Start: TypeAlias = Literal["uniform", "separated", "middle"]
 
 MIDDLE = (30.0, 70.0)
@@ -109,8 +109,8 @@ def propose(
     """An ideal model's plan, at a random orientation."""
     turned = formations.rotated(np.array(mission.ideal), mission.center, float(rng.uniform(0, 2 * math.pi)))
     plan = Plan.of(turned.round(2).tolist())
-    if index == "id":
-        return PlanAnswer(plan=plan, slot=robot)
+    if index in ("id", "first"):
+        return PlanAnswer(plan=plan, slot=robot if index == "id" else 0)
     slot = int(rng.integers(0, len(plan))) if index == "random" else nearest(position, plan)
     return PlanAnswer(plan=plan, slot=slot)
 
@@ -148,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(arguments)
     starts: tuple[Start, ...] = ("uniform", "separated", "middle")
-    indices: tuple[Index, ...] = ("id", "random", "nearest")
+    indices: tuple[Index, ...] = ("id", "first", "random", "nearest")
     ties: tuple[TieBreak, ...] = ("lowest", "highest")
     readings = [
         Reading(shape=shape, n=n, start=start, index=index, ticks=ticks, tie=tie)

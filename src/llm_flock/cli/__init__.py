@@ -55,7 +55,7 @@ def run(
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
         folder = f"runs/{stamp}-{settings.mission.shape.split(':')[0]}-{settings.mission.n_robots}"
         settings = settings.model_copy(update={"trial": settings.trial.model_copy(update={"out": folder})})
-    live = not quiet and not json_output and sys.stderr.isatty()
+    live = not quiet and not json_output
     try:
         with LiveLine(settings.mission.shape, enabled=live) as line:
             result = run_trial(config=settings, on_round=line.update)

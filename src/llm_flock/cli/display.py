@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
@@ -15,17 +16,23 @@ from llm_flock.runtime.trial import Progress
 
 
 class LiveLine:
-    """Round, formed robots, plans, calls, tokens and cost, on one line (on stderr, so that stdout stays clean)."""
+    """Round, formed robots, plans, calls, tokens and cost, on stderr so that stdout stays clean.
+
+    On a terminal one line is redrawn; elsewhere (a log, a pipe) each round is a line of its own.
+    """
 
     def __init__(self, label: str, *, enabled: bool) -> None:
+        self._console = Console(stderr=True)
+        self._redraw = enabled and self._console.is_terminal
+        self._plain = enabled and not self._redraw
         self._bar = Bar(
             SpinnerColumn(),
-            TextColumn(f"[bold]{label}[/]"),
+            TextColumn(f"[bold]{escape(label)}[/]"),
             BarColumn(bar_width=20),
             TextColumn("{task.description}"),
             TimeElapsedColumn(),
-            console=Console(stderr=True),
-            disable=not enabled,
+            console=self._console,
+            disable=not self._redraw,
         )
         self._task = self._bar.add_task("asking every model for a plan ...", total=None)
 
@@ -47,12 +54,14 @@ class LiveLine:
             f"goals {now.distinct_goals}{error} · calls {now.model_calls} · tokens {now.tokens:,}{cost}"
         )
         self._bar.update(self._task, description=text, completed=now.at_goal, total=now.n_robots)
+        if self._plain:
+            self._console.print(text, highlight=False, soft_wrap=True)
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
     """The end of a run in words and numbers."""
     simulated = " (simulated language models)" if summary.simulated else ""
-    title = f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}"
+    title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()
