@@ -24,8 +24,10 @@ from scipy.stats import beta
 
 from llm_flock import formations
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import (
-    Agent,
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.assignment import NearestAssignment, nearest
+from llm_flock.protocol.consensus import InfluenceConsensus, TieBreak
+from llm_flock.protocol.events import (
     Arrived,
     AskPlan,
     AskStep,
@@ -39,8 +41,6 @@ from llm_flock.protocol.agent import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.assignment import NearestAssignment, nearest
-from llm_flock.protocol.consensus import InfluenceConsensus, TieBreak
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.robots.simulated import SimulatedTeam, draw_start

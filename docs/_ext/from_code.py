@@ -44,7 +44,7 @@ class AgentStates(SphinxDirective):
     """The agent's state machine, as a picture and as a table."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.protocol.agent import TRANSITIONS
+        from llm_flock.protocol.events import TRANSITIONS
 
         edges = [
             (str(source), event.__name__, sorted(map(str, targets))) for (source, event), targets in TRANSITIONS.items()

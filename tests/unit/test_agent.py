@@ -3,16 +3,17 @@
 import pytest
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import (
+from llm_flock.protocol.agent import Agent, IllegalEvent
+from llm_flock.protocol.assignment import AuctionAssignment, IndexAssignment
+from llm_flock.protocol.consensus import NoConsensus, PedigreeConsensus
+from llm_flock.protocol.events import (
     TRANSITIONS,
-    Agent,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
     Decided,
     Effect,
-    IllegalEvent,
     MoveTo,
     NegotiationEnded,
     Note,
@@ -25,8 +26,6 @@ from llm_flock.protocol.agent import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.assignment import AuctionAssignment, IndexAssignment
-from llm_flock.protocol.consensus import NoConsensus, PedigreeConsensus
 from llm_flock.protocol.messages import Message, Pedigree, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer

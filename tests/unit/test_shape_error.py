@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from llm_flock import formations
 from llm_flock.errors import InputError
@@ -156,7 +157,7 @@ def test_cube_rotations_are_24_different_proper_rotations() -> None:
         ([(0,)], [(0,)], "target"),
     ],
 )
-def test_what_is_refused(positions: object, target: object, field: str) -> None:
+def test_what_is_refused(positions: ArrayLike, target: ArrayLike, field: str) -> None:
     with pytest.raises(InputError) as caught:
         procrustes(positions, target)
     assert caught.value.field == field

@@ -14,13 +14,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, Points, Vector
 
 TOLERANCE = 1e-9
 """A constraint counts as kept within this much [units]."""
 
-DYKSTRA_SWEEPS = 1000
+BISECTIONS = 60
 
 STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
 """Lengths of step that are tried where positions are uncertain, as shares of `max_step`."""
@@ -165,30 +166,43 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
 
 
 def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Point | None:
-    """Projection in any dimension by Dykstra's algorithm (Boyle, Dykstra 1986), made safe afterwards.
+    """Exact projection in any dimension.
 
-    What the iteration leaves over is removed by scaling the move back until every side is kept; that needs standing
-    still to be allowed, otherwise the cell is treated as empty.
+    Without the ball this is least distance programming (Lawson, Hanson: Solving Least Squares Problems, 1974, ch. 23).
+    The ball's multiplier only pulls the wish towards the origin, and the farther it is pulled the shorter the move:
+    bisection finds the longest move that the ball allows.
     """
-    if any(side.room < 0.0 for side in sides):
-        return None
+    if not sides:
+        return _clip(wish, radius)
     normals = np.array([side.normal for side in sides])
     rooms = np.array([side.room for side in sides])
-    move = np.array(wish)
-    corrections = np.zeros((len(sides) + 1, len(wish)))
-    for _ in range(DYKSTRA_SWEEPS):
-        start = move.copy()
-        for k in range(len(sides)):
-            before = move + corrections[k]
-            move = before - max(0.0, float(normals[k] @ before - rooms[k])) * normals[k]
-            corrections[k] = before - move
-        before = move + corrections[-1]
-        length = float(np.linalg.norm(before))
-        move = before if length <= radius else before * (radius / length)
-        corrections[-1] = before - move
-        if float(np.abs(move - start).max()) < 1e-13:
-            break
-    along = normals @ move
-    over = along > rooms
-    scale = float(np.min(rooms[over] / along[over])) if bool(over.any()) else 1.0
-    return tuple(float(x) * scale for x in move)
+    target = np.array(wish)
+    move = _nearest(target, normals, rooms)
+    if move is not None and float(np.linalg.norm(move)) > radius:
+        move = _nearest(np.zeros_like(target), normals, rooms)
+        if move is None or float(np.linalg.norm(move)) > radius:
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            tried = _nearest(middle * target, normals, rooms)
+            if tried is not None and float(np.linalg.norm(tried)) <= radius:
+                low, move = middle, tried
+            else:
+                high = middle
+    return None if move is None else tuple(float(x) for x in move)
+
+
+def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
+    """The point with `normals @ u <= rooms` nearest to `target`; None if there is none."""
+    excess = normals @ target - rooms
+    if float(excess.max()) <= 0.0:
+        return target
+    system = np.vstack([-normals.T, excess])
+    ones = np.zeros(len(target) + 1)
+    ones[-1] = 1.0
+    weights, residual = nnls(system, ones)
+    if residual < 1e-12:
+        return None
+    left = system @ weights - ones
+    return target - left[:-1] / left[-1]

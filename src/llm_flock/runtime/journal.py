@@ -12,7 +12,8 @@ from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent, MoveTo, Note, Origin
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import (
     CallUsage,

@@ -12,8 +12,8 @@ import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
-from llm_flock.protocol.agent import (
-    Agent,
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.events import (
     Arrived,
     AskPlan,
     AskStep,

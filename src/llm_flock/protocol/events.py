@@ -1,0 +1,161 @@
+"""What happens to a robot, what it wants done about it, and which event is legal when.
+
+`TRANSITIONS` is the table of the state machine in `llm_flock.protocol.agent`; the documentation draws it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+
+
+class Phase(StrEnum):
+    """Where a robot is in its motion round."""
+
+    IDLE = "idle"
+    PLANNING = "planning"
+    NEGOTIATING = "negotiating"
+    DECIDING = "deciding"
+    MOVING = "moving"
+    STOPPED = "stopped"
+
+
+class Origin(StrEnum):
+    """Who made the waypoint that is flown."""
+
+    START = "start"
+    MODEL = "model"
+    SHIELD = "shield"
+    HOLD = "hold"
+
+
+# Events: what happens to the robot.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoundBegan:
+    """A new motion round, with what the sensors say.
+
+    Attributes:
+        round: number of the round, from 1.
+        position: own believed position [units; world frame].
+        sensed: believed positions of the robots within sensing range, by id.
+        observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
+    """
+
+    round: int
+    position: Point
+    sensed: Mapping[int, Point]
+    observed: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """The planner answered the plan question."""
+
+    answer: PlanAnswer | NoAnswer
+
+
+@dataclass(frozen=True, slots=True)
+class TickBegan:
+    """Time to broadcast."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes came in over the radio, from anybody."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class TickEnded:
+    """All messages of this tick are in: decide on them together (snapshot semantics)."""
+
+
+@dataclass(frozen=True, slots=True)
+class NegotiationEnded:
+    """No more exchanges before the move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """The planner answered the step question."""
+
+    answer: StepAnswer | NoAnswer
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """The body finished the move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The mission is over."""
+
+
+Event: TypeAlias = (
+    RoundBegan | Planned | TickBegan | Received | TickEnded | NegotiationEnded | Decided | Arrived | Stopped
+)
+
+# Effects: what the robot wants done.
+
+
+@dataclass(frozen=True, slots=True)
+class AskPlan:
+    """Ask the planner for a formation."""
+
+    question: PlanQuestion
+
+
+@dataclass(frozen=True, slots=True)
+class AskStep:
+    """Ask the planner for a waypoint."""
+
+    question: StepQuestion
+
+
+@dataclass(frozen=True, slots=True)
+class Broadcast:
+    """Send these bytes to whoever is in radio range."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveTo:
+    """Fly to `waypoint`; `proposed` is what the planner asked for, where it answered."""
+
+    waypoint: Point
+    proposed: Point | None
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something worth recording: `kind` is a stable word, `detail` plain values."""
+
+    kind: str
+    detail: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+
+Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
+
+TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
+    (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.NEGOTIATING}),
+    (Phase.PLANNING, Planned): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, TickBegan): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, Received): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, TickEnded): frozenset({Phase.NEGOTIATING}),
+    (Phase.NEGOTIATING, NegotiationEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
+    (Phase.DECIDING, Decided): frozenset({Phase.MOVING}),
+    (Phase.MOVING, Arrived): frozenset({Phase.IDLE}),
+    **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
+}
+"""Every legal (phase, event) and the phases it may lead to; anything else is a fault of the runtime."""
