@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from llm_flock.protocol.assignment import AssignmentRule, Claim, Start
+from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.messages import Message, Pedigree, decode, encode
 from llm_flock.protocol.plan import Plan
@@ -79,31 +79,42 @@ def check_assignment_rule(rule: AssignmentRule, *, trials: int = 100, seed: int 
     assert isinstance(rule.name, str) and rule.name, "a rule has a name"
     rng = np.random.default_rng(seed)
     for _ in range(trials):
-        n = int(rng.integers(1, 7))
-        plan = random_plan(n, rng)
-        places = [tuple(float(x) for x in row) for row in rng.uniform(0, 100, (n, 2))]
-        starts = [
-            Start(robot=i, position=places[i], plan=plan, chosen=int(rng.integers(0, n)), adopted=i > 0, heard=())
-            for i in range(n)
-        ]
-        claims = [rule.take(start) for start in starts]
-        for start, claim in zip(starts, claims, strict=True):
-            assert rule.take(start) == claim, f"{rule.name} gives different claims for the same arguments"
+        _check_team(rule, int(rng.integers(1, 7)), rng)
+
+
+def _check_team(rule: AssignmentRule, n: int, rng: np.random.Generator) -> None:
+    """One team of n that all hear each other, on one random plan."""
+    plan = random_plan(n, rng)
+    places = [tuple(float(x) for x in row) for row in rng.uniform(0, 100, (n, 2))]
+    chosen = [int(rng.integers(0, n)) for _ in range(n)]
+
+    def moment(i: int, heard: list[Message]) -> Moment:
+        return Moment(
+            robot=i,
+            position=places[i],
+            plan=plan,
+            spacing=10.0,
+            chosen=chosen[i],
+            adopted=i > 0,
+            heard=heard,
+            sensed={j: places[j] for j in range(n) if j != i},
+        )
+
+    claims = [rule.take(moment(i, [])) for i in range(n)]
+    for i, claim in enumerate(claims):
+        assert rule.take(moment(i, [])) == claim, f"{rule.name} gives different claims for the same arguments"
+        _check_claim(rule, claim, plan)
+        idle = rule.update(claim, moment(i, []))
+        assert idle.slot == claim.slot, f"{rule.name} changes its claim without hearing anything"
+    for _ in range(10 * n + 10):
+        spoken = [_spoken(i, plan, claims[i], n) for i in range(n)]
+        before = [(c.slot, c.table, c.offer) for c in claims]
+        claims = [rule.update(claims[i], moment(i, [m for m in spoken if m.sender != i])) for i in range(n)]
+        for claim in claims:
             _check_claim(rule, claim, plan)
-            idle = rule.update(start.robot, start.position, plan, claim, [])
-            assert idle.slot == claim.slot, f"{rule.name} changes its claim without hearing anything"
-        for _ in range(4 * n + 4):
-            spoken = [_spoken(i, plan, claims[i], n) for i in range(n)]
-            before = [(c.slot, c.table) for c in claims]
-            claims = [
-                rule.update(i, places[i], plan, claims[i], [m for m in spoken if m.sender != i]) for i in range(n)
-            ]
-            for claim in claims:
-                _check_claim(rule, claim, plan)
-            if before == [(c.slot, c.table) for c in claims]:
-                break
-        else:
-            raise AssertionError(f"{rule.name} does not come to rest among {n} robots that all hear each other")
+        if before == [(c.slot, c.table, c.offer) for c in claims]:
+            return
+    raise AssertionError(f"{rule.name} does not come to rest among {n} robots that all hear each other")
 
 
 def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
@@ -114,7 +125,14 @@ def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     """The claim as others hear it, through the wire format."""
     origin = Pedigree(mission=0, mission_digest=DIGEST, epoch=0, neighbors=0, proposer=0, sequence=0)
     message = Message(
-        sender=robot, sequence=0, neighbors=0, plan=plan, pedigree=origin, slot=claim.slot, table=claim.table
+        sender=robot,
+        sequence=0,
+        neighbors=0,
+        plan=plan,
+        pedigree=origin,
+        slot=claim.slot,
+        table=claim.table,
+        offer=claim.offer,
     )
     return decode(encode(message), n, 2)
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from llm_flock import graph
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import AssignmentRule, AuctionAssignment, NearestAssignment
+from llm_flock.protocol.assignment import AssignmentRule, NearestAssignment
+from llm_flock.protocol.auction import AuctionAssignment
 from llm_flock.protocol.consensus import ConsensusRule, InfluenceConsensus, PedigreeConsensus
 from llm_flock.protocol.events import Broadcast, Planned, Received, RoundBegan, TickBegan, TickEnded
 from llm_flock.protocol.plan import Plan

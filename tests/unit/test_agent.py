@@ -4,7 +4,8 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent, IllegalEvent
-from llm_flock.protocol.assignment import AuctionAssignment, IndexAssignment
+from llm_flock.protocol.assignment import IndexAssignment
+from llm_flock.protocol.auction import AuctionAssignment
 from llm_flock.protocol.consensus import NoConsensus, PedigreeConsensus
 from llm_flock.protocol.events import (
     TRANSITIONS,

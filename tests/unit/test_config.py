@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 from llm_flock.errors import InputError
-from llm_flock.protocol.assignment import AuctionAssignment
+from llm_flock.protocol.auction import AuctionAssignment
 from llm_flock.protocol.consensus import InfluenceConsensus
 from llm_flock.runtime.config import RunConfig, build_config, load_config
 from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
@@ -109,7 +109,7 @@ def test_points_come_from_a_file(tmp_path: Path) -> None:
 
 def test_rules_are_found_by_name_or_by_address() -> None:
     assert consensus_rule("influence") == InfluenceConsensus()
-    assert assignment_rule("llm_flock.protocol.assignment:AuctionAssignment") == AuctionAssignment()
+    assert assignment_rule("llm_flock.protocol.auction:AuctionAssignment") == AuctionAssignment()
     for name in ("best", "no.such.module:Rule", "llm_flock.protocol.consensus:NoSuchRule"):
         with pytest.raises(InputError, match="consensus"):
             consensus_rule(name)

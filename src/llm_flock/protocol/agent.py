@@ -14,7 +14,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol import shield
-from llm_flock.protocol.assignment import AssignmentRule, Claim, Start
+from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import (
     TRANSITIONS,
@@ -166,15 +166,21 @@ class Agent:
 
     def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
         self.plan, self.pedigree = plan, origin
-        start = Start(
+        self.claim = self._assignment.take(self._moment(adopted=adopted, heard=heard))
+
+    def _moment(self, *, adopted: bool, heard: list[Message]) -> Moment:
+        """What the assignment rule may know."""
+        assert self.plan is not None
+        return Moment(
             robot=self.robot,
             position=self.position,
-            plan=plan,
+            plan=self.plan,
+            spacing=self.mission.spacing,
             chosen=self._own_slot,
             adopted=adopted,
-            heard=[m for m in heard if m.plan == plan],
+            heard=[m for m in heard if m.plan == self.plan],
+            sensed=self._sensed,
         )
-        self.claim = self._assignment.take(start)
 
     def _broadcast(self) -> list[Effect]:
         """The own standing; bytes are made anew only when it changed, so that equal content is equal bytes."""
@@ -186,6 +192,7 @@ class Agent:
             or said.pedigree is not self.pedigree
             or said.slot != self.claim.slot
             or said.table is not self.claim.table
+            or said.offer is not self.claim.offer
         ):
             self._said = Message(
                 sender=self.robot,
@@ -195,6 +202,7 @@ class Agent:
                 pedigree=self.pedigree,
                 slot=self.claim.slot,
                 table=self.claim.table,
+                offer=self.claim.offer,
             )
             self._payload = encode(self._said)
         return [Broadcast(self._payload)]
@@ -224,8 +232,7 @@ class Agent:
         source = self._consensus.choose(own, heard)
         effects = [] if source is None else self._adopt(source, heard)
         if not effects and self.plan is not None:
-            same = [m for m in heard if m.plan == self.plan]
-            self.claim = self._assignment.update(self.robot, self.position, self.plan, self.claim, same)
+            self.claim = self._assignment.update(self.claim, self._moment(adopted=True, heard=heard))
         if self.claim.slot != slot_before:
             effects.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         return effects

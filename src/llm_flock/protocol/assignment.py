@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages import NO_OWNER, Entry, Message, Table
+from llm_flock.protocol.messages import Message, Offer, Table
 from llm_flock.protocol.plan import Plan
-
-BID_DECIMALS = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,39 +20,46 @@ class Claim:
         slot: index of the place, None while the robot has none.
         table: everybody's claims as far as known (auction only).
         bids: this robot's bid for every slot, fixed when the plan was adopted (auction only).
+        offer: the exchange of places that this robot has offered and is bound to (auction only).
+        bound: ticks for which it stays bound to its offer.
     """
 
     slot: int | None
     table: Table | None = None
     bids: tuple[float, ...] | None = None
+    offer: Offer | None = None
+    bound: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
-    """What a robot knows when it begins to follow a plan.
+class Moment:
+    """What a robot knows when it claims a place of the plan it follows.
 
     Attributes:
         robot: own id.
         position: own believed position [units; world frame].
-        plan: the plan that is now followed.
+        plan: the plan that is followed.
+        spacing: wanted distance between neighbouring robots [units].
         chosen: the index that its own model named for itself, None where the model gave no plan.
         adopted: whether the plan is another robot's.
-        heard: this tick's messages of robots on the same plan.
+        heard: this tick's newest message of each robot on the same plan, in ascending order of ids.
+        sensed: believed positions of the robots within sensing range, by id [units; world frame].
     """
 
     robot: int
     position: Point
     plan: Plan
+    spacing: float
     chosen: int | None
     adopted: bool
     heard: Sequence[Message]
+    sensed: Mapping[int, Point]
 
 
 class AssignmentRule(Protocol):
     """Chooses a robot's own slot.
 
-    A rule is a pure function of its arguments. `heard` holds the newest message of each sender that follows the same
-    plan, in ascending order of ids. `llm_flock.testing.check_assignment_rule` tests a new rule.
+    A rule is a pure function of its arguments. `llm_flock.testing.check_assignment_rule` tests a new rule.
     """
 
     @property
@@ -62,11 +67,11 @@ class AssignmentRule(Protocol):
         """The word for the command line and records."""
         ...
 
-    def take(self, start: Start) -> Claim:
+    def take(self, now: Moment) -> Claim:
         """First claim on a plan that was just proposed or adopted."""
         ...
 
-    def update(self, robot: int, position: Point, plan: Plan, claim: Claim, heard: Sequence[Message]) -> Claim:
+    def update(self, claim: Claim, now: Moment) -> Claim:
         """The claim after a tick's messages on the same plan."""
         ...
 
@@ -80,9 +85,9 @@ def nearest(position: Point, plan: Plan, taken: frozenset[int] = frozenset()) ->
     return min(free, key=lambda a: (math.dist(position, plan.points[a]), a))
 
 
-def _own_choice(start: Start) -> int:
+def _own_choice(now: Moment) -> int:
     """The model's own index; the robot's id where the model named none."""
-    return start.robot if start.chosen is None else start.chosen
+    return now.robot if now.chosen is None else now.chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +96,11 @@ class IndexAssignment:
 
     name: str = "index"
 
-    def take(self, start: Start) -> Claim:
+    def take(self, now: Moment) -> Claim:
         """The index that this robot's model named with its own plan, also in a plan adopted from another."""
-        return Claim(slot=_own_choice(start))
+        return Claim(slot=_own_choice(now))
 
-    def update(self, robot: int, position: Point, plan: Plan, claim: Claim, heard: Sequence[Message]) -> Claim:
+    def update(self, claim: Claim, now: Moment) -> Claim:
         """Unchanged."""
         return claim
 
@@ -111,11 +116,11 @@ class NearestAssignment:
 
     name: str = "nearest"
 
-    def take(self, start: Start) -> Claim:
+    def take(self, now: Moment) -> Claim:
         """The model's index on its own plan; the nearest of all points on an adopted one."""
-        return Claim(slot=_own_choice(start) if not start.adopted else nearest(start.position, start.plan))
+        return Claim(slot=_own_choice(now) if not now.adopted else nearest(now.position, now.plan))
 
-    def update(self, robot: int, position: Point, plan: Plan, claim: Claim, heard: Sequence[Message]) -> Claim:
+    def update(self, claim: Claim, now: Moment) -> Claim:
         """Unchanged: equal plans never trigger a new assignment."""
         return claim
 
@@ -131,80 +136,16 @@ class NearestFreeAssignment:
 
     name: str = "nearest-free"
 
-    def take(self, start: Start) -> Claim:
+    def take(self, now: Moment) -> Claim:
         """The model's index on its own plan; the nearest unclaimed point on an adopted one."""
-        if not start.adopted:
-            return Claim(slot=_own_choice(start))
-        taken = frozenset(m.slot for m in start.heard if m.slot is not None)
-        return Claim(slot=nearest(start.position, start.plan, taken))
+        if not now.adopted:
+            return Claim(slot=_own_choice(now))
+        taken = frozenset(m.slot for m in now.heard if m.slot is not None)
+        return Claim(slot=nearest(now.position, now.plan, taken))
 
-    def update(self, robot: int, position: Point, plan: Plan, claim: Claim, heard: Sequence[Message]) -> Claim:
+    def update(self, claim: Claim, now: Moment) -> Claim:
         """Yield to a neighbour of lower id on the same goal."""
-        if not any(m.slot == claim.slot and m.sender < robot for m in heard):
+        if not any(m.slot == claim.slot and m.sender < now.robot for m in now.heard):
             return claim
-        taken = frozenset(m.slot for m in heard if m.slot is not None)
-        return Claim(slot=nearest(position, plan, taken))
-
-
-def rank(entry: Entry) -> tuple[int, bool, float, int]:
-    """Order of claims on one slot: higher version, then owned before free, then higher bid, then lower owner."""
-    version, bid, owner = entry
-    return (version, owner != NO_OWNER, bid, -owner)
-
-
-def merge(mine: Table, theirs: Table) -> Table:
-    """Slot by slot the claim of higher rank; associative, commutative and idempotent."""
-    if mine == theirs:
-        return mine
-    return tuple(a if a == b or rank(a) > rank(b) else b for a, b in zip(mine, theirs, strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class AuctionAssignment:
-    """Consensus-based auction (CBAA: Choi, Brunet, How 2009) over the slots of the agreed plan.
-
-    A robot's bid for a slot is minus its distance to it, fixed when it adopts the plan: bids from moving positions
-    could leapfrog for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it can still
-    win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a connected
-    graph the team ends on distinct slots. The index named by the model is not used: it knows nobody's distance.
-    """
-
-    name: str = "auction"
-
-    def take(self, start: Start) -> Claim:
-        """Fix the bids for this plan and claim the best slot that can be won."""
-        bids = tuple(round(-math.dist(start.position, point), BID_DECIMALS) for point in start.plan.points)
-        empty: Table = ((0, 0.0, NO_OWNER),) * len(start.plan)
-        claim = Claim(slot=None, table=empty, bids=bids)
-        return self.update(start.robot, start.position, start.plan, claim, start.heard)
-
-    def update(self, robot: int, position: Point, plan: Plan, claim: Claim, heard: Sequence[Message]) -> Claim:
-        """Merge the tables heard; keep the slot, or claim another one if it was lost."""
-        table, bids = claim.table, claim.bids
-        assert table is not None and bids is not None, "an auction claim carries a table and bids"
-        before = table
-        for message in heard:
-            if message.table is not None:
-                table = merge(table, message.table)
-        if table is before and claim.slot is not None:
-            return claim
-        table, slot = _settle(robot, bids, table)
-        return Claim(slot=slot, table=table, bids=bids)
-
-
-def _settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
-    """Own exactly one slot: keep the best of those owned and release the rest, or claim the best winnable one."""
-    owned = [a for a, entry in enumerate(table) if entry[2] == robot]
-    if owned:
-        keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a))
-        if len(owned) == 1:
-            return table, keep
-        released = {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}
-        return tuple(released.get(a, entry) for a, entry in enumerate(table)), keep
-    offers = ((a, (table[a][0], bids[a], robot)) for a in range(len(table)))
-    winnable = [(bids[a], -a, offer) for a, offer in offers if rank(offer) > rank(table[a])]
-    if not winnable:
-        return table, None
-    _, minus_slot, offer = max(winnable)
-    slot = -minus_slot
-    return table[:slot] + (offer,) + table[slot + 1 :], slot
+        taken = frozenset(m.slot for m in now.heard if m.slot is not None)
+        return Claim(slot=nearest(now.position, now.plan, taken))

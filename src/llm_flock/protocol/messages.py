@@ -48,6 +48,27 @@ class Pedigree:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Offer:
+    """An exchange of places, offered to one neighbour.
+
+    Attributes:
+        to: robot that may accept it.
+        give: slot that the sender owns and gives.
+        take: slot that `to` owns and the sender would get.
+        give_version: version of `give` that the offer is about.
+        take_version: version of `take` that the offer is about.
+        bid: the sender's bid for `take`.
+    """
+
+    to: int
+    give: int
+    take: int
+    give_version: int
+    take_version: int
+    bid: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
     """One robot's standing, as broadcast.
 
@@ -59,6 +80,7 @@ class Message:
         pedigree: origin of that plan, present with it.
         slot: index of the place it claims in the plan.
         table: what it knows of everybody's claims on that plan (auction only).
+        offer: an exchange of places that it offers (auction only).
     """
 
     sender: int
@@ -68,6 +90,7 @@ class Message:
     pedigree: Pedigree | None = None
     slot: int | None = None
     table: Table | None = None
+    offer: Offer | None = None
 
 
 Id = Annotated[int, Field(ge=0)]
@@ -85,6 +108,16 @@ class _WirePedigree(BaseModel):
     sequence: Counter
 
 
+class _WireOffer(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    to: Id
+    give: Id
+    take: Id
+    give_version: Counter
+    take_version: Counter
+    bid: Finite
+
+
 class _WireMessage(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
     v: Literal[1]
@@ -95,6 +128,7 @@ class _WireMessage(BaseModel):
     pedigree: _WirePedigree | None
     slot: Id | None
     table: tuple[tuple[Counter, Finite, int], ...] | None
+    offer: _WireOffer | None
 
 
 def max_payload_bytes(n_robots: int) -> int:
@@ -124,6 +158,16 @@ def encode(message: Message) -> bytes:
             },
             "slot": message.slot,
             "table": message.table,
+            "offer": None
+            if message.offer is None
+            else {
+                "to": message.offer.to,
+                "give": message.offer.give,
+                "take": message.offer.take,
+                "give_version": message.offer.give_version,
+                "take_version": message.offer.take_version,
+                "bid": message.offer.bid,
+            },
         }
     )
 
@@ -163,6 +207,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         ),
         slot=wire.slot,
         table=wire.table,
+        offer=None if wire.offer is None else Offer(**dict(wire.offer)),
     )
 
 
@@ -183,6 +228,8 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
     named = [wire.sender]
     if wire.pedigree is not None:
         named.append(wire.pedigree.proposer)
+    if wire.offer is not None:
+        named.append(wire.offer.to)
     if wire.table is not None:
         named.extend(entry[2] for entry in wire.table if entry[2] != NO_OWNER)
     for robot in named:
@@ -196,12 +243,14 @@ def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
     if (wire.plan is None) != (wire.pedigree is None):
         raise MessageError("malformed", "a plan and its pedigree go together")
     if wire.plan is None:
-        if wire.slot is not None or wire.table is not None:
+        if wire.slot is not None or wire.table is not None or wire.offer is not None:
             raise MessageError("malformed", "claims without a plan")
         return
     if len(wire.plan) != n_robots or any(len(point) != dim for point in wire.plan):
         raise MessageError("wrong_length", f"a plan has {n_robots} points of {dim} coordinates")
     if wire.slot is not None and wire.slot >= n_robots:
         raise MessageError("wrong_length", f"slot {wire.slot} of {n_robots}")
+    if wire.offer is not None and max(wire.offer.give, wire.offer.take) >= n_robots:
+        raise MessageError("wrong_length", f"an offer of slots {wire.offer.give} and {wire.offer.take} of {n_robots}")
     if wire.table is not None and len(wire.table) != n_robots:
         raise MessageError("wrong_length", f"a table has {n_robots} entries, not {len(wire.table)}")

@@ -10,11 +10,11 @@ from typing import Any, TypeVar
 from llm_flock.errors import InputError
 from llm_flock.protocol.assignment import (
     AssignmentRule,
-    AuctionAssignment,
     IndexAssignment,
     NearestAssignment,
     NearestFreeAssignment,
 )
+from llm_flock.protocol.auction import AuctionAssignment
 from llm_flock.protocol.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, PedigreeConsensus
 
 Rule = TypeVar("Rule")

@@ -1,0 +1,183 @@
+"""Consensus-based auction over the slots of the agreed plan, with exchanges between neighbours.
+
+CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO 2009). Exchanges
+follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for multiple robots
+(IJRR 2014). Nobody holds the table: every robot has its own, and tables meet by merging.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.assignment import Claim, Moment
+from llm_flock.protocol.messages import NO_OWNER, Entry, Message, Offer, Table
+
+BID_DECIMALS = 9
+
+SWAP_GAIN = 0.01
+"""An exchange must lower the sum of squared distances by at least this share of the squared spacing."""
+
+BOUND_TICKS = 4
+"""How long an offer binds its maker; an answer takes two ticks where nothing is lost."""
+
+
+def rank(entry: Entry) -> tuple[int, bool, float, int]:
+    """Order of claims on one slot: higher version, then owned before free, then higher bid, then lower owner."""
+    version, bid, owner = entry
+    return (version, owner != NO_OWNER, bid, -owner)
+
+
+def merge(mine: Table, theirs: Table) -> Table:
+    """Slot by slot the claim of higher rank; associative, commutative and idempotent."""
+    if mine == theirs:
+        return mine
+    return tuple(a if a == b or rank(a) > rank(b) else b for a, b in zip(mine, theirs, strict=True))
+
+
+def vacant(table: Table) -> list[int]:
+    """Slots that nobody is known to own."""
+    return [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
+
+
+@dataclass(frozen=True, slots=True)
+class AuctionAssignment:
+    """CBAA with exchanges.
+
+    A robot's bid for a slot is minus its distance to it, fixed when it adopts the plan: bids from moving positions
+    could leapfrog for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it can still
+    win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a connected
+    graph the team ends on distinct slots. The index named by the model is not used: it knows nobody's distance.
+
+    Two neighbours exchange slots when that lowers the sum of their squared distances, even if one then flies farther.
+    The offer binds its maker until it is answered, refused or expired: meanwhile it neither claims nor exchanges. The
+    acceptance is written in the table, both versions raised, and travels by merging; an entry with a raised version
+    cannot be outbid by who has not heard of it. Whoever finds itself on several slots, after a late acceptance for
+    instance, keeps one by a fixed order and releases the rest.
+    """
+
+    name: str = "auction"
+    swaps: bool = True
+
+    def take(self, now: Moment) -> Claim:
+        """Fix the bids for this plan and claim the best slot that can be won."""
+        bids = tuple(round(-math.dist(now.position, point), BID_DECIMALS) for point in now.plan.points)
+        empty: Table = ((0, 0.0, NO_OWNER),) * len(now.plan)
+        return self.update(Claim(slot=None, table=empty, bids=bids), now)
+
+    def update(self, claim: Claim, now: Moment) -> Claim:
+        """Merge the tables heard; keep the slot, exchange it, or claim another one if it was lost."""
+        table, bids = claim.table, claim.bids
+        assert table is not None and bids is not None, "an auction claim carries a table and bids"
+        for message in now.heard:
+            if message.table is not None:
+                table = merge(table, message.table)
+        offer, bound = claim.offer, claim.bound - 1
+        if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
+            offer = None
+        if offer is None:
+            table, slot = settle(now.robot, bids, table)
+        else:
+            table, slot = keep_one(now.robot, table)
+        claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
+        if slot is None or not self.swaps:
+            return claim
+        return _accepted(claim, now) or (claim if offer is not None else _offered(claim, now))
+
+
+def _ended(offer: Offer, robot: int, table: Table) -> bool:
+    """Whether an offer was answered or refused: either slot has moved on in the table."""
+    mine, theirs = table[offer.give], table[offer.take]
+    return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
+
+
+def keep_one(robot: int, table: Table) -> tuple[Table, int | None]:
+    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released."""
+    owned = [a for a, entry in enumerate(table) if entry[2] == robot]
+    if len(owned) < 2:
+        return table, owned[0] if owned else None
+    keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a))
+    released = {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}
+    return tuple(released.get(a, entry) for a, entry in enumerate(table)), keep
+
+
+def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
+    """Own exactly one slot: keep one of those owned, or claim the best that can be won, or none."""
+    table, slot = keep_one(robot, table)
+    if slot is not None:
+        return table, slot
+    offers = ((a, (table[a][0], bids[a], robot)) for a in range(len(table)) if table[a][0] == 0 or table[a][2] < 0)
+    winnable = [(bids[a], -a, entry) for a, entry in offers if rank(entry) > rank(table[a])]
+    if not winnable:
+        return table, None
+    _, minus_slot, entry = max(winnable)
+    slot = -minus_slot
+    return table[:slot] + (entry,) + table[slot + 1 :], slot
+
+
+def gain(here: Point, there: Point, mine: Point, theirs: Point) -> float:
+    """By how much exchanging goals lowers the sum of squared distances [units^2]."""
+    now = math.dist(here, mine) ** 2 + math.dist(there, theirs) ** 2
+    return now - math.dist(here, theirs) ** 2 - math.dist(there, mine) ** 2
+
+
+def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:
+    """The gain of exchanging with a peer on `slot`; minus infinity where the peer is not sensed."""
+    there = now.sensed.get(peer)
+    if there is None or claim.slot is None:
+        return -math.inf
+    return gain(now.position, there, now.plan.points[claim.slot], now.plan.points[slot])
+
+
+def _accepted(claim: Claim, now: Moment) -> Claim | None:
+    """Accept the best of the offers heard, if there is a good one and nothing binds this robot elsewhere."""
+    table = claim.table or ()
+    good: list[tuple[float, int, Offer]] = []
+    for message in now.heard:
+        offer = message.offer
+        if offer is None or offer.to != now.robot or offer.take != claim.slot:
+            continue
+        # Two that offer each other the same exchange: the offer of the lower id stands.
+        crossing = claim.offer is not None and claim.offer.to == message.sender and message.sender < now.robot
+        if claim.offer is not None and not crossing:
+            continue
+        if table[offer.give][::2] != (offer.give_version, message.sender) or table[offer.take][0] != offer.take_version:
+            continue
+        worth = _worth(claim, now, message.sender, offer.give)
+        if worth >= SWAP_GAIN * now.spacing**2:
+            good.append((worth, -message.sender, offer))
+    if not good:
+        return None
+    _, minus_sender, offer = max(good, key=lambda item: item[:2])
+    entries = list(table)
+    assert claim.bids is not None
+    entries[offer.give] = (offer.give_version + 1, claim.bids[offer.give], now.robot)
+    entries[offer.take] = (offer.take_version + 1, offer.bid, -minus_sender)
+    return Claim(slot=offer.give, table=tuple(entries), bids=claim.bids)
+
+
+def _offered(claim: Claim, now: Moment) -> Claim:
+    """Offer the best exchange to a neighbour that is bound to nobody, if there is a good one."""
+    table, slot = claim.table or (), claim.slot
+    assert slot is not None and claim.bids is not None
+    best: tuple[float, int] | None = None
+    chosen: Message | None = None
+    for message in now.heard:
+        theirs = message.slot
+        if theirs is None or theirs == slot or message.offer is not None or table[theirs][2] != message.sender:
+            continue
+        worth = _worth(claim, now, message.sender, theirs)
+        if worth >= SWAP_GAIN * now.spacing**2 and (best is None or (worth, -message.sender) > best):
+            best, chosen = (worth, -message.sender), message
+    if chosen is None or chosen.slot is None:
+        return claim
+    offer = Offer(
+        to=chosen.sender,
+        give=slot,
+        take=chosen.slot,
+        give_version=table[slot][0],
+        take_version=table[chosen.slot][0],
+        bid=claim.bids[chosen.slot],
+    )
+    return replace(claim, offer=offer, bound=BOUND_TICKS)

@@ -1,0 +1,204 @@
+"""The auction: tables that merge, bids, exchanges, and what keeps two robots from one slot."""
+
+import math
+
+import pytest
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.assignment import Claim, Moment
+from llm_flock.protocol.auction import BOUND_TICKS, AuctionAssignment, gain, merge, vacant
+from llm_flock.protocol.messages import Message, Offer, Pedigree, Table
+from llm_flock.protocol.plan import Plan
+
+PLAN = Plan.of([[0, 0], [10, 0], [20, 0]])
+ORIGIN = Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+RULE = AuctionAssignment()
+FREE: Table = ((0, 0.0, -1), (0, 0.0, -1), (0, 0.0, -1))
+
+
+def at(robot: int, x: float, *heard: Message, sensed: dict[int, Point] | None = None) -> Moment:
+    return Moment(
+        robot=robot,
+        position=(x, 0.0),
+        plan=PLAN,
+        spacing=10.0,
+        chosen=None,
+        adopted=True,
+        heard=heard,
+        sensed=sensed or {},
+    )
+
+
+def says(sender: int, claim: Claim) -> Message:
+    return Message(
+        sender=sender,
+        sequence=0,
+        neighbors=0,
+        plan=PLAN,
+        pedigree=ORIGIN,
+        slot=claim.slot,
+        table=claim.table,
+        offer=claim.offer,
+    )
+
+
+def crossed() -> tuple[Claim, Claim, dict[int, Point]]:
+    """Robot 0 at the right owns the left slot, robot 1 at the left owns the middle: both had better exchange."""
+    table: Table = ((0, -1.0, 0), (0, -1.0, 1), (0, 0.0, -1))
+    bids = (-20.0, -10.0, 0.0)
+    return (
+        Claim(slot=0, table=table, bids=bids),
+        Claim(slot=1, table=table, bids=(0.0, -10.0, -20.0)),
+        {0: (12.0, 0.0), 1: (1.0, 0.0)},
+    )
+
+
+def test_merge_is_a_join() -> None:
+    a: Table = ((0, -1.0, 0), (0, 0.0, -1), (2, -9.0, 1))
+    b: Table = ((0, -1.0, 1), (0, -5.0, 2), (1, -1.0, 0))
+    c: Table = ((1, 0.0, -1), (0, -4.0, 3), (2, -9.0, 0))
+    assert merge(a, b) == merge(b, a) == ((0, -1.0, 0), (0, -5.0, 2), (2, -9.0, 1))
+    assert merge(merge(a, b), c) == merge(a, merge(b, c))
+    assert merge(a, a) is a
+    assert vacant(merge(a, b)) == [] and vacant(FREE) == [0, 1, 2]
+
+
+def test_an_outbid_robot_takes_the_best_slot_still_winnable() -> None:
+    near, far = RULE.take(at(0, 10.5)), RULE.take(at(1, 12.0))
+    assert near.slot == far.slot == 1
+    near, far = RULE.update(near, at(0, 10.5, says(1, far))), RULE.update(far, at(1, 12.0, says(0, near)))
+    assert (near.slot, far.slot) == (1, 2)
+
+
+def test_messages_without_a_table_teach_nothing() -> None:
+    claim = RULE.take(at(0, 10.0))
+    assert RULE.update(claim, at(0, 10.0, says(1, Claim(slot=1)))) == claim
+
+
+def test_all_but_one_slot_are_released_with_a_raised_version() -> None:
+    """A robot that finds itself on two slots, from an earlier life on this plan, keeps the better one."""
+    claim = RULE.take(at(0, 0.0))
+    old: Table = ((0, -50.0, 2), (0, -0.5, 0), (0, 0.0, -1))
+    after = RULE.update(claim, at(0, 0.0, says(1, Claim(slot=None, table=old))))
+    assert after.slot == 0
+    assert after.table == ((0, 0.0, 0), (1, 0.0, -1), (0, 0.0, -1))
+
+
+def test_without_a_winnable_slot_there_is_no_goal() -> None:
+    won: Table = ((0, 0.0, 1), (0, 0.0, 2), (0, 0.0, 3))
+    claim = RULE.take(at(5, 100.0, says(1, Claim(slot=0, table=won))))
+    assert claim.slot is None
+    freed: Table = ((0, 0.0, 1), (0, 0.0, 2), (1, 0.0, -1))
+    assert RULE.update(claim, at(5, 100.0, says(1, Claim(slot=0, table=freed)))).slot == 2
+
+
+def test_a_slot_with_a_raised_version_cannot_be_outbid() -> None:
+    """Robot 5 stands on slot 1, but an exchange gave it to robot 1: it takes what is still free."""
+    raised: Table = ((0, 0.0, 2), (1, -30.0, 1), (0, 0.0, -1))
+    claim = RULE.take(at(5, 10.0, says(1, Claim(slot=1, table=raised))))
+    assert claim.slot == 2
+
+
+def test_gain_is_the_fall_of_the_sum_of_squares() -> None:
+    assert gain((12.0,), (1.0,), (0.0,), (10.0,)) == pytest.approx(144 + 81 - 4 - 1)
+
+
+def test_an_exchange_from_offer_to_acceptance() -> None:
+    zero, one, sensed = crossed()
+    zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
+    assert zero.offer == Offer(to=1, give=0, take=1, give_version=0, take_version=0, bid=-10.0)
+    assert (zero.slot, zero.bound) == (0, BOUND_TICKS)
+    one = RULE.update(one, at(1, 1.0, says(0, zero), sensed=sensed))
+    assert one.slot == 0 and one.offer is None
+    assert one.table == ((1, 0.0, 1), (1, -10.0, 0), (0, 0.0, -1))
+    zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
+    assert zero.slot == 1 and zero.table == one.table
+    # Slot 2 is nearer still for nobody: both are content, and nothing more is offered.
+    assert zero.offer is None
+
+
+def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks() -> None:
+    zero, one, sensed = crossed()
+    zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
+    table: Table = ((0, -1.0, 0), (0, -1.0, 1), (0, -9.0, 2))
+    rival = Claim(
+        slot=2,
+        table=table,
+        bids=(0.0, 0.0, 0.0),
+        offer=Offer(to=0, give=2, take=0, give_version=0, take_version=0, bid=-1.0),
+    )
+    there = {**sensed, 2: (-9.0, 0.0)}
+    for _ in range(BOUND_TICKS - 1):
+        zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
+        assert zero.slot == 0 and zero.offer is not None
+    zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
+    assert zero.slot == 2
+
+
+def test_of_two_crossing_offers_the_lower_ids_stands() -> None:
+    zero, one, sensed = crossed()
+    zero, one = (
+        RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed)),
+        RULE.update(one, at(1, 1.0, says(0, zero), sensed=sensed)),
+    )
+    assert zero.offer is not None and one.offer is not None
+    zero, one = (
+        RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed)),
+        RULE.update(one, at(1, 1.0, says(0, zero), sensed=sensed)),
+    )
+    assert (zero.slot, one.slot) == (0, 0)
+    zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
+    assert (zero.slot, one.slot) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"give_version": 1}, {"take_version": 1}, {"take": 2}, {"to": 2}, {"give": 2}],
+)
+def test_an_offer_about_something_else_is_not_accepted(changes: dict[str, int]) -> None:
+    zero, one, sensed = crossed()
+    fields = {"to": 1, "give": 0, "take": 1, "give_version": 0, "take_version": 0, "bid": -10.0, **changes}
+    zero = Claim(slot=0, table=zero.table, bids=zero.bids, offer=Offer(**fields))
+    after = AuctionAssignment().update(one, at(1, 1.0, says(0, zero), sensed=sensed))
+    assert after.slot == 1
+
+
+def test_an_exchange_that_gains_nothing_or_with_a_robot_out_of_sight_is_neither_offered_nor_accepted() -> None:
+    zero, one, _ = crossed()
+    assert RULE.update(zero, at(0, 12.0, says(1, one))).offer is None
+    settled = {0: (1.0, 0.0), 1: (9.0, 0.0)}
+    assert RULE.update(zero, at(0, 1.0, says(1, one), sensed=settled)).offer is None
+    offering = Claim(
+        slot=0,
+        table=zero.table,
+        bids=zero.bids,
+        offer=Offer(to=1, give=0, take=1, give_version=0, take_version=0, bid=0.0),
+    )
+    assert RULE.update(one, at(1, 9.0, says(0, offering), sensed=settled)).slot == 1
+
+
+def test_without_swaps_nothing_is_offered() -> None:
+    zero, one, sensed = crossed()
+    assert AuctionAssignment(swaps=False).update(zero, at(0, 12.0, says(1, one), sensed=sensed)).offer is None
+
+
+def test_an_offer_that_was_overtaken_is_dropped() -> None:
+    zero, one, sensed = crossed()
+    zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
+    taken: Table = ((0, -1.0, 0), (1, -5.0, 2), (1, -5.0, 1))
+    zero = RULE.update(zero, at(0, 12.0, says(2, Claim(slot=1, table=taken)), sensed=sensed))
+    assert zero.offer is None and zero.slot == 0
+
+
+def test_the_best_partner_is_asked() -> None:
+    table: Table = ((0, -1.0, 0), (0, -1.0, 1), (0, -1.0, 2))
+    zero = Claim(slot=0, table=table, bids=(-19.0, -9.0, -1.0))
+    sensed = {1: (5.0, 0.0), 2: (3.0, 0.0)}
+    peers = [
+        says(1, Claim(slot=1, table=table)),
+        says(2, Claim(slot=2, table=table)),
+        says(3, Claim(slot=None, table=table)),
+    ]
+    asked = RULE.update(zero, at(0, 19.0, *peers, sensed=sensed))
+    assert asked.offer is not None and asked.offer.to == 2
+    assert math.isclose(asked.offer.bid, -1.0)
