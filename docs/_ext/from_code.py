@@ -3,6 +3,7 @@
 `agent-states`  diagram and table of the agent's transitions
 `cli-options`   every command of the command line with its arguments and options
 `config-fields` every field of the configuration file with default and description
+`summary-keys`  every key that `run --json` prints
 """
 
 from __future__ import annotations
@@ -187,9 +188,31 @@ class ConfigFields(SphinxDirective):
         return sections
 
 
+class SummaryKeys(SphinxDirective):
+    """The keys of the object that `run --json` prints, from the docstring of the summary."""
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.runtime.result import Summary
+
+        return [table(("Key", "Meaning"), attributes(Summary), 1)]
+
+
+def attributes(documented: type) -> list[tuple[str, str]]:
+    """Name and meaning of each attribute in a class's docstring, in their order."""
+    found: list[tuple[str, str]] = []
+    for line in (documented.__doc__ or "").partition("Attributes:")[2].splitlines():
+        name, colon, meaning = line.strip().partition(": ")
+        if colon and name.isidentifier() and line.startswith("        ") and not line.startswith("            "):
+            found.append((name, meaning))
+        elif line.strip() and found:
+            found[-1] = (found[-1][0], f"{found[-1][1]} {line.strip()}")
+    return found
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directives."""
     app.add_directive("agent-states", AgentStates)
     app.add_directive("cli-options", CliOptions)
     app.add_directive("config-fields", ConfigFields)
+    app.add_directive("summary-keys", SummaryKeys)
     return {"parallel_read_safe": True}

@@ -124,6 +124,13 @@ def test_a_robot_in_an_empty_cell_stands_still(dim: int) -> None:
     assert project(own, (5.0, *own[1:]), others, safe_distance=SAFE, max_step=STEP) == own
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_robot_that_cannot_get_clear_in_one_step_stands_still(dim: int) -> None:
+    """Half a unit from its neighbour it would have to back off 1.25, but may move 1: no move keeps the side."""
+    own = (0.0,) * dim
+    assert project(own, (5.0, *own[1:]), [(0.5, *own[1:])], safe_distance=SAFE, max_step=1.0) == own
+
+
 def test_a_robot_too_near_moves_away() -> None:
     moved = project((0.0, 0.0), (5.0, 0.0), [(2.0, 0.0)], safe_distance=SAFE, max_step=STEP)
     assert moved[0] <= -0.5 + 1e-9

@@ -13,6 +13,7 @@ import typer.main
 
 from llm_flock.cli import app
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.result import Summary
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -116,3 +117,8 @@ def test_every_page_is_in_a_table_of_contents() -> None:
 )
 def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
     assert faults_in(line, {"run": {"--seed"}}) == faults
+
+
+def test_every_key_of_the_summary_is_documented() -> None:
+    documented = re.findall(r"^        (\w+): ", Summary.__doc__ or "", re.MULTILINE)
+    assert documented == list(Summary.__dataclass_fields__)

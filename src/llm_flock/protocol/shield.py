@@ -172,8 +172,6 @@ def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Poin
     The ball's multiplier only pulls the wish towards the origin, and the farther it is pulled the shorter the move:
     bisection finds the longest move that the ball allows.
     """
-    if not sides:
-        return _clip(wish, radius)
     normals = np.array([side.normal for side in sides])
     rooms = np.array([side.room for side in sides])
     target = np.array(wish)
