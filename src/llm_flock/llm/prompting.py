@@ -37,7 +37,7 @@ OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON | OBSERVED,
-    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal"},
+    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching"},
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
 """The templates, and the variables that each may use."""
@@ -166,6 +166,7 @@ class PromptSet:
         variables = self._observed(mission, question)
         variables["plan"] = plan_text(question.plan)
         variables["slot"] = question.slot
+        variables["searching"] = question.target is not None
         variables["goal"] = place_text(question.goal)
         return self._render("step.j2", variables)
 

@@ -23,7 +23,7 @@ _GIVEN = "relative to its centre its places are [["
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
 _NEIGHBORS_MARK = "\nRobots near you, moving as well: "
-_GOAL_MARK = "\nYour goal, place "
+_GOAL_MARK = "\nYour goal, "
 _JSON_MARK = "JSON object"
 
 

@@ -41,6 +41,11 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.messages import Message, Pedigree, decode, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.search import Search, advance
+
+
+AT_PLACE = 0.05
+"""A robot is at its place within this share of the spacing."""
 
 
 class IllegalEvent(AssertionError):
@@ -87,6 +92,7 @@ class Agent:
         self.position: Point = ()
         self._sensed: Mapping[int, Point] = {}
         self._observed: tuple[Point, ...] = ()
+        self._search = Search()
         self._inbox: dict[int, Message] = {}
         self._latest: dict[int, int] = {}
         self._said: Message | None = None
@@ -257,6 +263,7 @@ class Agent:
                 Note("held", {"cause": "no_goal", "reason": reason}),
                 MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
             ]
+        effects = self._look_for_others(self.plan, self.claim.slot)
         question = StepQuestion(
             robot=self.robot,
             round=self._round,
@@ -264,8 +271,29 @@ class Agent:
             neighbors=self._observed,
             plan=self.plan,
             slot=self.claim.slot,
+            target=self._search.target,
         )
-        return Phase.DECIDING, [AskStep(question)]
+        return Phase.DECIDING, [*effects, AskStep(question)]
+
+    def _look_for_others(self, plan: Plan, slot: int) -> list[Effect]:
+        """Begin, continue or end the search for robots that hold the slots known as vacant."""
+        if self.claim.table is None:
+            return []
+        before = self._search
+        spacing = self.mission.spacing
+        self._search = advance(
+            before,
+            position=self.position,
+            plan=plan,
+            slot=slot,
+            table=self.claim.table,
+            center=self.mission.center,
+            spacing=spacing,
+            at_goal=math.dist(self.position, plan.points[slot]) <= AT_PLACE * spacing,
+        )
+        if bool(before.way) == bool(self._search.way):
+            return []
+        return [Note("search", {"begun": bool(self._search.way), "vacant": list(self._search.known[1])})]
 
     def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         if isinstance(answer, NoAnswer):

@@ -28,7 +28,13 @@ class PlanQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepQuestion:
-    """Choose the next waypoint on the way to the goal; fields as in PlanQuestion, and the agreed plan."""
+    """Choose the next waypoint on the way to the goal; fields as in PlanQuestion, and the agreed plan.
+
+    Attributes:
+        plan: the plan that is followed.
+        slot: own place in it.
+        target: where to go instead of the own place (a search is under way), None otherwise [units; world frame].
+    """
 
     robot: int
     round: int
@@ -36,11 +42,12 @@ class StepQuestion:
     neighbors: tuple[Point, ...]
     plan: Plan
     slot: int
+    target: Point | None = None
 
     @property
     def goal(self) -> Point:
-        """Position of the robot's own place in the plan [units; world frame]."""
-        return self.plan.points[self.slot]
+        """Where the robot is to go: its own place in the plan, or `target` [units; world frame]."""
+        return self.plan.points[self.slot] if self.target is None else self.target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

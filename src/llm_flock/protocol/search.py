@@ -1,0 +1,104 @@
+"""Ends frozen partitions: a robot that sits in its place while others' places stay empty goes and looks for the others.
+
+Random starts are rarely connected, and two groups can settle on places that never come into radio range of each
+other: each then knows of empty slots, and no message will ever fill them. So a robot at its goal that still knows of
+vacant slots after some rounds visits them, the nearest first, and the centre last, until it hears something new. Who
+sits nearest to a vacant slot goes first; a tour that met nobody is followed by a longer wait, and after a few tours
+the robot stays: its team may simply be smaller than the plan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.messages import NO_OWNER, Table
+from llm_flock.protocol.plan import Plan
+
+PATIENCE = 3
+"""Rounds at the goal before the robot next to a vacant slot sets out; doubled by every tour in vain."""
+
+MAX_TOURS = 4
+"""Tours in vain on the same knowledge, after which the robot stays."""
+
+ARRIVED = 0.5
+"""A point of the tour counts as visited within this share of the spacing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """How far a robot's search is.
+
+    Attributes:
+        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts afresh.
+        waited: rounds spent at the goal since the last tour.
+        tours: tours in vain.
+        way: points still to visit [units; world frame]; empty while the robot waits.
+    """
+
+    known: tuple[str, tuple[int, ...]] = ("", ())
+    waited: int = 0
+    tours: int = 0
+    way: tuple[Point, ...] = ()
+
+    @property
+    def target(self) -> Point | None:
+        """Where the search leads next, None while there is none under way."""
+        return self.way[0] if self.way else None
+
+
+def advance(
+    search: Search,
+    *,
+    position: Point,
+    plan: Plan,
+    slot: int,
+    table: Table,
+    center: Point,
+    spacing: float,
+    at_goal: bool,
+) -> Search:
+    """The search one round later.
+
+    Args:
+        search: as it was.
+        position: own believed position [units; world frame].
+        plan: the plan that is followed.
+        slot: own place in it.
+        table: all claims known.
+        center: centre of the formation.
+        spacing: wanted distance between neighbours [units].
+        at_goal: whether the robot is at its own place.
+    """
+    empty = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
+    if (plan.digest, empty) != search.known:
+        return Search(known=(plan.digest, empty))
+    if not empty:
+        return search
+    if search.way:
+        way = search.way[1:] if math.dist(position, search.way[0]) <= ARRIVED * spacing else search.way
+        return replace(search, way=way) if way else replace(search, way=(), waited=0, tours=search.tours + 1)
+    if not at_goal or search.tours >= MAX_TOURS:
+        return search
+    if search.waited < _patience(search.tours, plan, slot, empty, spacing):
+        return replace(search, waited=search.waited + 1)
+    return replace(search, way=(*_tour(plan, slot, empty), center))
+
+
+def _patience(tours: int, plan: Plan, slot: int, empty: Sequence[int], spacing: float) -> int:
+    """Rounds to wait: one more for each place that lies between this robot and the nearest vacant slot."""
+    nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in empty)
+    return PATIENCE * 2**tours + int(nearest / spacing)
+
+
+def _tour(plan: Plan, slot: int, empty: Sequence[int]) -> tuple[Point, ...]:
+    """The vacant slots, each time the nearest to the one before."""
+    left, here, way = list(empty), plan.points[slot], list[Point]()
+    while left:
+        following = min(left, key=lambda a: (math.dist(here, plan.points[a]), a))
+        left.remove(following)
+        here = plan.points[following]
+        way.append(here)
+    return tuple(way)
