@@ -17,8 +17,14 @@ from llm_flock.arrays import Point
 from llm_flock.protocol.messages import NO_OWNER, Table
 from llm_flock.protocol.plan import Plan
 
-PATIENCE = 3
-"""Rounds at the goal before the robot next to a vacant slot sets out; doubled by every tour in vain."""
+PATIENCE = 1
+"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every tour in vain."""
+
+NEXT_TO = 1.5
+"""A vacant slot within this many spacings of the own one is next to it."""
+
+PATIENCE_PER_PLACE = 4
+"""More rounds to wait for each spacing that a vacant slot is farther away: who is nearer should go."""
 
 MAX_TOURS = 4
 """Tours in vain on the same knowledge, after which the robot stays."""
@@ -84,13 +90,14 @@ def advance(
         return search
     if search.waited < _patience(search.tours, plan, slot, empty, spacing):
         return replace(search, waited=search.waited + 1)
-    return replace(search, way=(*_tour(plan, slot, empty), center))
+    tour = _tour(plan, slot, empty)
+    return replace(search, way=tour if search.tours < 2 else (*tour, center))
 
 
 def _patience(tours: int, plan: Plan, slot: int, empty: Sequence[int], spacing: float) -> int:
-    """Rounds to wait: one more for each place that lies between this robot and the nearest vacant slot."""
+    """Rounds to wait before setting out."""
     nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in empty)
-    return PATIENCE * 2**tours + int(nearest / spacing)
+    return PATIENCE * 2**tours + int(PATIENCE_PER_PLACE * max(0.0, nearest / spacing - NEXT_TO))
 
 
 def _tour(plan: Plan, slot: int, empty: Sequence[int]) -> tuple[Point, ...]:
