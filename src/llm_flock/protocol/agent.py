@@ -6,7 +6,6 @@ process or one process a robot, drives this same machine. The table of legal eve
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import assert_never
@@ -88,7 +87,6 @@ class Agent:
         self._sensed: Mapping[int, Point] = {}
         self._observed: tuple[Point, ...] = ()
         self._inbox: dict[int, Message] = {}
-        self._latest: dict[int, int] = {}
         self._said: Message | None = None
         self._payload = b""
 
@@ -143,8 +141,7 @@ class Agent:
         self.position = event.position
         self._sensed = event.sensed
         self._observed = event.observed
-        reach = self.mission.comm_range
-        self.neighbors = sum(math.dist(event.position, x) <= reach for x in event.sensed.values())
+        self.neighbors = event.neighbors
         if self.plan is not None:
             return Phase.NEGOTIATING, []
         question = PlanQuestion(robot=self.robot, round=event.round, position=event.position, neighbors=event.observed)
@@ -213,8 +210,8 @@ class Agent:
         except MessageError as error:
             self.rejected[error.reason] += 1
             return [Note("rejected_message", {"reason": error.reason, "detail": error.detail})]
-        if message.sequence >= self._latest.get(message.sender, -1):
-            self._latest[message.sender] = message.sequence
+        known = self._inbox.get(message.sender)
+        if known is None or message.sequence >= known.sequence:
             self._inbox[message.sender] = message
         return []
 
