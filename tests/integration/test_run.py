@@ -220,15 +220,19 @@ def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
 
 def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("")
+    foreign = tmp_path.with_name("foreign")
+    foreign.mkdir(exist_ok=True)
+    (foreign / "step.j2").write_text("Where to?")
     for options in (
         {"record_llm": str(tmp_path / "old")},
         {"model": "nobody:nothing"},
         {"model": "openai:o3-mini"},
         {"history": "some"},
         {"prompts": "none"},
+        {"prompts": str(foreign)},
     ):
+        files = {"out": str(tmp_path / "run"), "record_llm": str(tmp_path / "tape")}
         with pytest.raises(InputError):
-            files = {"out": str(tmp_path / "run"), "record_llm": str(tmp_path / "tape")}
             llm_flock.run(llm_flock.Mission(), **{**files, **options})
     assert list(tmp_path.iterdir()) == [tmp_path / "old"]
 
