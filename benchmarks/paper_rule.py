@@ -81,7 +81,13 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
     for number in range(1, rounds + 1):
         for i, agent in enumerate(agents):
             seen = bodies.sense(i)
-            began = RoundBegan(round=number, position=seen.position, sensed=seen.sensed, observed=())
+            began = RoundBegan(
+                round=number,
+                position=seen.position,
+                neighbors=len(bodies.in_radio_range[i]),
+                sensed=seen.sensed,
+                observed=(),
+            )
             for effect in agent.handle(began):
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(propose(mission, reading.index, i, seen.position, rng)))

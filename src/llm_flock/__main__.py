@@ -1,5 +1,18 @@
-"""`python -m llm_flock` is `llm-flock`."""
+"""Entry point of `llm-flock` and `python -m llm_flock`; imports the rest where Ctrl-C can already be caught."""
 
-from llm_flock.cli import main
+import sys
 
-main()
+
+def main() -> None:
+    """Run the command line; Ctrl-C ends it with exit code 130, whenever it comes."""
+    try:
+        from llm_flock.cli import main as command_line
+
+        command_line()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

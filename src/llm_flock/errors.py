@@ -66,6 +66,7 @@ class ModelError(FlockError):
             `garbage` (the response is not of the provider's protocol) or `budget`.
         retry_after_s: what the provider asked us to wait [s], where it said so.
         faults: kinds of all faults met before giving up, in order.
+        model: `provider:model` that failed, where it is not the one that was asked (a replayed conversation).
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class ModelError(FlockError):
         self.detail = detail
         self.retry_after_s = retry_after_s
         self.faults = faults
+        self.model: str | None = None
         super().__init__(f"{kind}: {detail}")
 
 

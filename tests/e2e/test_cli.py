@@ -93,6 +93,13 @@ def test_wrong_input_is_one_line_exit_code_2_and_nothing_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_provider_that_never_answers_ends_the_run_with_exit_code_1(tmp_path: Path) -> None:
+    done = flock("run", "--model", "simulated:flaky", "--max-tries", "1", "--out", "x", cwd=tmp_path, check=False)
+    assert done.returncode == 1
+    assert "no model answered" in done.stderr
+    assert read_record(tmp_path / "x/run.mcap").complete
+
+
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: signal.Signals) -> None:
     running = subprocess.Popen(

@@ -95,8 +95,6 @@ def test_the_same_seed_gives_the_same_record(tmp_path: Path, options: dict[str, 
     for name in ("a", "b"):
         llm_flock.run(mission, out=str(tmp_path / name), rounds=12, **options)
     a, b = messages(tmp_path / "a/run.mcap"), messages(tmp_path / "b/run.mcap")
-    a = [m for m in a if m[0] != "/run"]
-    b = [m for m in b if m[0] != "/run"]
     assert a == b and len(a) > 100
     other = {**options, "seed": 6}
     llm_flock.run(mission, out=str(tmp_path / "c"), rounds=12, **other)
@@ -125,7 +123,49 @@ def test_a_recorded_conversation_replays_call_for_call(tmp_path: Path) -> None:
     for key in ("model_calls", "calls_rejected", "tokens", "faults", "formed"):
         assert getattr(first.summary, key) == getattr(again.summary, key)
     with pytest.raises(ReplayDrift, match="robot"):
-        llm_flock.run(mission, model=f"replay:{tape}", seed=5, rounds=12)
+        llm_flock.run(mission, model=f"replay:{tape}", seed=5, rounds=12, out=str(tmp_path / "drift"))
+    record = llm_flock.read_record(tmp_path / "drift/run.mcap")
+    assert not record.complete
+    assert record.result is not None and record.result["stopped"] == "failed"
+    assert "ReplayDrift" in record.result["reason"]
+
+
+def test_a_replay_recorded_again_is_the_same_cassette(tmp_path: Path) -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    first, second = tmp_path / "a.jsonl", tmp_path / "b.jsonl"
+    llm_flock.run(mission, model="simulated:flaky@0.4", max_tries=1, record_llm=str(first), rounds=5)
+    llm_flock.run(mission, model=f"replay:{first}", max_tries=1, record_llm=str(second), rounds=5)
+    lines = [sorted(json.dumps(_still(line)) for line in path.read_text().splitlines()) for path in (first, second)]
+    assert lines[0] == lines[1]
+
+
+def _still(line: str) -> dict[str, Any]:
+    """A cassette line without how long it took."""
+    return {key: value for key, value in json.loads(line).items() if key != "latency_s"}
+
+
+def test_when_no_model_answers_any_more_the_run_ends_and_says_why() -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    figures = llm_flock.run(mission, model="simulated:flaky", max_tries=1).summary
+    assert (figures.stopped, figures.rounds) == ("no_answers", 3)
+    assert figures.reason
+
+
+def test_influence_counts_radio_neighbours_not_sensed_ones() -> None:
+    """With short sensors and a long radio the paper's rule still hears everybody."""
+    places = ((40.0, 40.0), (60.0, 40.0), (50.0, 60.0), (50.0, 20.0), (90.0, 90.0))
+    seen = [
+        llm_flock.run(
+            llm_flock.Mission(shape="circle", n_robots=5, comm_range=30, sense_range=sense),
+            protocol="paper",
+            start_positions=places,
+            seed=1,
+            rounds=4,
+        )
+        for sense in (1.0, 30.0)
+    ]
+    assert seen[0].plans == seen[1].plans
+    assert seen[0].summary.plans_in_use < 5
 
 
 def test_faulty_models_hold_their_robot_and_never_the_others(tmp_path: Path) -> None:
@@ -179,16 +219,31 @@ def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
 
 
 def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:
-    for options in ({"model": "nobody:nothing"}, {"model": "openai:o3-mini"}, {"history": "some"}, {"prompts": "none"}):
+    (tmp_path / "old").write_text("")
+    foreign = tmp_path.with_name("foreign")
+    foreign.mkdir(exist_ok=True)
+    (foreign / "step.j2").write_text("Where to?")
+    for options in (
+        {"record_llm": str(tmp_path / "old")},
+        {"model": "nobody:nothing"},
+        {"model": "openai:o3-mini"},
+        {"history": "some"},
+        {"prompts": "none"},
+        {"prompts": str(foreign)},
+    ):
+        files = {"out": str(tmp_path / "run"), "record_llm": str(tmp_path / "tape")}
         with pytest.raises(InputError):
-            llm_flock.run(llm_flock.Mission(), out=str(tmp_path / "run"), record_llm=str(tmp_path / "tape"), **options)
-    assert list(tmp_path.iterdir()) == []
+            llm_flock.run(llm_flock.Mission(), **{**files, **options})
+    assert list(tmp_path.iterdir()) == [tmp_path / "old"]
 
 
 def test_a_record_is_never_overwritten(tmp_path: Path) -> None:
     llm_flock.run(llm_flock.Mission(shape="line", n_robots=2), seed=1, out=str(tmp_path), rounds=1)
     with pytest.raises(InputError, match="out"):
-        llm_flock.run(llm_flock.Mission(shape="line", n_robots=2), seed=1, out=str(tmp_path), rounds=1)
+        llm_flock.run(
+            llm_flock.Mission(shape="line", n_robots=2), seed=1, out=str(tmp_path), record_llm=str(tmp_path / "tape")
+        )
+    assert not (tmp_path / "tape").exists()
 
 
 def test_given_starts_are_taken_or_refused() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, minimize
 
@@ -74,7 +74,7 @@ def test_no_pair_comes_too_near_with_bounded_noise(seed: int, n: int, noise: flo
         positions = moved
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 9), dim=st.sampled_from([2, 3]))
 def test_the_projection_is_the_nearest_safe_waypoint(seed: int, n: int, dim: int) -> None:
     """Against a general-purpose solver of the same convex problem."""

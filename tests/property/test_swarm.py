@@ -32,7 +32,9 @@ def swarm(
     agents = [Agent(i, mission, consensus(), assignment(), shield_on=True) for i in range(n)]
     for i, agent in enumerate(agents):
         sensed = {j: tuple(positions[j]) for j in near[i]}
-        agent.handle(RoundBegan(round=1, position=tuple(positions[i]), sensed=sensed, observed=()))
+        agent.handle(
+            RoundBegan(round=1, position=tuple(positions[i]), neighbors=len(sensed), sensed=sensed, observed=())
+        )
         angle = rng.uniform(0, 2 * np.pi, 1) + 2 * np.pi * np.arange(n) / n
         radius = 5 / np.sin(np.pi / max(n, 2))
         points = 50 + radius * np.column_stack([np.cos(angle), np.sin(angle)])

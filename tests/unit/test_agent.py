@@ -42,7 +42,13 @@ def make(robot: int = 0, *, shield_on: bool = True) -> Agent:
 
 def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
     others = {int(name[1:]): x for name, x in sensed.items()}
-    return RoundBegan(round=round_number, position=(48.0, 50.0), sensed=others, observed=tuple(others.values()))
+    return RoundBegan(
+        round=round_number,
+        position=(48.0, 50.0),
+        neighbors=len(others),
+        sensed=others,
+        observed=tuple(others.values()),
+    )
 
 
 def origin(proposer: int, digest: str = MISSION.digest) -> Pedigree:

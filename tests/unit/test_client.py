@@ -186,3 +186,14 @@ def test_what_cannot_be_written_to_a_record_is_replaced() -> None:
     """A lone surrogate is no text in UTF-8, and would break every record and cassette after it."""
     reply = ask(model(lambda *_: ModelResponse(parts=[TextPart("Position: \ud800 [1, 2] ☃")])))
     assert reply.text == "Position: ? [1, 2] ☃"
+
+
+def test_no_key_leaves_as_the_name_of_the_model() -> None:
+    """A local server may echo what it was sent as its model's name."""
+
+    async def answer(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
+        return ModelResponse(parts=[TextPart("Position: [1, 2]")])
+
+    echo = FunctionModel(answer, model_name=f"authorization=Bearer {KEY} " + "x" * 1000)
+    reply = ask(PydanticModel(echo, name="openai:o3-mini", secrets=(KEY,)))
+    assert KEY not in reply.model and len(reply.model) < 150

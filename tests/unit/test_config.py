@@ -110,6 +110,6 @@ def test_points_come_from_a_file(tmp_path: Path) -> None:
 def test_rules_are_found_by_name_or_by_address() -> None:
     assert consensus_rule("influence") == InfluenceConsensus()
     assert assignment_rule("llm_flock.protocol.auction:AuctionAssignment") == AuctionAssignment()
-    for name in ("best", "no.such.module:Rule", "llm_flock.protocol.consensus:NoSuchRule"):
+    for name in ("best", "no.such.module:Rule", "llm_flock.protocol.consensus:NoSuchRule", "os:getcwd"):
         with pytest.raises(InputError, match="consensus"):
             consensus_rule(name)

@@ -41,6 +41,9 @@ def test_what_is_said_is_heard(message: Message) -> None:
         (b"x" * (max_payload_bytes(2) + 1), "oversized"),
         (spoiled(v=2), "version"),
         (spoiled(v="1"), "version"),
+        (spoiled(v=True), "version"),
+        (spoiled(v=1.5), "version"),
+        (spoiled(table=[[2**40, -1.0, 1], [0, 0.0, -1]]), "malformed"),
         (spoiled(extra=1), "malformed"),
         (spoiled(sender="1"), "malformed"),
         (spoiled(sequence=-1), "malformed"),
@@ -72,7 +75,7 @@ def test_unacceptable_messages_are_refused_by_name(payload: bytes, reason: str) 
 def test_a_full_table_of_a_large_team_fits() -> None:
     n = 1000
     plan = Plan.of([[12345.678901 + k, -98765.432109 - k] for k in range(n)])
-    table = tuple((2**40, -123456.123456789, k) for k in range(n))
+    table = tuple((2**39, -123456.123456789, k) for k in range(n))
     message = Message(sender=0, sequence=0, neighbors=n - 1, plan=plan, pedigree=ORIGIN, slot=0, table=table)
     assert decode(encode(message), n, 2) == message
 

@@ -216,3 +216,9 @@ def test_docs_list_exactly_the_providers_there_are() -> None:
 def test_docs_list_exactly_the_fields_of_a_cassette() -> None:
     names = [name.strip() for row in rows_of(DOCS.read_text(encoding="utf-8"), "Field") for name in row[0].split(",")]
     assert names == list(CassetteLine.model_fields)
+
+
+def test_a_query_in_an_address_is_refused_without_repeating_it() -> None:
+    with pytest.raises(InputError) as caught:
+        parse_base_urls("http://127.0.0.1:9/v1?api-key=SECRET", ["openai:o3-mini"])
+    assert caught.value.field == "base_url" and "SECRET" not in str(caught.value)

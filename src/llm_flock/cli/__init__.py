@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -67,6 +68,9 @@ def run(
         print(json.dumps(result.summary.to_dict(), allow_nan=False))
     else:
         Console().print(summary_table(result.summary, settings.mission.safe_distance))
+    if result.summary.stopped == "no_answers":
+        print(f"error: no model answered for three rounds: {result.summary.reason}", file=sys.stderr)
+        raise typer.Exit(EXIT_FAILED)
 
 
 @app.command()
@@ -104,7 +108,9 @@ def figure(
 @app.command()
 def animate(
     record: RecordPath,
-    out: Annotated[Path | None, typer.Option(help="File to write: .gif, or .mp4 where ffmpeg is installed")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write, .gif or .mp4 [a GIF, and an MP4 too where ffmpeg is installed]")
+    ] = None,
     fps: Annotated[int, typer.Option(min=1, max=60, help="Frames per second")] = 6,
 ) -> None:
     """Draw a record as an animation."""
@@ -112,9 +118,11 @@ def animate(
     from llm_flock.viz.animation import animate as draw
 
     path = _record_file(record)
-    target = out or path.with_name("animation.gif")
-    draw(read_record(path), target, fps=fps)
-    print(target)
+    both = [path.with_name("animation.gif")] + ([path.with_name("animation.mp4")] if shutil.which("ffmpeg") else [])
+    found = read_record(path)
+    for target in [out] if out else both:
+        draw(found, target, fps=fps)
+        print(target)
 
 
 @app.command()

@@ -37,6 +37,9 @@ logger = logging.getLogger(__name__)
 
 Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
 
+MODEL_NAME_LENGTH = 100
+"""Characters of the model's name, as its server tells it, that are kept."""
+
 DETAIL_LENGTH = 400
 """Characters of a provider's error text that are kept."""
 
@@ -159,7 +162,9 @@ class PydanticModel:
             output=response.usage.output_tokens,
             cached=response.usage.cache_read_tokens,
         )
-        answered_by = response.model_name or self._name.partition(":")[2]
+        # A server may echo anything as its model's name, the key included.
+        answered_by = scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH]
+        answered_by = answered_by or self._name.partition(":")[2]
         cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
         return Reply(
             text=_writable(scrub(response.text or "", self._secrets)),

@@ -211,7 +211,7 @@ class LanguagePlanner:
         self._tell(
             Attempt(
                 call=call,
-                model=self._model.name,
+                model=error.model or self._model.name,
                 error=(error.kind, error.detail),
                 faults=error.faults,
                 latency_s=latency_s,

@@ -194,7 +194,8 @@ def check_url(url: str) -> str:
     """The address without a trailing slash.
 
     Raises:
-        InputError: unless it is http(s)://host... without a user name or password, which would end up in records.
+        InputError: unless it is http(s)://host... without a user name, password or query: keys in them would end up in
+            records.
     """
     try:
         parts = urlsplit(url)
@@ -203,6 +204,8 @@ def check_url(url: str) -> str:
         raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...") from None
     if secret:
         raise InputError("base_url", f"{parts.scheme}://...@{host}", "an address without a user name or password")
+    if parts.query or parts.fragment:
+        raise InputError("base_url", f"{parts.scheme}://{host}...?...", "an address without a query or a fragment")
     if parts.scheme not in {"http", "https"} or not host or port == 0:
         raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...")
     return url.rstrip("/")

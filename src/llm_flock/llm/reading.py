@@ -12,6 +12,10 @@ import numpy as np
 from llm_flock import formations
 from llm_flock.arrays import Point, Points
 from llm_flock.errors import InputError
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.mission import Mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 _FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
 _TEAM = re.compile(r"in a team of ([0-9]+)")
@@ -133,6 +137,18 @@ def read_step(text: str) -> StepPrompt:
         neighbors=_line_after(text, _NEIGHBORS_MARK),
         json=_JSON_MARK in text,
     )
+
+
+def check_prompts(prompts: PromptSet, mission: Mission) -> None:
+    """Read the prompts of a sample question, before a run is begun with them.
+
+    Raises:
+        InputError: for field `prompts`: a template is in words that simulated models do not understand.
+    """
+    read_task(prompts.system(mission))
+    here, plan = mission.center, Plan.of([mission.center] * mission.n_robots)
+    read_plan(prompts.plan(mission, PlanQuestion(robot=0, round=1, position=here, neighbors=())))
+    read_step(prompts.step(mission, StepQuestion(robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0)))
 
 
 def _line_after(text: str, mark: str) -> str:

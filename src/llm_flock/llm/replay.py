@@ -203,6 +203,7 @@ class ReplayModel:
             kind, detail = line.error
             error = BudgetExceeded(detail) if kind == "budget" else ModelError(kind, detail)
             error.faults = line.faults
+            error.model = line.model
             raise error
         return Reply(
             text=line.text or "",

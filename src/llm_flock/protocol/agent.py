@@ -43,7 +43,6 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.search import Search, advance
 
-
 AT_PLACE = 0.05
 """A robot is at its place within this share of the spacing."""
 
@@ -94,7 +93,6 @@ class Agent:
         self._observed: tuple[Point, ...] = ()
         self._search = Search()
         self._inbox: dict[int, Message] = {}
-        self._latest: dict[int, int] = {}
         self._said: Message | None = None
         self._payload = b""
 
@@ -149,8 +147,7 @@ class Agent:
         self.position = event.position
         self._sensed = event.sensed
         self._observed = event.observed
-        reach = self.mission.comm_range
-        self.neighbors = sum(math.dist(event.position, x) <= reach for x in event.sensed.values())
+        self.neighbors = event.neighbors
         if self.plan is not None:
             return Phase.NEGOTIATING, []
         question = PlanQuestion(robot=self.robot, round=event.round, position=event.position, neighbors=event.observed)
@@ -227,8 +224,8 @@ class Agent:
         except MessageError as error:
             self.rejected[error.reason] += 1
             return [Note("rejected_message", {"reason": error.reason, "detail": error.detail})]
-        if message.sequence >= self._latest.get(message.sender, -1):
-            self._latest[message.sender] = message.sequence
+        known = self._inbox.get(message.sender)
+        if known is None or message.sequence >= known.sequence:
             self._inbox[message.sender] = message
         return []
 

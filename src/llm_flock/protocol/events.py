@@ -44,12 +44,14 @@ class RoundBegan:
     Attributes:
         round: number of the round, from 1.
         position: own believed position [units; world frame].
+        neighbors: how many robots are within radio range, |N_i| (paper, line 129); the radio knows, not the sensors.
         sensed: believed positions of the robots within sensing range, by id.
         observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
     """
 
     round: int
     position: Point
+    neighbors: int
     sensed: Mapping[int, Point]
     observed: tuple[Point, ...]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
@@ -95,7 +95,8 @@ class Message:
 
 Id = Annotated[int, Field(ge=0)]
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-Counter = Annotated[int, Field(ge=0, lt=2**53)]
+Counter = Annotated[int, Field(ge=0, lt=2**40)]
+"""Far more than any honest robot counts, and far enough from the integers of JSON to be raised without harm."""
 
 
 class _WirePedigree(BaseModel):
@@ -120,7 +121,7 @@ class _WireOffer(BaseModel):
 
 class _WireMessage(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-    v: Literal[1]
+    v: Annotated[int, Field(ge=WIRE_VERSION, le=WIRE_VERSION)]
     sender: Id
     sequence: Counter
     neighbors: Counter

@@ -85,8 +85,8 @@ class RunRecord:
 
     @property
     def complete(self) -> bool:
-        """Whether the run came to a clean end; False after a crash or a kill."""
-        return self.result is not None
+        """Whether the run came to a clean end; False after a fault, a crash or a kill."""
+        return self.result is not None and self.result.get("stopped") != "failed"
 
     @property
     def mission(self) -> MissionInfo:

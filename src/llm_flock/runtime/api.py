@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from llm_flock.errors import InputError
+from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.replay import CassetteWriter
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
@@ -101,27 +101,39 @@ async def _fly(config: RunConfig, agents: list[Agent], on_round: Callable[[Progr
     thinkers = Thinkers(config)
     with ExitStack() as stack:
         path = None if config.trial.out is None else Path(config.trial.out) / RECORD_NAME
-        writer = stack.enter_context(NullWriter() if path is None else RecordWriter(path))
+        cassette = None if config.model.record_llm is None else Path(config.model.record_llm)
+        if cassette is not None:
+            thinkers.listen(stack.enter_context(CassetteWriter(cassette)))
+        try:
+            writer = stack.enter_context(NullWriter() if path is None else RecordWriter(path))
+        except InputError:
+            if cassette is not None:
+                cassette.unlink()  # this run made it a moment ago, and nothing is in it
+            raise
         journal = Journal(mission, writer)
         thinkers.listen(journal.attempt)
-        if config.model.record_llm is not None:
-            thinkers.listen(stack.enter_context(CassetteWriter(Path(config.model.record_llm))))
         writer.run(_run_info(config, thinkers))
         ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
         writer.mission(MissionInfo(version=0, round=0, mission=mission.model_dump(mode="json"), ideal=ideal))
         trial = Trial(config, agents, thinkers, bodies, transport, journal, on_round)
+        record = None if path is None else str(path)
         try:
             await trial.run()
+        except BaseException:
+            with suppress(FlockError):  # the record's own trouble must not hide what happened
+                trial.finish(record)
+            raise
         finally:
-            result = trial.finish(None if path is None else str(path))
             await thinkers.close()
-    return result
+        return trial.finish(record)
 
 
 def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:
+    # Where files are put is not part of what was run: the same run elsewhere leaves the same record.
+    places = {"trial": {"out"}, "model": {"record_llm"}}
     return RunInfo(
         format_version=1,
-        config=config.model_dump(mode="json"),
+        config=config.model_dump(mode="json", exclude=places),
         versions=provenance.versions(),
         git_revision=provenance.git_revision(),
         seed=config.trial.seed,

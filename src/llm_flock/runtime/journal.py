@@ -51,6 +51,9 @@ class Journal:
         self.positions: list[Points] = []
         self.errors: list[tuple[float, float] | None] = []
         self.at_goal = 0
+        self.silent_rounds = 0
+        self.last_failure: str | None = None
+        self._calls_before = (0, 0)
         self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
         self.tracker = metrics.FormedTracker(spacing=mission.spacing)
         self._known_plans: set[str] = set()
@@ -60,6 +63,8 @@ class Journal:
     def attempt(self, attempt: Attempt) -> None:
         """Take note of one model call; one that the budget refused was never made, and is only recorded."""
         self._attempts.append(attempt)
+        if attempt.error is not None:
+            self.last_failure = ": ".join(attempt.error)
         if attempt.error is not None and attempt.error[0] == "budget":
             return
         self.calls += 1
@@ -107,6 +112,9 @@ class Journal:
         traffic: Traffic,
     ) -> None:
         """Record where everybody is, what everybody follows, and the figures of this round."""
+        calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
+        self._calls_before = (self.calls, self.calls_failed)
+        self.silent_rounds = self.silent_rounds + 1 if calls and calls == failed else 0
         positions = team.positions
         plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
         slots = [a.claim.slot for a in agents]

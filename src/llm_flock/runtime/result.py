@@ -26,7 +26,9 @@ class Summary:
         shield: whether the safety shield was on.
         models: the models that thought for the robots, each once.
         simulated: whether any of them was a simulated stand-in.
-        stopped: why the run ended: formed, rounds, budget or interrupted.
+        stopped: why the run ended: formed, rounds, budget, no_answers (every model call of three rounds on end
+            failed), interrupted or failed.
+        reason: the last failure, in words, where the run ended by no_answers or failed.
         rounds: motion rounds flown.
         formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
             most 0.1 spacing, held for 3 rounds, within 3 * lower_bound_rounds + 20 rounds.
@@ -66,6 +68,7 @@ class Summary:
     models: tuple[str, ...]
     simulated: bool
     stopped: str
+    reason: str | None
     rounds: int
     formed: bool
     rounds_to_formed: int | None

@@ -45,7 +45,7 @@ def consensus_rule(name: str) -> ConsensusRule:
     Raises:
         InputError: unknown name.
     """
-    return _resolve("consensus", name, CONSENSUS)
+    return _checked("consensus", name, _resolve("consensus", name, CONSENSUS), ("choose",))
 
 
 def assignment_rule(name: str) -> AssignmentRule:
@@ -54,7 +54,13 @@ def assignment_rule(name: str) -> AssignmentRule:
     Raises:
         InputError: unknown name.
     """
-    return _resolve("assignment", name, ASSIGNMENT)
+    return _checked("assignment", name, _resolve("assignment", name, ASSIGNMENT), ("take", "update"))
+
+
+def _checked(field: str, name: str, rule: object, methods: tuple[str, ...]) -> Any:
+    if not isinstance(getattr(rule, "name", None), str) or not all(callable(getattr(rule, m, None)) for m in methods):
+        raise InputError(field, name, f"a class with a name and {' and '.join(methods)}; see llm_flock.testing")
+    return rule
 
 
 def _resolve(field: str, name: str, known: Mapping[str, Callable[[], Rule]]) -> Rule:

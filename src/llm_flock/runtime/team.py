@@ -18,6 +18,7 @@ from llm_flock.llm.models import (
 from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.protocol.planning import Planner
 from llm_flock.runtime.config import RunConfig
@@ -57,6 +58,8 @@ class Thinkers:
             n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
         )
         prompts = PromptSet.load(None if model.prompts is None else Path(model.prompts), json=model.answers == "json")
+        if any(parse_model(name).kind == "simulated" for name in self.names):
+            check_prompts(prompts, config.mission)
         history = parse_history(model.history)
         planners: list[Planner] = []
         for robot, text in enumerate(self.names):

@@ -40,6 +40,9 @@ from llm_flock.transport.memory import MemoryTransport
 
 T = TypeVar("T")
 
+SILENT_ROUNDS = 3
+"""Rounds on end in which every model call fails, after which a run is not worth its waits."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
@@ -88,11 +91,12 @@ class Trial:
         self.journal = journal
         self.round = 0
         self.stopped = "rounds"
+        self.reason: str | None = None
         self._on_round = on_round
         self._began = time.perf_counter()
 
     async def run(self) -> None:
-        """Fly rounds until the formation is held, the rounds or the budget are used up, or the run is cancelled.
+        """Fly rounds until the formation is held, the rounds or the budget are used up, or no model answers any more.
 
         Raises:
             asyncio.CancelledError: after the record was brought to a readable end by `finish`.
@@ -110,8 +114,14 @@ class Trial:
                 if self.thinkers.exhausted:
                     self.stopped = "budget"
                     break
+                if self.journal.silent_rounds >= SILENT_ROUNDS:
+                    self.stopped, self.reason = "no_answers", self.journal.last_failure
+                    break
         except asyncio.CancelledError:
             self.stopped = "interrupted"
+            raise
+        except Exception as error:
+            self.stopped, self.reason = "failed", f"{type(error).__name__}: {error}"
             raise
         finally:
             for agent in self.agents:
@@ -135,7 +145,13 @@ class Trial:
         for robot, agent in enumerate(self.agents):
             seen = self.bodies.sense(robot)
             observed = self.bodies.everybody(robot) if everybody else tuple(seen.sensed.values())
-            began = RoundBegan(round=number, position=seen.position, sensed=seen.sensed, observed=observed)
+            began = RoundBegan(
+                round=number,
+                position=seen.position,
+                neighbors=len(self.bodies.in_radio_range[robot]),
+                sensed=seen.sensed,
+                observed=observed,
+            )
             for effect in self._perform(number, None, robot, agent.handle(began)):
                 if isinstance(effect, AskPlan):
                     asking[robot] = self.thinkers.planners[robot].plan(effect.question)
@@ -248,6 +264,7 @@ class Trial:
             models=tuple(dict.fromkeys(self.thinkers.names)),
             simulated=self.thinkers.simulated,
             stopped=self.stopped,
+            reason=self.reason,
             rounds=self.round,
             formed=first is not None and bound is not None and metrics.within_limit(first, bound),
             rounds_to_formed=first,

@@ -1,0 +1,88 @@
+"""The search that ends frozen partitions: who goes, where, and when it stops."""
+
+from llm_flock.protocol.messages import NO_OWNER, Table
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.search import MAX_TOURS, PATIENCE, PATIENCE_PER_PLACE, Search, advance
+
+PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
+CENTER = (15.0, 0.0)
+
+
+def table(*owners: int) -> Table:
+    return tuple((0, -1.0 if owner != NO_OWNER else 0.0, owner) for owner in owners)
+
+
+def step(search: Search, x: float, slot: int, owners: Table, *, at_goal: bool = True) -> Search:
+    return advance(
+        search,
+        position=(x, 0.0),
+        plan=PLAN,
+        slot=slot,
+        table=owners,
+        center=CENTER,
+        spacing=10.0,
+        at_goal=at_goal,
+    )
+
+
+def rounds_until_off(slot: int, owners: Table) -> int:
+    search, count = Search(), 0
+    while search.target is None:
+        search, count = step(search, 10.0 * slot, slot, owners), count + 1
+        assert count < 100
+    return count
+
+
+def test_a_full_team_stays() -> None:
+    search = Search()
+    for _ in range(50):
+        search = step(search, 0.0, 0, table(0, 1, 2, 3))
+    assert search.target is None
+
+
+def test_the_robot_next_to_a_vacant_place_goes_first() -> None:
+    owners = table(0, 1, 2, NO_OWNER)
+    assert rounds_until_off(2, owners) == PATIENCE + 2
+    assert rounds_until_off(1, owners) == PATIENCE + 2 + int(0.5 * PATIENCE_PER_PLACE)
+    assert rounds_until_off(0, owners) > rounds_until_off(1, owners)
+
+
+def test_a_robot_on_its_way_does_not_search() -> None:
+    search = Search()
+    for _ in range(50):
+        search = step(search, 5.0, 2, table(0, 1, 2, NO_OWNER), at_goal=False)
+    assert search.target is None
+
+
+def test_the_tour_visits_the_nearest_vacant_place_first_and_ends() -> None:
+    owners = table(NO_OWNER, 1, NO_OWNER, NO_OWNER)
+    search = Search()
+    while search.target is None:
+        search = step(search, 10.0, 1, owners)
+    assert search.way == ((0.0, 0.0), (20.0, 0.0), (30.0, 0.0))
+    for x in (0.0, 18.0, 30.0):
+        assert search.target is not None
+        search = step(search, x, 1, owners, at_goal=False)
+    assert search.target is None and search.tours == 1
+
+
+def test_new_knowledge_ends_the_tour() -> None:
+    search = Search()
+    while search.target is None:
+        search = step(search, 20.0, 2, table(0, 1, 2, NO_OWNER))
+    assert step(search, 25.0, 2, table(0, 1, 2, 3), at_goal=False).target is None
+
+
+def test_tours_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good() -> None:
+    owners = table(0, 1, 2, NO_OWNER)
+    search, waits, ways = Search(), [0], []
+    for _ in range(300):
+        search = step(search, 20.0 if search.target is None else search.target[0], 2, owners)
+        if search.target is None:
+            waits[-1] += 1
+        elif waits[-1]:
+            ways.append(search.way)
+            waits.append(0)
+    assert search.tours == MAX_TOURS == len(ways)
+    assert waits[:MAX_TOURS] == sorted(waits[:MAX_TOURS])
+    assert ways[0] == ((30.0, 0.0),) and ways[-1] == ((30.0, 0.0), CENTER)
