@@ -175,6 +175,8 @@ def test_baseline_keeps_the_index_of_its_own_model() -> None:
     agent.handle(Received(foreign(1, BETTER, origin(1))))
     agent.handle(TickEnded())
     assert (agent.plan, agent.claim.slot) == (PLAN, 1)
+    (ask,) = agent.handle(NegotiationEnded())
+    assert isinstance(ask, AskStep) and ask.question.goal == PLAN.points[1]
 
 
 def test_a_lost_auction_is_noted() -> None:
@@ -206,6 +208,27 @@ def test_with_every_slot_lost_the_robot_holds() -> None:
     agent.handle(TickEnded())
     note, _ = agent.handle(NegotiationEnded())
     assert isinstance(note, Note) and "claimed by others" in note.detail["reason"]
+
+
+def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:
+    """Nobody was ever heard: two places are vacant as far as robot 0 knows."""
+    agent = make()
+    goals: list[tuple[float, ...]] = []
+    kinds: list[str] = []
+    for number in range(1, 12):
+        here = (50.0, 50.0) if number < 8 else goals[-1]
+        agent.handle(RoundBegan(round=number, position=here, neighbors=0, sensed={}, observed=()))
+        if number == 1:
+            agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
+        *said, ask = agent.handle(NegotiationEnded())
+        assert isinstance(ask, AskStep)
+        kinds += notes(said)
+        goals.append(ask.question.goal)
+        agent.handle(Decided(StepAnswer(waypoint=here)))
+        agent.handle(Arrived())
+    assert goals[0] == (50.0, 50.0)
+    assert set(goals[1:]) >= {(55.0, 58.66), (60.0, 50.0)}
+    assert kinds[0] == "search"
 
 
 def test_illegal_events_are_a_fault_of_the_runtime() -> None:

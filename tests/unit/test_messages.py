@@ -6,11 +6,12 @@ import math
 import pytest
 
 from llm_flock.errors import MessageError
-from llm_flock.protocol.messages import Message, Pedigree, decode, encode, max_payload_bytes
+from llm_flock.protocol.messages import Message, Offer, Pedigree, decode, encode, max_payload_bytes
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
 ORIGIN = Pedigree(mission=0, mission_digest="ab" * 8, epoch=0, neighbors=1, proposer=1, sequence=0)
+OFFER = {"to": 0, "give": 0, "take": 1, "give_version": 0, "take_version": 3, "bid": -2.5}
 FULL = Message(
     sender=1,
     sequence=3,
@@ -19,6 +20,7 @@ FULL = Message(
     pedigree=ORIGIN,
     slot=0,
     table=((0, -1.5, 1), (0, 0.0, -1)),
+    offer=Offer(to=0, give=0, take=1, give_version=0, take_version=3, bid=-2.5),
 )
 
 
@@ -59,6 +61,9 @@ def test_what_is_said_is_heard(message: Message) -> None:
         (spoiled(plan=[[1.0, 2.0]]), "wrong_length"),
         (spoiled(plan=[[1.0, 2.0], [1.0, 2.0, 3.0]]), "wrong_length"),
         (spoiled(slot=2), "wrong_length"),
+        (spoiled(offer={**OFFER, "give": 2}), "wrong_length"),
+        (spoiled(offer={**OFFER, "to": 2}), "unknown_id"),
+        (spoiled(offer={**OFFER, "bid": math.inf}), "not_finite"),
         (spoiled(table=[[0, -1.0, 1]]), "wrong_length"),
         (spoiled(plan=[[math.nan, 2.0], [1.0, 2.0]]), "not_finite"),
         (spoiled(plan=[[math.inf, 2.0], [1.0, 2.0]]), "not_finite"),
