@@ -59,6 +59,7 @@ class Message:
         pedigree: origin of that plan, present with it.
         slot: index of the place it claims in the plan.
         table: what it knows of everybody's claims on that plan (auction only).
+        plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
     """
 
     sender: int
@@ -68,6 +69,7 @@ class Message:
     pedigree: Pedigree | None = None
     slot: int | None = None
     table: Table | None = None
+    plan_class: int = 0
 
 
 Id = Annotated[int, Field(ge=0)]
