@@ -86,6 +86,7 @@ class Agent:
         self._noise_bound = noise_bound
         self._judge = Judge(mission, verify=verify, shield_on=shield_on)
         self._question: StepQuestion | None = None
+        self._no_plan: NoAnswer | None = None
         self._proposals = 0
         self._own_slot: int | None = None
         self._round = 0
@@ -155,11 +156,10 @@ class Agent:
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
         """A proposal of one's own: it gets the influence of this moment as its pedigree."""
+        answer = self._judge.plan(answer)
         if isinstance(answer, NoAnswer):
+            self._no_plan = answer if self._judge.verify else None
             return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
-        objection = self._judge.objection(answer.plan)
-        if objection is not None:
-            return [Note("no_plan", {"cause": "unverified", "reason": objection})]
         origin = Pedigree(
             mission=0,
             mission_digest=self.mission.digest,
@@ -172,7 +172,7 @@ class Agent:
         self._own_slot = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
         proposed = Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})
-        return [*fallback_notes("plan", answer.instead_of), proposed]
+        return [*fallback_notes("plan", "geometry", answer.instead_of), proposed]
 
     def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
         self.plan, self.pedigree = plan, origin
@@ -257,11 +257,9 @@ class Agent:
         if plan == self.plan:
             self.pedigree = origin
             return []
-        detail: dict[str, object] = {"plan": plan.digest, "from": source.sender}
-        if self.plan is None and self._judge.verify:
-            detail["fallback"] = "neighbour"
+        notes = fallback_notes("plan", "neighbour", self._no_plan if self.plan is None else None)
         self._follow(plan, origin, adopted=True, heard=heard)
-        return [Note("adopted", detail)]
+        return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
         if self.plan is None or self.claim.slot is None:
@@ -300,7 +298,7 @@ class Agent:
                 noise_bound=self._noise_bound,
             )
         failure = answer.instead_of if isinstance(answer, StepAnswer) else None
-        notes = fallback_notes("step", failure)
+        notes = fallback_notes("step", "geometry", failure)
         if fit != asked:
             notes.append(Note("shielded", {"proposed": asked, "flown": fit}))
         altered = Origin.SHIELD if fit != asked else Origin.MODEL

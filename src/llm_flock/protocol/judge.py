@@ -6,7 +6,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import check_step, mended
 from llm_flock.protocol.verification import check_plan, plan_class
 
@@ -47,6 +47,11 @@ class Judge:
         self._refused.add(refused.digest)
         return True
 
+    def plan(self, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
+        """The answer, or why its plan is none."""
+        objection = self.objection(answer.plan) if isinstance(answer, PlanAnswer) else None
+        return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
+
     def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
         """What to aim for: the answer if it is faultless, what clipping makes of it if that helps, or why to hold."""
         asked = answer.waypoint
@@ -60,8 +65,8 @@ class Judge:
         return NoAnswer(cause="unverified", reason=check_step(self._mission, question, answer.waypoint) or "")
 
 
-def fallback_notes(question: str, failure: NoAnswer | None) -> list[Note]:
-    """What is noted when plain geometry stood in for a planner that failed; nothing where none failed."""
+def fallback_notes(question: str, by: str, failure: NoAnswer | None) -> list[Note]:
+    """What is noted when plain geometry or a neighbour's plan stood in for a planner; nothing where none failed."""
     if failure is None:
         return []
-    return [Note("fallback", {"question": question, "cause": failure.cause, "reason": failure.reason})]
+    return [Note("fallback", {"question": question, "by": by, "cause": failure.cause, "reason": failure.reason})]
