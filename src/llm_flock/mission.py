@@ -114,6 +114,9 @@ class Mission(BaseModel):
                 f"with spacing {self.spacing:g} reaches that far (here {room:.4g})",
             )
 
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
     @property
     def dim(self) -> int:
         """Dimension d of space."""

@@ -179,11 +179,14 @@ def test_faulty_models_hold_their_robot_and_never_the_others(tmp_path: Path) -> 
     assert (result.positions[-1][3] == result.positions[0][3]).all()
 
 
-def test_overshooting_models_are_held_to_the_step_limit() -> None:
-    result = llm_flock.run(llm_flock.Mission(shape="triangle", n_robots=3), model="simulated:overshoot", seed=3)
-    steps = np.linalg.norm(np.diff(result.positions, axis=0), axis=2)
-    assert steps.max() <= 6 + 1e-6
-    assert not result.formed
+def test_overshooting_models_are_held_to_the_step_limit_and_clipped_to_the_goal() -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    results = [llm_flock.run(mission, model="simulated:overshoot", seed=3, verify=verify) for verify in (False, True)]
+    for result in results:
+        steps = np.linalg.norm(np.diff(result.positions, axis=0), axis=2)
+        assert steps.max() <= 6 + 1e-6
+    assert [result.formed for result in results] == [False, True]
+    assert results[1].summary.waypoints["shield"] > 0 and results[1].summary.calls_rejected > 0
 
 
 def test_a_budget_stops_the_run_cleanly(tmp_path: Path) -> None:
@@ -290,3 +293,44 @@ def test_config_and_options_are_not_mixed() -> None:
 
     with pytest.raises(InputError, match="config"):
         llm_flock.run(llm_flock.Mission(), config=build_config())
+
+
+FAULTY = "simulated:distorted@0.3,overshoot@0.3,malformed@0.1"
+
+
+@pytest.mark.parametrize(("shape", "n"), [("triangle", 6), ("square", 8)])
+def test_faulty_models_together_still_form_within_the_retries(tmp_path: Path, shape: str, n: int) -> None:
+    result = llm_flock.run(llm_flock.Mission(shape=shape, n_robots=n), model=FAULTY, seed=1, out=str(tmp_path))
+    assert result.formed and result.summary.min_separation is not None and result.summary.min_separation >= 3 - 1e-6
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    reasons = [entry.rejected for entry in record.llm if entry.rejected]
+    assert any("nearest to point" in reason or "apart" in reason for reason in reasons)
+    assert any("beyond your goal" in reason for reason in reasons)
+    assert max(entry.attempt for entry in record.llm) <= 5
+    assert not any(event.kind == "rejected_message" for event in record.events), "no bad plan was ever sent"
+    assert "fallback" not in result.summary.waypoints
+
+
+def test_hallucinated_plans_win_without_verification_and_not_with_it() -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=6)
+    model = "0-4=simulated:ideal,5=simulated:distorted"
+    assert not any(llm_flock.run(mission, model=model, seed=s, verify=False, shield=True).formed for s in (1, 2))
+    for seed in (1, 2):
+        result = llm_flock.run(mission, model=model, seed=seed)
+        assert result.formed and result.plans[5] == result.plans[0]
+
+
+def test_plain_geometry_stands_in_only_where_the_operator_allows_it(tmp_path: Path) -> None:
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    held = llm_flock.run(mission, model="simulated:malformed", seed=1, rounds=5)
+    assert set(held.summary.waypoints) == {"hold"} and held.summary.robots_without_plan == 3
+    flown = llm_flock.run(mission, model="simulated:malformed", seed=1, fallback="geometry", out=str(tmp_path))
+    assert flown.formed and set(flown.summary.waypoints) == {"fallback"}
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    notes = [event.detail for event in record.events if event.kind == "fallback"]
+    assert {(note["question"], note["by"]) for note in notes} == {("plan", "geometry"), ("step", "geometry")}
+
+
+def test_a_fallback_needs_verification() -> None:
+    with pytest.raises(InputError, match="fallback"):
+        llm_flock.run(llm_flock.Mission(), protocol="paper", fallback="geometry")

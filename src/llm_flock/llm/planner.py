@@ -156,7 +156,7 @@ class LanguagePlanner:
         """One question, and as many tries at it as are allowed."""
         question = ChatMessage("user", text)
         messages = (self._system, *self._history, question)
-        reason = ""
+        reason, unfit = "", None
         for _ in range(1 + self._max_retries):
             call = self._call(kind, round_, messages)
             began = self._clock()
@@ -185,11 +185,12 @@ class LanguagePlanner:
                 self._keep(question, said)
                 return answer
             reason = rejected or ""
+            unfit = answer.waypoint if isinstance(answer, StepAnswer) else unfit
             messages += (said, ChatMessage("user", self._prompts.retry(reason, kind)))
         tries = 1 + self._max_retries
         story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
         logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
-        return NoAnswer(cause="answer", reason=story)
+        return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
     def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...]) -> Call:
         """The next call of this robot; attempts are numbered through a round, over both kinds of questions."""

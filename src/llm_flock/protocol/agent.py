@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import assert_never
 
 from llm_flock.arrays import Point
@@ -38,6 +39,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
+from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.messages import Message, Pedigree, decode, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -61,6 +63,7 @@ class Agent:
         assignment: rule that chooses the slot.
         shield_on: project every waypoint on the buffered Voronoi cell.
         noise_bound: largest error of a believed position [units].
+        verify: check every plan before it is followed, and every step before it is flown.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class Agent:
         *,
         shield_on: bool,
         noise_bound: float = 0.0,
+        verify: bool = False,
     ) -> None:
         self.robot = robot
         self.mission = mission
@@ -85,6 +89,9 @@ class Agent:
         self._assignment = assignment
         self._shield_on = shield_on
         self._noise_bound = noise_bound
+        self._judge = Judge(mission, verify=verify, shield_on=shield_on)
+        self._question: StepQuestion | None = None
+        self._no_plan: NoAnswer | None = None
         self._proposals = 0
         self._own_slot: int | None = None
         self._round = 0
@@ -155,7 +162,9 @@ class Agent:
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
         """A proposal of one's own: it gets the influence of this moment as its pedigree."""
+        answer = self._judge.plan(answer)
         if isinstance(answer, NoAnswer):
+            self._no_plan = answer if self._judge.verify else None
             return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
         origin = Pedigree(
             mission=0,
@@ -168,7 +177,8 @@ class Agent:
         self._proposals += 1
         self._own_slot = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
-        return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})]
+        proposed = Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})
+        return [*fallback_notes("plan", "geometry", answer.instead_of), proposed]
 
     def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
         self.plan, self.pedigree = plan, origin
@@ -224,16 +234,26 @@ class Agent:
         except MessageError as error:
             self.rejected[error.reason] += 1
             return [Note("rejected_message", {"reason": error.reason, "detail": error.detail})]
+        objection = self._judge.objection(message.plan)
+        if objection is not None and message.plan is not None:
+            self.rejected["unverified_plan"] += 1
+            detail = {"reason": "unverified_plan", "detail": objection}
+            return [Note("rejected_message", detail)] if self._judge.is_new(message.plan) else []
         known = self._inbox.get(message.sender)
         if known is None or message.sequence >= known.sequence:
-            self._inbox[message.sender] = message
+            self._inbox[message.sender] = replace(message, plan_class=self._judge.plan_class(message.plan))
         return []
 
     def _settle_tick(self) -> list[Effect]:
         """Consensus first, then the claim, both on the same snapshot of what was heard."""
         heard = [self._inbox[sender] for sender in sorted(self._inbox)]
         self._inbox = {}
-        own = Standing(plan=self.plan, pedigree=self.pedigree, neighbors=self.neighbors)
+        own = Standing(
+            plan=self.plan,
+            pedigree=self.pedigree,
+            neighbors=self.neighbors,
+            plan_class=self._judge.plan_class(self.plan),
+        )
         slot_before = self.claim.slot
         source = self._consensus.choose(own, heard)
         effects = [] if source is None else self._adopt(source, heard)
@@ -250,8 +270,9 @@ class Agent:
         if plan == self.plan:
             self.pedigree = origin
             return []
+        notes = fallback_notes("plan", "neighbour", self._no_plan if self.plan is None else None)
         self._follow(plan, origin, adopted=True, heard=heard)
-        return [Note("adopted", {"plan": plan.digest, "from": source.sender})]
+        return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
         if self.plan is None or self.claim.slot is None:
@@ -270,6 +291,7 @@ class Agent:
             slot=self.claim.slot,
             target=self._search.target,
         )
+        self._question = question
         return Phase.DECIDING, [*effects, AskStep(question)]
 
     def _look_for_others(self, plan: Plan, slot: int) -> list[Effect]:
@@ -293,25 +315,27 @@ class Agent:
         return [Note("search", {"begun": bool(self._search.way), "vacant": list(self._search.known[1])})]
 
     def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
-        if isinstance(answer, NoAnswer):
+        assert self._question is not None, "only a robot that asked is answered"
+        fit = self._judge.waypoint(self._question, answer)
+        asked = answer.waypoint
+        if isinstance(fit, NoAnswer):
             return [
-                Note("held", {"cause": answer.cause, "reason": answer.reason}),
-                MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
+                Note("held", {"cause": fit.cause, "reason": fit.reason}),
+                MoveTo(waypoint=self.position, proposed=asked, origin=Origin.HOLD),
             ]
-        wish = answer.waypoint
-        if not self._shield_on:
-            return [MoveTo(waypoint=wish, proposed=wish, origin=Origin.MODEL)]
-        safe = shield.project(
-            self.position,
-            wish,
-            self._sensed.values(),
-            safe_distance=self.mission.safe_distance,
-            max_step=self.mission.max_step,
-            noise_bound=self._noise_bound,
-        )
-        if safe == wish:
-            return [MoveTo(waypoint=wish, proposed=wish, origin=Origin.MODEL)]
-        return [
-            Note("shielded", {"proposed": wish, "flown": safe}),
-            MoveTo(waypoint=safe, proposed=wish, origin=Origin.SHIELD),
-        ]
+        if self._shield_on:
+            fit = shield.project(
+                self.position,
+                fit,
+                self._sensed.values(),
+                safe_distance=self.mission.safe_distance,
+                max_step=self.mission.max_step,
+                noise_bound=self._noise_bound,
+            )
+        failure = answer.instead_of if isinstance(answer, StepAnswer) else None
+        notes = fallback_notes("step", "geometry", failure)
+        if fit != asked:
+            notes.append(Note("shielded", {"proposed": asked, "flown": fit}))
+        altered = Origin.SHIELD if fit != asked else Origin.MODEL
+        origin = altered if failure is None else Origin.FALLBACK
+        return [*notes, MoveTo(waypoint=fit, proposed=asked, origin=origin)]

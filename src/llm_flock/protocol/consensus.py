@@ -9,17 +9,18 @@ from typing import Literal, Protocol, TypeAlias
 from llm_flock.protocol.messages import Message, Pedigree
 from llm_flock.protocol.plan import Plan
 
-PlanKey: TypeAlias = tuple[int, str, int, int, int, int, str]
+PlanKey: TypeAlias = tuple[int, str, int, int, int, int, int, str]
 TieBreak: TypeAlias = Literal["lowest", "highest"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """What a robot brings into the comparison: its plan, that plan's origin, and its own influence times N."""
+    """What a robot brings into the comparison: its plan with origin and class, and its own influence times N."""
 
     plan: Plan | None
     pedigree: Pedigree | None
     neighbors: int
+    plan_class: int = 0
 
 
 class ConsensusRule(Protocol):
@@ -70,12 +71,13 @@ class InfluenceConsensus:
         return k
 
 
-def plan_key(plan: Plan, origin: Pedigree) -> PlanKey:
+def plan_key(plan: Plan, origin: Pedigree, plan_class: int) -> PlanKey:
     """The place of a plan in the total order: compared element by element, higher wins."""
     return (
         origin.mission,
         origin.mission_digest,
         origin.epoch,
+        plan_class,
         origin.neighbors,
         origin.proposer,
         origin.sequence,
@@ -87,8 +89,9 @@ def plan_key(plan: Plan, origin: Pedigree) -> PlanKey:
 class PedigreeConsensus:
     """Max-consensus over a total order of plans (max-consensus: Cortes 2008; Nejad et al. 2009).
 
-    The proposer's influence at the time of proposing still decides first, so the paper's idea is kept, but it
-    belongs to the plan and travels with it, and ties are settled by the proposer's id. On a connected graph without
+    Among plans of one class (`verification.PlanClass`, which every receiver finds for itself) the proposer's influence
+    at the time of proposing decides first, so the paper's idea is kept, but it belongs to the plan and travels with
+    it, and ties are settled by the proposer's id. On a connected graph without
     loss all robots agree within its diameter in ticks, because the highest key only spreads and never changes.
     """
 
@@ -97,11 +100,13 @@ class PedigreeConsensus:
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
         """Adopt the plan of highest key, if it is higher than one's own."""
         best: Message | None = None
-        best_key = None if own.plan is None or own.pedigree is None else plan_key(own.plan, own.pedigree)
+        best_key = (
+            None if own.plan is None or own.pedigree is None else plan_key(own.plan, own.pedigree, own.plan_class)
+        )
         for message in heard:
             if message.plan is None or message.pedigree is None:
                 continue
-            key = plan_key(message.plan, message.pedigree)
+            key = plan_key(message.plan, message.pedigree, message.plan_class)
             if best_key is None or key > best_key:
                 best, best_key = message, key
         return best

@@ -31,6 +31,7 @@ class Origin(StrEnum):
     START = "start"
     MODEL = "model"
     SHIELD = "shield"
+    FALLBACK = "fallback"
     HOLD = "hold"
 
 

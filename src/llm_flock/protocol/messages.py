@@ -81,6 +81,7 @@ class Message:
         slot: index of the place it claims in the plan.
         table: what it knows of everybody's claims on that plan (auction only).
         offer: an exchange of places that it offers (auction only).
+        plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
     """
 
     sender: int
@@ -91,6 +92,7 @@ class Message:
     slot: int | None = None
     table: Table | None = None
     offer: Offer | None = None
+    plan_class: int = 0
 
 
 Id = Annotated[int, Field(ge=0)]

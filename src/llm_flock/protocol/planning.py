@@ -52,17 +52,25 @@ class StepQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanAnswer:
-    """A usable plan and the index of the place that the planner chose for its own robot."""
+    """A usable plan and the index of the place that the planner chose for its own robot.
+
+    Attributes:
+        plan: the formation.
+        slot: the planner's own choice of a place.
+        instead_of: the failure that this fallback stands in for; None where the planner itself answered.
+    """
 
     plan: Plan
     slot: int
+    instead_of: NoAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepAnswer:
-    """A usable waypoint [units; world frame]."""
+    """A usable waypoint [units; world frame]; `instead_of` as in PlanAnswer."""
 
     waypoint: Point
+    instead_of: NoAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,10 +80,12 @@ class NoAnswer:
     Attributes:
         cause: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
         reason: the whole story in words, for the record.
+        waypoint: the last one that could be read but was rejected [units; world frame], None without one.
     """
 
     cause: str
     reason: str
+    waypoint: Point | None = None
 
 
 Question: TypeAlias = PlanQuestion | StepQuestion

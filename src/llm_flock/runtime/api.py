@@ -83,6 +83,7 @@ async def run_async(
             consensus,
             assignment,
             shield_on=bool(protocol.shield),
+            verify=bool(protocol.verify),
             noise_bound=config.trial.noise,
         )
         for robot in range(config.mission.n_robots)

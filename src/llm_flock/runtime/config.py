@@ -29,9 +29,7 @@ class Section(BaseModel):
 class ProtocolConfig(Section):
     """How the robots come to one plan and to distinct places."""
 
-    protocol: Literal["flock", "paper", "baseline"] = Field(
-        default="flock", description="Preset of the four options below"
-    )
+    protocol: Literal["flock", "paper", "baseline"] = Field(default="flock", description="Preset of the options below")
     consensus: str | None = Field(
         default=None, description="Plan consensus: none, influence, pedigree, or package.module:Class [preset's]"
     )
@@ -40,6 +38,13 @@ class ProtocolConfig(Section):
         description="Goal assignment: index, nearest, nearest-free, auction, or package.module:Class [preset's]",
     )
     shield: bool | None = Field(default=None, description="Buffered Voronoi safety shield [preset's]")
+    verify: bool | None = Field(
+        default=None, description="Check plans and steps before use, received plans too [preset's]"
+    )
+    fallback: Literal["hold", "geometry"] = Field(
+        default="hold",
+        description="When a model's plan or step stays unusable: hold (wait for a neighbour's plan), or plain geometry",
+    )
     ticks: Count | None = Field(default=None, description="Message exchanges per motion round [preset's]")
 
     @model_validator(mode="after")
@@ -48,6 +53,8 @@ class ProtocolConfig(Section):
         for field, value in PRESETS[self.protocol].items():
             if getattr(self, field) is None:
                 object.__setattr__(self, field, value)
+        if self.fallback != "hold" and not self.verify:
+            raise InputError("fallback", self.fallback, "hold while verify is off")
         return self
 
 

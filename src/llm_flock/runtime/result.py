@@ -51,7 +51,7 @@ class Summary:
         tokens_cached: the part of tokens_input that the provider had in its cache.
         cost_usd: cost where the price of every call is known, else None [US dollars].
         latency_mean_s: mean duration of a call, waits included [s]; None without calls.
-        waypoints: waypoints flown by who made them: model, shield, hold.
+        waypoints: waypoints flown by who made them: model, shield, fallback, hold.
         messages_sent: broadcasts.
         bytes_per_robot_round: bytes broadcast per robot and round.
         messages_rejected: messages refused on receipt, by reason.

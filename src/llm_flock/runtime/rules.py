@@ -32,9 +32,9 @@ ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
 )
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "flock": {"consensus": "pedigree", "assignment": "auction", "shield": True, "ticks": 5},
-        "paper": {"consensus": "influence", "assignment": "nearest", "shield": False, "ticks": 1},
-        "baseline": {"consensus": "none", "assignment": "index", "shield": False, "ticks": 1},
+        "flock": {"consensus": "pedigree", "assignment": "auction", "shield": True, "verify": True, "ticks": 5},
+        "paper": {"consensus": "influence", "assignment": "nearest", "shield": False, "verify": False, "ticks": 1},
+        "baseline": {"consensus": "none", "assignment": "index", "shield": False, "verify": False, "ticks": 1},
     }
 )
 

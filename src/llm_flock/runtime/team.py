@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from llm_flock.llm.fallback import FallbackPlanner
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
 from llm_flock.llm.models import (
@@ -15,12 +16,15 @@ from llm_flock.llm.models import (
     parse_models,
     parse_settings,
 )
-from llm_flock.llm.planner import LanguagePlanner, parse_history
+from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
-from llm_flock.protocol.planning import Planner
+from llm_flock.mission import Mission
+from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.steps import check_step
+from llm_flock.protocol.verification import check_plan
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 
@@ -61,6 +65,7 @@ class Thinkers:
         if any(parse_model(name).kind == "simulated" for name in self.names):
             check_prompts(prompts, config.mission)
         history = parse_history(model.history)
+        plan_check, step_check = _checks(config.mission) if config.protocol.verify else (None, None)
         planners: list[Planner] = []
         for robot, text in enumerate(self.names):
             rng = stream(seed, Stream.MODEL, robot)
@@ -76,18 +81,23 @@ class Thinkers:
             else:
                 asked = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
                 thinker = Limited(asked, self._limits)
-            planners.append(
-                LanguagePlanner(
-                    robot,
-                    config.mission,
-                    thinker,
-                    prompts,
-                    max_retries=model.max_retries,
-                    history=history,
-                    answers=model.answers,
-                    on_attempt=self._tell,
-                )
+            planner: Planner = LanguagePlanner(
+                robot,
+                config.mission,
+                thinker,
+                prompts,
+                max_retries=model.max_retries,
+                history=history,
+                answers=model.answers,
+                on_attempt=self._tell,
+                check_plan=plan_check,
+                check_step=step_check,
             )
+            if config.protocol.fallback == "geometry":
+                # In the reference orientation: robots whose models fail propose one and the same plan.
+                geometry = GeometryPlanner(robot, config.mission)
+                planner = FallbackPlanner(config.mission, planner, geometry, shield_on=bool(config.protocol.shield))
+            planners.append(planner)
         self.planners: Sequence[Planner] = planners
 
     @property
@@ -115,3 +125,15 @@ class Thinkers:
         await self._pool.aclose()
         for replay in self._replays.values():
             replay.close()
+
+
+def _checks(mission: Mission) -> tuple[CheckPlan, CheckStep]:
+    """What a language model's answers must pass, in the form in which its planner asks."""
+
+    def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+        return check_plan(mission, answer.plan)
+
+    def step(question: StepQuestion, answer: StepAnswer) -> str | None:
+        return check_step(mission, question, answer.waypoint)
+
+    return plan, step

@@ -1,0 +1,47 @@
+"""Plain geometry where a language model's answers were of no use, if the operator allows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.steps import mended
+
+
+class FallbackPlanner:
+    """A `Planner` that asks another one when the first gave up; its answers say what they stand in for.
+
+    A rejected waypoint that the shield can mend comes first: it is closer to what the model wanted.
+
+    Args:
+        mission: what the team is asked to do.
+        first: who is asked.
+        second: who answers when `first` does not.
+        shield_on: whether the robot has a safety shield.
+    """
+
+    def __init__(self, mission: Mission, first: Planner, second: Planner, *, shield_on: bool) -> None:
+        self._mission = mission
+        self._first = first
+        self._second = second
+        self._shield_on = shield_on
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """The first planner's plan, or the second's; the first one's failure if both fail."""
+        answer = await self._first.plan(question)
+        if isinstance(answer, PlanAnswer):
+            return answer
+        second = await self._second.plan(question)
+        return replace(second, instead_of=answer) if isinstance(second, PlanAnswer) else answer
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """The first planner's waypoint, what the shield can make of its last one, or the second's."""
+        answer = await self._first.step(question)
+        if isinstance(answer, StepAnswer):
+            return answer
+        unfit = answer.waypoint
+        if unfit is not None and mended(self._mission, question, unfit, shield_on=self._shield_on) is not None:
+            return answer
+        second = await self._second.step(question)
+        return replace(second, instead_of=answer) if isinstance(second, StepAnswer) else answer

@@ -1,0 +1,72 @@
+"""One robot's verification: which plans it follows and forwards, and which waypoints it hands to its shield."""
+
+from __future__ import annotations
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.events import Note
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
+from llm_flock.protocol.steps import check_step, mended
+from llm_flock.protocol.verification import check_plan, plan_class
+
+REMEMBERED = 1024
+"""So many refused plans are remembered, to note each of them once."""
+
+
+class Judge:
+    """Checks plans and steps; with verification off it finds nothing wrong with any of them.
+
+    Args:
+        mission: what the plans and steps are for.
+        verify: whether anything is checked.
+        shield_on: whether a waypoint that only lacks separation may be left to the shield.
+    """
+
+    def __init__(self, mission: Mission, *, verify: bool, shield_on: bool) -> None:
+        self.verify = verify
+        self._mission = mission
+        self._shield_on = shield_on
+        self._refused: set[str] = set()
+
+    def objection(self, plan: Plan | None) -> str | None:
+        """Why this plan may not be followed, or None."""
+        return check_plan(self._mission, plan) if self.verify and plan is not None else None
+
+    def plan_class(self, plan: Plan | None) -> int:
+        """The plan's place in the order of plans; 0 for all of them where nothing is checked."""
+        return int(plan_class(self._mission, plan)) if self.verify and plan is not None else 0
+
+    def is_new(self, refused: Plan) -> bool:
+        """Whether this refused plan has not been noted yet."""
+        if refused.digest in self._refused:
+            return False
+        if len(self._refused) >= REMEMBERED:
+            # Whoever floods the radio with plans may fill the record, but not the memory.
+            self._refused.clear()
+        self._refused.add(refused.digest)
+        return True
+
+    def plan(self, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
+        """The answer, or why its plan is none."""
+        objection = self.objection(answer.plan) if isinstance(answer, PlanAnswer) else None
+        return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
+
+    def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
+        """What to aim for: the answer if it is faultless, what clipping makes of it if that helps, or why to hold."""
+        asked = answer.waypoint
+        if not self.verify:
+            return answer.waypoint if isinstance(answer, StepAnswer) else answer
+        fit = None if asked is None else mended(self._mission, question, asked, shield_on=self._shield_on)
+        if fit is not None:
+            return fit
+        if isinstance(answer, NoAnswer):
+            return answer
+        return NoAnswer(cause="unverified", reason=check_step(self._mission, question, answer.waypoint) or "")
+
+
+def fallback_notes(question: str, by: str, failure: NoAnswer | None) -> list[Note]:
+    """What is noted when plain geometry or a neighbour's plan stood in for a planner; nothing where none failed."""
+    if failure is None:
+        return []
+    return [Note("fallback", {"question": question, "by": by, "cause": failure.cause, "reason": failure.reason})]

@@ -1,0 +1,113 @@
+"""What is checked of a step, what a blocked way allows, and what the shield may make of a step that fails."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import StepQuestion
+from llm_flock.protocol.steps import Fault, blocked, check_step, mended, step_faults
+
+MISSION = Mission(shape="triangle", n_robots=3)
+
+
+def ask(position: Point, goal: Point, *neighbors: Point) -> StepQuestion:
+    plan = Plan.of([goal, (90.0, 90.0), (80.0, 80.0)])
+    return StepQuestion(robot=0, round=1, position=position, neighbors=neighbors, plan=plan, slot=0)
+
+
+def kinds(question: StepQuestion, waypoint: Point) -> list[Fault]:
+    return [fault.kind for fault in step_faults(MISSION, question, waypoint)]
+
+
+FAR = ask((50.0, 50.0), (80.0, 50.0))
+NEAR = ask((50.0, 50.0), (52.88, 50.0))
+THERE = ask((50.0, 50.0), (50.0, 50.0))
+
+
+@pytest.mark.parametrize(
+    ("question", "waypoint", "expected"),
+    [
+        (FAR, (56.0, 50.0), []),
+        (FAR, (55.0, 53.0), []),
+        (FAR, (56.04, 50.0), []),
+        (FAR, (57.2, 50.0), [Fault.LENGTH]),
+        (FAR, (50.0, 50.0), [Fault.PROGRESS]),
+        (FAR, (44.0, 50.0), [Fault.PROGRESS]),
+        (FAR, (98.0, 50.0), [Fault.LENGTH, Fault.OVERSHOOT]),
+        (FAR, (math.nan, 50.0), [Fault.FORM]),
+        (FAR, (56.0, 50.0, 0.0), [Fault.FORM]),
+        (NEAR, (52.88, 50.0), []),
+        (NEAR, (51.0, 50.0), []),
+        (NEAR, (56.0, 50.0), [Fault.OVERSHOOT]),
+        (ask((50.0, 50.0), (54.0, 50.0)), (56.0, 50.0), [Fault.OVERSHOOT]),
+        (THERE, (50.0, 50.0), []),
+        (THERE, (50.1, 50.1), []),
+        (THERE, (51.0, 50.0), [Fault.OVERSHOOT]),
+        (ask((50.0, 50.0), (80.0, 50.0), (58.0, 50.5)), (56.0, 50.0), [Fault.SEPARATION]),
+        (ask((50.0, 50.0), (80.0, 50.0), (48.0, 50.0)), (54.0, 50.0), []),
+        (ask((50.0, 50.0), (80.0, 50.0), (48.0, 50.0)), (49.0, 50.0), [Fault.SEPARATION]),
+        (ask((2.0, 50.0), (2.0, 80.0)), (-1.0, 54.0), [Fault.ARENA]),
+        (ask((-4.0, 50.0), (2.0, 80.0)), (-3.0, 54.0), []),
+        (ask((-4.0, 50.0), (2.0, 80.0)), (-5.0, 54.0), [Fault.ARENA]),
+    ],
+)
+def test_faults(question: StepQuestion, waypoint: Point, expected: list[Fault]) -> None:
+    assert kinds(question, waypoint) == expected
+    assert (check_step(MISSION, question, waypoint) is None) == (not expected)
+
+
+def test_reasons_have_numbers() -> None:
+    assert check_step(MISSION, FAR, (98.0, 50.0)) == (
+        "the position is 48 from yours, 6 is the step limit; the position is 18 beyond your goal, which is 30 away."
+    )
+    close = ask((50.0, 50.0), (80.0, 50.0), (57.0, 53.0), (58.0, 50.0))
+    reason = check_step(MISSION, close, (56.0, 50.0))
+    assert reason == "the position is 2 from the robot at [58, 50], at least 3 is required."
+    assert check_step(MISSION, FAR, (44.0, 50.0)) == (
+        "the position is 36 from your goal, no nearer than you are now (30)."
+    )
+    wall = check_step(MISSION, ask((2.0, 50.0), (2.0, 80.0)), (-1.0, 54.0))
+    assert wall == "the position is 1 outside the arena from [0, 0] to [100, 100]."
+
+
+def test_a_blocked_robot_may_wait_or_go_round() -> None:
+    free = ask((50.0, 50.0), (80.0, 50.0), (50.0, 56.0), (42.0, 50.0), (70.0, 50.0))
+    in_the_way = ask((50.0, 50.0), (80.0, 50.0), (55.0, 51.0))
+    assert not blocked(MISSION, free) and blocked(MISSION, in_the_way)
+    assert kinds(free, (50.0, 50.0)) == [Fault.PROGRESS]
+    assert kinds(in_the_way, (50.0, 50.0)) == [] == kinds(in_the_way, (49.0, 46.0))
+    on_the_goal = ask((50.0, 50.0), (53.0, 50.0), (55.0, 50.0))
+    assert kinds(on_the_goal, (50.0, 47.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("question", "waypoint", "expected"),
+    [
+        (FAR, (56.0, 50.0), (56.0, 50.0)),
+        (FAR, (62.0, 50.0), (56.0, 50.0)),
+        (FAR, (98.0, 50.0), (56.0, 50.0)),
+        (NEAR, (56.0, 50.0), (52.88, 50.0)),
+        (THERE, (56.0, 50.0), (50.0, 50.0)),
+        (FAR, (38.0, 50.0), None),
+        (FAR, (50.0, 50.0), None),
+        (FAR, (math.inf, 50.0), None),
+        (ask((2.0, 50.0), (2.0, 80.0)), (-1.0, 54.0), (0.0, 54.0)),
+        (ask((-4.0, 50.0), (2.0, 80.0)), (-5.0, 54.0), None),
+    ],
+)
+def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, expected: Point | None) -> None:
+    made = mended(MISSION, question, waypoint, shield_on=False)
+    assert made == (None if expected is None else pytest.approx(expected))
+    if made is not None:
+        assert step_faults(MISSION, question, made) == ()
+
+
+def test_a_want_of_separation_is_left_to_the_shield_if_there_is_one() -> None:
+    question = ask((50.0, 50.0), (80.0, 50.0), (58.0, 50.5))
+    assert mended(MISSION, question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
+    assert mended(MISSION, question, (56.0, 50.0), shield_on=False) is None

@@ -1,0 +1,130 @@
+"""What is checked of a plan: each fault in words with numbers, room for rounded coordinates, and the class."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from llm_flock import formations
+from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.verification import PlanClass, check_plan, plan_class
+
+SQUARE = Mission(shape="square", n_robots=8)
+TEXT = Mission(shape="text:a ring", n_robots=4)
+
+
+def ideal(mission: Mission, angle_rad: float = 0.0) -> np.ndarray:
+    return formations.rotated(mission.ideal or (), mission.center, angle_rad)
+
+
+def plan(points: Any) -> Plan:
+    return Plan.of(np.asarray(points).tolist())
+
+
+LEGAL = [
+    ("triangle", 3), ("triangle", 6), ("square", 8), ("cross", 5), ("circle", 10), ("circle", 2), ("line", 6),
+    ("wedge", 7), ("grid", 11), ("star", 10), ("polygon:5", 10),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("shape", "n"), LEGAL)
+@pytest.mark.parametrize("order", ["given", "shuffled"])
+def test_every_shape_passes_turned_and_rounded_to_two_decimals(shape: str, n: int, order: str) -> None:
+    mission = Mission(shape=shape, n_robots=n)
+    rng = np.random.default_rng(3)
+    for angle in np.linspace(0, 2 * math.pi, 7):
+        points = ideal(mission, float(angle)).round(2)
+        candidate = plan(points if order == "given" else rng.permutation(points))
+        assert check_plan(mission, candidate) is None
+        assert plan_class(mission, candidate) is PlanClass.EXACT
+
+
+def test_whole_numbers_pass_mostly_and_are_of_a_lower_class() -> None:
+    mission = Mission(shape="circle", n_robots=10)
+    plans = [plan(ideal(mission, angle).round(0)) for angle in np.linspace(0, 0.6, 40)]
+    classes = [plan_class(mission, p) for p in plans]
+    assert classes.count(PlanClass.ACCEPTABLE) >= 30 and PlanClass.EXACT not in classes
+
+
+def test_a_fault_says_what_how_much_and_what_is_required() -> None:
+    points = ideal(SQUARE)
+    moved = points.copy()
+    moved[7] = moved[3] + (1.9, 0.0)
+    assert check_plan(SQUARE, plan(points[:7])) == "the plan holds 7 points, 8 are required."
+    off = check_plan(SQUARE, plan(points + (3.0, 4.0)))
+    assert off == "the mean of its points is [53, 54], 5 away from [50, 50], where it must be."
+    text = Mission(shape="text:a mess", n_robots=8)
+    moved += np.array([50.0, 50.0]) - moved.mean(axis=0)
+    assert check_plan(text, plan(moved)) == "points 3 and 7 are 1.9 apart, at least 3 is required."
+    wide = check_plan(SQUARE, plan(50 + (points - 50) * 1.2))
+    assert wide == "the point nearest to point 0 is point 1, 12 away; from 9 to 11 is required."
+    far = Mission(shape="square", n_robots=8, arena=((35, 35), (65, 65)))
+    shifted = points + (6.0, 0.0)
+    outside = check_plan(far, plan(shifted))
+    assert outside is not None and outside.endswith("is at [66, 60], outside the arena from [35, 35] to [65, 65].")
+
+
+def test_the_right_spacing_in_another_shape_is_refused() -> None:
+    line = Mission(shape="line", n_robots=8, arena=((0, 0), (100, 100)))
+    reason = check_plan(SQUARE, plan(ideal(line)))
+    assert reason is not None and "off the shape on average, 0.5 is the limit: this is not square" in reason
+    assert plan_class(SQUARE, plan(ideal(line))) is PlanClass.REFUSED
+
+
+def test_a_distorted_plan_is_refused() -> None:
+    """The paper's first failure: stretched axes and normal noise of a fifth of the spacing."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        points = 50 + (ideal(SQUARE) - 50) * rng.uniform(0.6, 1.4, 2) + rng.normal(0, 2, (8, 2))
+        assert check_plan(SQUARE, plan(points)) is not None
+
+
+def test_points_of_another_dimension_or_not_finite_are_refused() -> None:
+    points = ideal(SQUARE).tolist()
+    assert check_plan(SQUARE, Plan.of([[*row, 0.0] for row in points])) == "point 0 has 3 numbers, 2 are required."
+    points[2][1] = math.nan
+    reason = check_plan(SQUARE, Plan.of(points))
+    assert reason is not None and reason.startswith("point 2 is [") and "finite" in reason
+
+
+def test_coincident_points_are_named() -> None:
+    text = Mission(shape="text:a heap", n_robots=3)
+    reason = check_plan(text, plan([[45.0, 50.0], [45.0, 50.0], [60.0, 50.0]]))
+    assert reason == "points 0 and 1 are 0 apart, at least 3 is required."
+
+
+def test_words_are_judged_by_spacing_and_centre_and_are_never_exact() -> None:
+    ring = 50 + 10 / math.sqrt(2) * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    assert check_plan(TEXT, plan(ring)) is None and plan_class(TEXT, plan(ring)) is PlanClass.ACCEPTABLE
+    assert check_plan(TEXT, plan(50 + (ring - 50) * 2)) is not None
+
+
+def test_given_points_are_compared_with_themselves_not_with_the_spacing() -> None:
+    mission = build_mission(points=((0, 0), (4, 0), (0, 25)), spacing=10.0)
+    assert check_plan(mission, plan(ideal(mission, 1.0).round(2))) is None
+    assert check_plan(mission, plan(50 + (ideal(mission) - 50) * 1.3)) is not None
+
+
+def test_where_the_spacing_is_the_safe_distance_rounding_is_forgiven() -> None:
+    mission = Mission(shape="circle", n_robots=7, spacing=3.0)
+    assert all(check_plan(mission, plan(ideal(mission, a).round(2))) is None for a in np.linspace(0, 1, 20))
+
+
+def test_space_and_a_single_robot() -> None:
+    corners = ((0, 0, 0), (10, 0, 0), (0, 10, 0), (0, 0, 10))
+    space = build_mission(points=corners, center=(50, 50, 50), arena=((0, 0, 0), (100, 100, 100)))
+    assert plan_class(space, plan(space.ideal)) is PlanClass.EXACT
+    one = Mission(shape="line", n_robots=1)
+    assert plan_class(one, plan([[50.0, 50.1]])) is PlanClass.ACCEPTABLE
+    assert check_plan(one, plan([[50.0, 51.0]])) is not None
+
+
+@pytest.mark.parametrize("shape", ["circle", "square", "grid"])
+def test_a_hundred_robots_are_judged_quickly_however_they_are_numbered(shape: str) -> None:
+    mission = Mission(shape=shape, n_robots=100, center=(300, 300), arena=((0, 0), (600, 600)))
+    points = np.random.default_rng(1).permutation(formations.rotated(mission.ideal or (), (300, 300), 1.0)).round(2)
+    assert plan_class(mission, plan(points)) is PlanClass.EXACT
