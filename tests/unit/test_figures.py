@@ -204,7 +204,7 @@ def test_words_of_the_operator_begin_no_formula(record: RunRecord, tmp_path: Pat
         ]
     ):
         figures.save(figure, tmp_path / f"{number}.png")
-    assert next(iter(frames(shown))).size
+    assert next(frames(shown)).size == next(frames(record)).size
 
 
 def test_runs_without_a_known_ideal_are_compared_without_errors(record: RunRecord, tmp_path: Path) -> None:
