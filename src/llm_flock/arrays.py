@@ -23,3 +23,6 @@ else:
 
 Point: TypeAlias = tuple[float, ...]
 """One position as plain numbers, length d [units; world frame]."""
+
+MAX_COORDINATE = 1e6
+"""Largest absolute coordinate of a mission, and of what models answer [units]; doubles keep it to 1e-10."""

@@ -1,17 +1,15 @@
 """Every exception the package raises on purpose, on one screen.
 
 Whose fault it is decides the class: the operator's input, a peer's message, a model's answer,
-a provider's service, a robot's body, or a file on disk.
+a provider's service, or a file on disk.
 
     FlockError
     |-- InputError          the operator asked for something that is not allowed
-    |   `-- MissingExtra    an optional part is not installed
     |-- MessageError        a peer sent something that is not acceptable
     |-- AnswerError         a model's answer cannot be used (the reason can be told to the model)
     |-- ModelError          a provider did not answer (time-out, rate limit, cut connection, refusal)
     |   `-- BudgetExceeded  the run's own limit on calls, tokens or money is used up
     |-- ReplayDrift         a replayed conversation asks something other than what was recorded
-    |-- RobotError          a body did not do what it was told
     `-- RecordError         a record cannot be read or written
 """
 
@@ -36,13 +34,6 @@ class InputError(FlockError):
         self.value = value
         self.allowed = allowed
         super().__init__(f"{field} = {value!r} is not allowed: {allowed}")
-
-
-class MissingExtra(InputError):
-    """An optional part is needed but not installed."""
-
-    def __init__(self, part: str, extra: str) -> None:
-        super().__init__(part, "not installed", f'install it with: pip install "llm-flock[{extra}]"')
 
 
 class MessageError(FlockError):
@@ -89,10 +80,6 @@ class BudgetExceeded(ModelError):
 
 class ReplayDrift(FlockError):
     """A replayed run asks a question that the cassette does not hold, or holds differently."""
-
-
-class RobotError(FlockError):
-    """A robot's body did not do what it was told."""
 
 
 class RecordError(FlockError):

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sized
 from functools import cached_property
 from typing import Annotated, Any, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import formations
-from llm_flock.arrays import Point
+from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import InputError
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+MIN_LENGTH = 1e-3
+"""Smallest length that a mission may ask for [units]: plans are rounded to a thousandth of it."""
 
-MAX_ROBOTS = 10_000
+MAX_ROBOTS = 2_000
+"""Most robots of a mission. The figures of a run are exact and look at all pairs of robots: at 1,000 robots the shape
+error of one round takes a minute, and it grows with about the third power."""
+
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=MIN_LENGTH, allow_inf_nan=False)]
+
 START_DENSITY = 0.35
 """Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
 
@@ -26,6 +33,10 @@ class Mission(BaseModel):
 
     Defaults are the paper's (section 4: spacing 10, safe distance 3, 6 units a round, radio range 15,
     arena 100 x 100, centre [50, 50]). Lengths are in mission units, in the world frame.
+
+    Raises:
+        ValidationError: pydantic's, where a field by itself is wrong (`Mission(n_robots=0)`).
+        InputError: where fields do not go together. `build_mission` raises this one for both.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -34,20 +45,20 @@ class Mission(BaseModel):
         default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."
     )
     n_robots: int = Field(default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
-    center: tuple[Finite, ...] = Field(default=(50.0, 50.0), description="Centre of the formation [units]")
-    spacing: Positive = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
-    safe_distance: Positive = Field(
+    center: tuple[Coordinate, ...] = Field(default=(50.0, 50.0), description="Centre of the formation [units]")
+    spacing: Length = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
+    safe_distance: Length = Field(
         default=3.0, description="Smallest distance allowed between any two robots d_s [units]"
     )
-    max_step: Positive = Field(default=6.0, description="Longest move in one round v_m [units]")
-    comm_range: Positive = Field(default=15.0, description="Radio range r_comm [units]")
-    sense_range: Positive | None = Field(
+    max_step: Length = Field(default=6.0, description="Longest move in one round v_m [units]")
+    comm_range: Length = Field(default=15.0, description="Radio range r_comm [units]")
+    sense_range: Length | None = Field(
         default=None, description="Range of the position sensors [units]; comm_range if unset"
     )
-    arena: tuple[tuple[Finite, ...], tuple[Finite, ...]] = Field(
+    arena: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] = Field(
         default=((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corner of the flight space [units]"
     )
-    points: tuple[tuple[Finite, ...], ...] | None = Field(
+    points: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Target points of the shape 'points' [units], used relative to their own mean"
     )
 
@@ -59,7 +70,11 @@ class Mission(BaseModel):
             return data
         given = cast("dict[str, Any]", data)
         points = given.get("points")
-        return given if points is None else {"shape": "points", "n_robots": len(points), **given}
+        if not isinstance(points, Sized):
+            return given  # nothing was given, or what the field itself will refuse
+        if not len(points):
+            raise InputError("points", points, "at least one point")
+        return {"shape": "points", "n_robots": len(points), **given}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -167,7 +182,13 @@ def build_mission(**fields: Any) -> Mission:
 
 
 def input_error(error: ValidationError) -> InputError:
-    """The first fault of a pydantic validation as this package's own error."""
+    """The first fault of a pydantic validation as this package's own error.
+
+    The field is named without its section, as flags and our own checks name it; an index in it is kept: `center.1`.
+    """
     first = error.errors(include_url=False)[0]
-    field = ".".join(str(part) for part in first["loc"]) or "value"
+    place = list(first["loc"])
+    while len(place) > 1 and isinstance(place[0], str) and isinstance(place[1], str):
+        del place[0]
+    field = ".".join(map(str, place)) or "value"
     return InputError(field, first.get("input"), first["msg"])

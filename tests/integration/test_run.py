@@ -255,6 +255,9 @@ def test_given_starts_are_taken_or_refused() -> None:
     assert result.positions[0].tolist() == [[1, 2], [30, 40]]
     with pytest.raises(InputError, match="start_positions"):
         llm_flock.run(mission, start_positions=((1, 2),), rounds=1)
+    for outside in ((30, 100.5), (-0.5, 40)):
+        with pytest.raises(InputError, match=r"start_positions = .* inside the arena .*robot 1 is not"):
+            llm_flock.run(mission, start_positions=((0, 100), outside), rounds=1)
 
 
 def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> None:

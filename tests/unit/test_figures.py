@@ -17,6 +17,7 @@ from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.record.scene import PALETTE
 from llm_flock.viz import figures
+from llm_flock.viz.animation import frames
 from llm_flock.viz.panel import Panel, short, view
 from llm_flock.viz.style import heading, ink_on, letters, line_colour, luminance, plan_looks, thinkers
 
@@ -175,6 +176,45 @@ def test_three_dimensions_are_seen_from_above(tmp_path: Path) -> None:
     (axes,) = figures.snapshots(record, [2]).axes
     drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-4:]])
     np.testing.assert_allclose(drawn, record.positions[2, :, :2])
+
+
+def test_radio_links_are_of_the_whole_space_also_when_seen_from_above(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=1, dim=3))
+    # Over one another, but only the lower two within the range of 15.
+    positions = np.array([[[50.0, 50.0, z], [51.0, 50.0, z + 10.0], [52.0, 50.0, 80.0]] for z in (5.0, 6.0)])
+    axes = Figure().add_subplot()
+    Panel(replace(record, positions=positions)).draw(axes, 1, 0.5)
+    links = next(c for c in axes.collections if isinstance(c, LineCollection))
+    assert [np.asarray(s).tolist() for s in links.get_segments()] == [[[50.0, 50.0], [51.0, 50.0]]]
+
+
+def with_shape(record: RunRecord, shape: str) -> RunRecord:
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": shape}})
+    return replace(record, missions=(mission,))
+
+
+def test_words_of_the_operator_begin_no_formula(record: RunRecord, tmp_path: Path) -> None:
+    words_given = r"cost $\foo{$ and"
+    shown = with_shape(record, "text:" + words_given)
+    for number, figure in enumerate(
+        [
+            figures.snapshots(shown, [1]),
+            figures.error_over_time([shown], [words_given]),
+            figures.comparison([shown], [words_given]),
+        ]
+    ):
+        figures.save(figure, tmp_path / f"{number}.png")
+    assert next(frames(shown)).size == next(frames(record)).size
+
+
+def test_runs_without_a_known_ideal_are_compared_without_errors(record: RunRecord, tmp_path: Path) -> None:
+    rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
+    free = replace(with_shape(record, "text:a cloud"), metrics=rows)
+    figure = figures.comparison([free, record], ["one", "two"])
+    assert [axes.get_title() for axes in figure.axes] == ["one\nformed in round 10", "two\nformed in round 10"]
+    figures.save(figure, tmp_path / "compared.png")
+    with pytest.raises(InputError, match="whose ideal points are known"):
+        figures.error_over_time([free], ["one"])
 
 
 def test_the_window_holds_arena_robots_and_goals(record: RunRecord) -> None:

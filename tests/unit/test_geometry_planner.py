@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
-from llm_flock.errors import InputError
 from llm_flock.llm.geometry import GeometryPlanner, turned
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
@@ -44,15 +42,6 @@ def test_chance_turns_the_plan_about_the_centre_and_the_seed_repeats_it() -> Non
     np.testing.assert_allclose(radii, radii[0], atol=1e-5)
     planner = GeometryPlanner(3, CIRCLE, np.random.default_rng(1))
     assert plan_of(planner) == plan_of(planner)
-
-
-def test_a_robot_may_take_the_nearest_place() -> None:
-    planner = GeometryPlanner(3, CIRCLE, choice="nearest")
-    place = np.array(CIRCLE.ideal)[7]
-    assert plan_of(planner, tuple(place + 0.5)).slot == 7
-    wrong: Any = "best"
-    with pytest.raises(InputError, match="own or nearest"):
-        GeometryPlanner(3, CIRCLE, choice=wrong)
 
 
 def test_nobody_knows_the_points_of_a_shape_in_words() -> None:

@@ -213,17 +213,15 @@ def test_tokens_and_money_stop_calls_that_stand_in_the_queue(budget: Budget, say
     assert len(refused) == 7 and all(says in str(error) for error in refused)
     assert shared.meter.calls == 3  # those turned away in the queue were taken back
     assert shared.meter.usage == Usage(input=90, output=30, cached=15)
-    assert shared.meter.cost_usd == 0.75
+    assert shared.meter.known_cost_usd == 0.75
 
 
-def test_cost_is_unknown_only_where_nothing_is_known() -> None:
+def test_a_reply_without_a_price_adds_nothing_to_the_known_cost() -> None:
     meter = BudgetMeter()
-    assert meter.cost_usd == 0.0
     meter.settle(Reply(text="", model="m"))
-    assert meter.cost_usd is None
+    assert meter.known_cost_usd == 0.0
     meter.settle(ANSWER)
-    assert meter.cost_usd == 0.25
-    assert (meter.answered, meter.priced) == (2, 1)
+    assert meter.known_cost_usd == 0.25
 
 
 def test_a_replay_counts_as_the_recorded_run_did() -> None:
@@ -245,7 +243,7 @@ def test_a_replay_counts_as_the_recorded_run_did() -> None:
                     await model.ask(QUESTION)
 
     asyncio.run(replay())
-    for name in ("calls", "answered", "usage", "cost_usd", "faults", "reason"):
+    for name in ("calls", "answered", "usage", "known_cost_usd", "faults", "reason"):
         assert getattr(meter, name) == getattr(live.meter, name), name
     assert meter.reason == "max_calls = 3 is used up" and meter.calls == 3
 

@@ -18,7 +18,10 @@ def show_overview(record: RunRecord) -> None:
     mission = record.mission.mission
     simulated = " · simulated language models" if record.run.simulated else ""
     state = "complete" if record.complete else "ends early (the run was stopped)"
-    console.print(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
+    # Text(...) keeps the terminal from reading brackets of the operator, a model or a template as markup.
+    console.print(
+        Text(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
+    )
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
     for row in record.metrics:
         table.add_row(
@@ -55,10 +58,11 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
 def _show(console: Console, entry: LlmEntry) -> None:
     title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
     for message in entry.messages:
-        # Text(...) keeps the terminal from reading a model's or template's brackets as markup.
-        console.print(Panel(Text(message.text), title=f"{title} · {message.role}", title_align="left"))
+        console.print(Panel(Text(message.text), title=Text(f"{title} · {message.role}"), title_align="left"))
     if entry.text is not None:
-        console.print(Panel(Text(entry.text), title=f"{title} · answer", title_align="left", border_style="green"))
+        console.print(
+            Panel(Text(entry.text), title=Text(f"{title} · answer"), title_align="left", border_style="green")
+        )
     outcome = f"used: {entry.parsed}" if entry.parsed is not None else f"not used: {entry.rejected or entry.error}"
     console.print(
         Text(

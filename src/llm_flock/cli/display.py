@@ -27,14 +27,15 @@ class LiveLine:
         self._plain = enabled and not self._redraw
         self._bar = Bar(
             SpinnerColumn(),
-            TextColumn(f"[bold]{escape(label)}[/]"),
+            # A field, and no markup: the label is the operator's, with whatever brackets and braces it holds.
+            TextColumn("{task.fields[label]}", style="bold", markup=False),
             BarColumn(bar_width=20),
             TextColumn("{task.description}"),
             TimeElapsedColumn(),
             console=self._console,
             disable=not self._redraw,
         )
-        self._task = self._bar.add_task("asking every model for a plan ...", total=None)
+        self._task = self._bar.add_task("asking every model for a plan ...", total=None, label=label)
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -84,7 +85,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     if summary.robots_without_plan:
         rows.append(("without a plan", f"{summary.robots_without_plan} robots"))
     if summary.record:
-        rows.append(("record", summary.record))
+        rows.append(("record", escape(summary.record)))
     for row in rows:
         table.add_row(*row)
     return table

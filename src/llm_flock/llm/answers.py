@@ -16,15 +16,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import AnswerError
 from llm_flock.protocol.plan import Plan
 
 MAX_CHARS = 1_000_000
 """Longer answers are not read."""
-
-MAX_COORDINATE = 1e6
-"""Largest absolute coordinate that makes sense [units]."""
 
 MAX_DIGITS = 40
 """Longest spelling of a number."""

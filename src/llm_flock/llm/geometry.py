@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 
 from llm_flock import formations
 from llm_flock.arrays import Points
-from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -29,37 +27,23 @@ class GeometryPlanner:
         robot: whose planner this is.
         mission: what the team is asked to do.
         rng: draws the orientation, as independent models would choose theirs; without it, the reference orientation.
-        choice: the place that the robot takes: the one of its own number, or the one nearest to it.
-
-    Raises:
-        InputError: there is no such choice.
     """
 
-    def __init__(
-        self,
-        robot: int,
-        mission: Mission,
-        rng: np.random.Generator | None = None,
-        *,
-        choice: Literal["own", "nearest"] = "own",
-    ) -> None:
-        if choice not in ("own", "nearest"):
-            raise InputError("choice", choice, "own or nearest")
+    def __init__(self, robot: int, mission: Mission, rng: np.random.Generator | None = None) -> None:
         self._robot = robot
         self._mission = mission
-        self._nearest = choice == "nearest"
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """The ideal points; the same ones every time. No answer for a shape in words, whose points nobody knows."""
+        """The ideal points, the same ones every time, and the place of the robot's own number.
+
+        No answer for a shape in words, whose points nobody knows.
+        """
         mission = self._mission
         if mission.ideal is None:
             return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
         plan = Plan.of(turned(np.array(mission.ideal), mission.center, self._angle_rad).tolist())
-        slot = self._robot
-        if self._nearest:
-            slot = int(np.linalg.norm(plan.array - np.array(question.position), axis=1).argmin())
-        return PlanAnswer(plan=plan, slot=slot)
+        return PlanAnswer(plan=plan, slot=self._robot)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Straight towards the goal, as far as the step limit allows."""

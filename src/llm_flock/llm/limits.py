@@ -95,7 +95,6 @@ class BudgetMeter:
         answered: calls that got a reply.
         usage: tokens of all replies.
         known_cost_usd: sum of the known prices [US dollars].
-        priced: replies with a known price.
         faults: how often each kind of fault was met, retried or not.
         reason: which limit ended it, None while none has.
     """
@@ -106,7 +105,6 @@ class BudgetMeter:
         self.answered = 0
         self.usage = Usage()
         self.known_cost_usd = 0.0
-        self.priced = 0
         self.faults: Counter[str] = Counter()
         self.reason: str | None = None
 
@@ -114,11 +112,6 @@ class BudgetMeter:
     def exhausted(self) -> bool:
         """Whether a call was, or would now be, turned away."""
         return self.reason is not None
-
-    @property
-    def cost_usd(self) -> float | None:
-        """Sum of the known prices [US dollars]; None where replies came and none of them had a known price."""
-        return None if self.answered and not self.priced else self.known_cost_usd
 
     def reserve(self) -> None:
         """Count a call that is about to begin.
@@ -153,7 +146,6 @@ class BudgetMeter:
         self.usage += reply.usage
         if reply.cost_usd is not None:
             self.known_cost_usd += reply.cost_usd
-            self.priced += 1
 
 
 class Limits:

@@ -88,10 +88,9 @@ def parse_settings(
     temperature: str | None = None,
     seed: str | None = None,
     reasoning: str | None = None,
-    max_tokens: str | None = None,
 ) -> tuple[CallSettings, ...]:
     """Sampling settings of each of n robots; every argument is one value for all or ranges as in `per_robot`."""
-    given = {"temperature": temperature, "seed": seed, "reasoning": reasoning, "max_tokens": max_tokens}
+    given = {"temperature": temperature, "seed": seed, "reasoning": reasoning}
     spread = {field: per_robot(field, text, n) for field, text in given.items() if text is not None}
     return tuple(
         CallSettings(**{field: _setting(field, values[robot]) for field, values in spread.items()})
@@ -104,7 +103,6 @@ def _setting(field: str, text: str) -> Any:
     allowed = {
         "temperature": "a number from 0 to 2",
         "seed": "a whole number of at least 0",
-        "max_tokens": "a whole number of at least 1",
         "reasoning": f"one of {', '.join(get_args(Effort))}",
     }[field]
     if field == "reasoning":
@@ -115,7 +113,7 @@ def _setting(field: str, text: str) -> Any:
         value = float(text) if field == "temperature" else int(text)
     except ValueError:
         raise InputError(field, text, allowed) from None
-    low, high = {"temperature": (0, 2), "seed": (0, 2**63 - 1), "max_tokens": (1, 10**9)}[field]
+    low, high = {"temperature": (0, 2), "seed": (0, 2**63 - 1)}[field]
     if not low <= value <= high:
         raise InputError(field, text, allowed)
     return value
@@ -214,15 +212,6 @@ class ModelPool:
             secrets=self._secrets(),
             price_id=name.info.price_id if own_address else None,
         )
-
-    def check(self, text: str) -> None:
-        """Raise InputError for whatever would keep the model string from working, without asking anything."""
-        name = parse_model(text)
-        if name.kind == "simulated":
-            parse_profile(name.model)
-        elif name.kind == "provider":
-            self._key(name)
-            self._address(name)
 
     def _key(self, name: ModelName) -> str | None:
         info = name.info

@@ -195,6 +195,10 @@ class PromptSet:
         template = self.templates[name]
         try:
             return template.render(variables).strip()
+        except RecursionError:
+            raise InputError(
+                "prompts", template.filename or name, "a template that ends: it includes itself without end"
+            ) from None
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
             # Whatever an expression in a template can do wrong: it is the operator's text, not our code.
             raise InputError(
@@ -225,6 +229,8 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
     except jinja2.TemplateSyntaxError as error:
         where = f"{error.filename or file}, line {error.lineno}"
         raise InputError("prompts", where, f"a Jinja template: {error.message}") from None
+    except RecursionError:
+        raise InputError("prompts", file, "a template whose expressions are not nested that deeply") from None
     except (jinja2.TemplateError, OSError, UnicodeDecodeError) as error:
         raise InputError("prompts", file, f"a readable text file in UTF-8: {error}") from None
     unknown = sorted(used - VARIABLES[name])

@@ -54,7 +54,7 @@ def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Point
     """Given start positions as an array, shape (n, d).
 
     Raises:
-        InputError: wrong shape, or a number that is not finite.
+        InputError: wrong shape, a number that is not finite, or a robot outside the arena.
     """
     try:
         array = np.array(positions, dtype=np.float64)
@@ -63,6 +63,15 @@ def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Point
     if array.shape != (mission.n_robots, mission.dim) or not bool(np.isfinite(array).all()):
         raise InputError(
             "start_positions", positions, f"{mission.n_robots} finite positions of {mission.dim} coordinates"
+        )
+    low, high = (np.array(corner) for corner in mission.arena)
+    outside = np.flatnonzero(((array < low) | (array > high)).any(axis=1))
+    if outside.size:
+        robot = int(outside[0])
+        raise InputError(
+            "start_positions",
+            array[robot].tolist(),
+            f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not",
         )
     return array
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from llm_flock import formations
 from llm_flock.errors import InputError
-from llm_flock.mission import Finite, Mission, input_error
+from llm_flock.mission import Coordinate, Mission, input_error
 from llm_flock.runtime.rules import PRESETS
 from llm_flock.transport.memory import LinkFaults
 
@@ -104,7 +104,7 @@ class TrialConfig(Section):
     start: Literal["separated", "uniform"] = Field(
         default="separated", description="Random starts: never nearer than safe_distance, or the paper's raw draw"
     )
-    start_positions: tuple[tuple[Finite, ...], ...] | None = Field(
+    start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Given start positions instead of random ones [units]"
     )
     noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Largest localisation error [units]")

@@ -83,25 +83,29 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
 def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
     """Runs side by side: how each ended, and below it the error of all over time.
 
+    Where a run has no known ideal, as a shape in words has none, the curves are left out.
+
     Raises:
-        InputError: no records, not one label a record, or a record without errors.
+        InputError: no records, or not one label a record.
     """
-    groups = _groups(records, labels)
+    _check_labels(records, labels)
+    known = all(_error_known(record) for record in records)
     with house_style():
         window = _union([view(record) for record in records])
         columns = len(records)
         tall = PANEL_INCHES * _tallness(window)
         width = max(columns * (PANEL_INCHES + 0.2), 5.5)
-        figure = _figure(width, tall + 3.3)
-        grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1])
+        figure = _figure(width, tall + (3.3 if known else 1.2))
+        grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1]) if known else figure.add_gridspec(1, columns)
         panels = [Panel(record, window=window) for record in records]
         for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):
             axes = figure.add_subplot(grid[0, column])
             panel.draw(axes, panel.record.rounds)
             axes.set_title(f"{fitted(label, PANEL_INCHES)}\n{outcome(panel.record)}", linespacing=1.4)
-        below = figure.add_subplot(grid[1, :])
-        _curves(below, groups)
-        below.legend(loc="upper right")
+        if known:
+            below = figure.add_subplot(grid[1, :])
+            _curves(below, _groups(records, labels))
+            below.legend(loc="upper right")
         mission = records[0].mission.mission
         title = f"{mission['shape']} · {mission['n_robots']} robots · {thinkers(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
@@ -187,14 +191,22 @@ def _curves(axes: Axes, groups: dict[str, list[NDArray[np.float64]]]) -> None:
     axes.set_axisbelow(True)
 
 
-def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, list[NDArray[np.float64]]]:
+def _check_labels(records: Sequence[RunRecord], labels: Sequence[str]) -> None:
     if not records:
         raise InputError("records", 0, "at least one record")
     if len(labels) != len(records):
         raise InputError("label", list(labels), f"one label for each of the {len(records)} records")
+
+
+def _error_known(record: RunRecord) -> bool:
+    return not bool(np.isnan(record.errors).any())
+
+
+def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, list[NDArray[np.float64]]]:
+    _check_labels(records, labels)
     groups: dict[str, list[NDArray[np.float64]]] = {}
     for record, label in zip(records, labels, strict=True):
-        if np.isnan(record.errors).any():
+        if not _error_known(record):
             raise InputError("records", str(record.path), "records of shapes whose ideal points are known")
         groups.setdefault(label, []).append(record.errors)
     return groups

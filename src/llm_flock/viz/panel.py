@@ -73,18 +73,20 @@ class Panel:
     def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
         """As `draw`, on axes that have been framed."""
         state = self.record.states[round_number]
-        before = self._path[max(0, round_number - 1)]
-        places = before + part * (self._path[round_number] - before)
+        before = self.record.positions[max(0, round_number - 1)]
+        positions = before + part * (self.record.positions[round_number] - before)
+        places = positions[:, :2]
         looks = [self.looks[plan_id] for plan_id in state.plan_ids]
-        self._links(axes, places)
+        self._links(axes, positions)
         self._trails(axes, round_number, places)
         self._goals(axes, state, looks)
         self._robots(axes, state, places, looks)
 
-    def _links(self, axes: Axes, places: NDArray[np.float64]) -> None:
-        adjacent = graph.adjacency(places, float(self.record.mission.mission["comm_range"]))
+    def _links(self, axes: Axes, positions: NDArray[np.float64]) -> None:
+        """Who hears whom in all dimensions; robots that only look near in the picture are not joined."""
+        adjacent = graph.adjacency(positions, float(self.record.mission.mission["comm_range"]))
         pairs = np.argwhere(np.triu(adjacent))
-        axes.add_collection(LineCollection(list(places[pairs]), colors=FAINT, linewidths=0.8, zorder=1))
+        axes.add_collection(LineCollection(list(positions[:, :2][pairs]), colors=FAINT, linewidths=0.8, zorder=1))
 
     def _trails(self, axes: Axes, round_number: int, places: NDArray[np.float64]) -> None:
         """Each leg in the colour of the plan that was followed on it."""

@@ -39,6 +39,8 @@ RC: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,
+    # Shapes in words, labels and names of models are shown as they are: a dollar sign begins no formula.
+    "text.parse_math": False,
     "figure.facecolor": PAPER,
     "axes.facecolor": PAPER,
     "legend.frameon": False,
