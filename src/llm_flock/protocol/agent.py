@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol import shield
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Start
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import (
@@ -40,6 +39,7 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.messages import Message, Pedigree, decode, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.safety import Safety
 
 
 class IllegalEvent(AssertionError):
@@ -54,7 +54,7 @@ class Agent:
         mission: what the team is asked to do.
         consensus: rule that chooses the plan.
         assignment: rule that chooses the slot.
-        shield_on: project every waypoint on the buffered Voronoi cell.
+        shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
         noise_bound: largest error of a believed position [units].
     """
 
@@ -78,8 +78,7 @@ class Agent:
         self.rejected: Counter[str] = Counter()
         self._consensus = consensus
         self._assignment = assignment
-        self._shield_on = shield_on
-        self._noise_bound = noise_bound
+        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
         self._proposals = 0
         self._own_slot: int | None = None
         self._round = 0
@@ -243,10 +242,7 @@ class Agent:
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
         if self.plan is None or self.claim.slot is None:
             reason = "no plan yet" if self.plan is None else "every slot is claimed by others"
-            return Phase.MOVING, [
-                Note("held", {"cause": "no_goal", "reason": reason}),
-                MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
-            ]
+            return Phase.MOVING, self._hold("no_goal", reason)
         question = StepQuestion(
             robot=self.robot,
             round=self._round,
@@ -259,24 +255,18 @@ class Agent:
 
     def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         if isinstance(answer, NoAnswer):
-            return [
-                Note("held", {"cause": answer.cause, "reason": answer.reason}),
-                MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
-            ]
-        wish = answer.waypoint
-        if not self._shield_on:
+            return self._hold(answer.cause, answer.reason)
+        wish, goal = answer.waypoint, self.goal
+        assert goal is not None, "a step is only asked for with a goal"
+        if self._safety is None:
             return [MoveTo(waypoint=wish, proposed=wish, origin=Origin.MODEL)]
-        safe = shield.project(
-            self.position,
-            wish,
-            self._sensed.values(),
-            safe_distance=self.mission.safe_distance,
-            max_step=self.mission.max_step,
-            noise_bound=self._noise_bound,
-        )
-        if safe == wish:
-            return [MoveTo(waypoint=wish, proposed=wish, origin=Origin.MODEL)]
-        return [
-            Note("shielded", {"proposed": wish, "flown": safe}),
-            MoveTo(waypoint=safe, proposed=wish, origin=Origin.SHIELD),
-        ]
+        flight = self._safety.step(self.position, self._sensed, wish, goal)
+        return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=wish, origin=flight.origin)]
+
+    def _hold(self, cause: str, reason: str) -> list[Effect]:
+        """Nothing to do, and why."""
+        held = Note("held", {"cause": cause, "reason": reason})
+        if self._safety is None:
+            return [held, MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD)]
+        flight = self._safety.stay(self.position, self._sensed)
+        return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=None, origin=flight.origin)]

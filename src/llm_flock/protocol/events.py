@@ -31,6 +31,7 @@ class Origin(StrEnum):
     START = "start"
     MODEL = "model"
     SHIELD = "shield"
+    DETOUR = "detour"
     HOLD = "hold"
 
 
