@@ -148,6 +148,9 @@ class Mission(BaseModel):
         """How far the centre of a robot stays from obstacles: half the safe distance [units]."""
         return self.safe_distance / 2
 
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
     @property
     def dim(self) -> int:
         """Dimension d of space."""

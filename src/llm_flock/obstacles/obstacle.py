@@ -54,7 +54,8 @@ class Obstacle(BaseModel):
         if set(given) not in ({"center", "radius"}, {"polygon"}):
             raise InputError("obstacles", given, "either center and radius, or polygon, for each obstacle")
         if self.polygon is not None and (len(self.polygon) < 3 or not polygons.is_simple(self.polygon)):
-            raise InputError("obstacles", given, "polygons of 3 or more corners, with an area, that do not cross themselves")
+            allowed = "polygons of 3 or more corners, with an area, that do not cross themselves"
+            raise InputError("obstacles", given, allowed)
         return self
 
     @property

@@ -1,4 +1,4 @@
-"""Does a robot get anywhere? A timer that notices when it does not, and a detour that leads it round what is in the way.
+"""Does a robot get anywhere? A timer that notices when it does not, and a detour round what is in the way.
 
 The cells of the shield keep robots apart, and cannot keep them from blocking each other: two that meet head-on stand
 still for ever, each on its own side. A robot that has not come nearer to its goal for `PATIENCE` rounds turns its wish

@@ -1,4 +1,4 @@
-"""One robot's safe motion in lockstep: the shield, the way out of too close a start, and detours round what blocks it."""
+"""One robot's safe motion in lockstep: the shield, the way out of too close a start, detours round what blocks."""
 
 from __future__ import annotations
 

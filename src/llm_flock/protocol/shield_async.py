@@ -7,7 +7,7 @@ period only, ends the period at the safe distance at least, whatever the other d
 the line of sight is off by 2 e, which is added to m. So any two schedules, and any delays that the ages tell, are safe.
 
 Where less than nothing is left, a robot may still move away: as long as its direction makes an obtuse angle with every
-place where the other may be, its own move brings the two no nearer. Two that do this at once both add to the distance.
+place where the other may be during the period, its own move brings the two no nearer. Two that do this at once both add to the distance.
 
 A body that has announced a segment and flies it to its end is sighted with that segment: others keep clear of the
 whole of it, and add m only for what the body may fly after its end.
@@ -71,11 +71,18 @@ def async_half_spaces(
             continue
         if gap <= max(margin, TOLERANCE):
             return None  # it may be on any side by now
-        if room < 0.0:
-            # Everywhere it may be lies within this angle of the line of sight; a committed segment lies beyond it.
-            room = -longest * margin / gap
-        sides.append(HalfSpace(tuple((b - a) / gap for a, b in zip(position, there, strict=True)), room))
+        if room >= 0.0:
+            sides.append(_towards(position, there, room))
+            continue
+        # (y - position) . u <= 0 for every y within the margin of the segment, if it holds around both its ends.
+        for y in dict.fromkeys((other.position, end)):
+            sides.append(_towards(position, y, -longest * margin / math.dist(position, y)))
     return sides
+
+
+def _towards(position: Point, other: Point, room: float) -> HalfSpace:
+    gap = math.dist(position, other)
+    return HalfSpace(tuple((b - a) / gap for a, b in zip(position, other, strict=True)), room)
 
 
 def project_async(
