@@ -95,19 +95,14 @@ def convex_pieces(polygon: Sequence[Point]) -> tuple[tuple[Point, ...], ...]:
     most four times as many pieces as the fewest possible. A convex polygon is one piece.
     """
     corners = list(polygon) if signed_area(polygon) > 0.0 else list(polygon)[::-1]
-    pieces: list[tuple[Point, ...]] = []
+    triangles: list[tuple[Point, ...]] = []
     while len(corners) > 3:
-        k = next((k for k in range(len(corners)) if _is_ear(corners, k)), None)
-        if k is None:
-            # Rounding can hide the last ears of a needle-thin rest: its sharpest left turn is one.
-            k = max(range(len(corners)), key=lambda k: cross(*_around(corners, k)))
-        piece = _around(corners, k)
+        # The sharpest ear; where rounding hides the last ears of a needle-thin rest, its sharpest left turn.
+        k = max(range(len(corners)), key=lambda k: (_is_ear(corners, k), cross(*_around(corners, k))))
+        triangles.append(_around(corners, k))
         del corners[k]
-        if cross(*piece) > 0.0:
-            pieces.append(piece)
-    if cross(corners[0], corners[1], corners[2]) > 0.0:
-        pieces.append(tuple(corners))
-    return _merged(pieces)
+    triangles.append(tuple(corners))
+    return _merged([t for t in triangles if cross(t[0], t[1], t[2]) > 0.0])
 
 
 def _around(corners: Sequence[Point], k: int) -> tuple[Point, Point, Point]:

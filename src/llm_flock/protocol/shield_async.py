@@ -7,7 +7,8 @@ period only, ends the period at the safe distance at least, whatever the other d
 the line of sight is off by 2 e, which is added to m. So any two schedules, and any delays that the ages tell, are safe.
 
 Where less than nothing is left, a robot may still move away: as long as its direction makes an obtuse angle with every
-place where the other may be during the period, its own move brings the two no nearer. Two that do this at once both add to the distance.
+place where the other may be during the period, its own move brings the two no nearer. Two that do this at once both
+add to the distance.
 
 A body that has announced a segment and flies it to its end is sighted with that segment: others keep clear of the
 whole of it, and add m only for what the body may fly after its end.
