@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from typing import assert_never
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
@@ -130,6 +131,8 @@ class Agent:
                 phase, effects = Phase.IDLE, []
             case Stopped():
                 phase, effects = Phase.STOPPED, []
+            case _:
+                assert_never(event)
         assert phase in allowed, f"{type(event).__name__} led from {self.phase} to {phase}"
         self.phase = phase
         return effects

@@ -95,11 +95,10 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
         nx, ny = side.normal[0], side.normal[1]
         over = nx * wx + ny * wy - side.room
         candidates.append((wx - over * nx, wy - over * ny))
-        half = radius * radius - side.room * side.room
-        if half >= 0.0:
-            chord = math.sqrt(half)
-            candidates.append((side.room * nx - chord * ny, side.room * ny + chord * nx))
-            candidates.append((side.room * nx + chord * ny, side.room * ny - chord * nx))
+        # A side that misses the circle gives points outside of it, which are refused below.
+        chord = math.sqrt(max(0.0, radius * radius - side.room * side.room))
+        candidates.append((side.room * nx - chord * ny, side.room * ny + chord * nx))
+        candidates.append((side.room * nx + chord * ny, side.room * ny - chord * nx))
         for other in sides[:i]:
             mx, my = other.normal[0], other.normal[1]
             det = nx * my - ny * mx
@@ -120,10 +119,8 @@ def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Poin
 
     Without the ball this is least distance programming (Lawson, Hanson: Solving Least Squares Problems, 1974, ch. 23).
     The ball's multiplier only pulls the wish towards the origin, and the farther it is pulled the shorter the move:
-    bisection finds the longest move that the ball allows.
+    bisection finds the longest move that the ball allows. There has to be a side.
     """
-    if not sides:
-        return clip(wish, radius)
     normals = np.array([side.normal for side in sides])
     rooms = np.array([side.room for side in sides])
     target = np.array(wish)

@@ -120,9 +120,8 @@ class Safety:
         members = [apart.get(j, position) for j in sorted(crowd)]
         middle = tuple(sum(axis) / len(members) for axis in zip(*members, strict=True))
         away = math.dist(position, middle)
-        wish = position
-        if away > 0.0:
-            wish = tuple(x + (x - c) * mission.max_step / away for x, c in zip(position, middle, strict=True))
+        share = mission.max_step / away if away > 0.0 else 0.0
+        wish = tuple(x + share * (x - c) for x, c in zip(position, middle, strict=True))
         flown = self._project(position, wish, tuple(apart.values()))
         nearest = min(math.dist(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
