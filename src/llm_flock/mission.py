@@ -8,11 +8,13 @@ from collections.abc import Sized
 from functools import cached_property
 from typing import Annotated, Any, Self, cast
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import formations
 from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import InputError
+from llm_flock.obstacles import Obstacle, clearance
 
 MIN_LENGTH = 1e-3
 """Smallest length that a mission may ask for [units]: plans are rounded to a thousandth of it."""
@@ -24,6 +26,8 @@ error of one round takes a minute, and it grows with about the third power."""
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=MIN_LENGTH, allow_inf_nan=False)]
 
+ORIENTATIONS = 72
+"""In so many turns of the shape room among the obstacles is looked for."""
 START_DENSITY = 0.35
 """Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
 
@@ -61,6 +65,9 @@ class Mission(BaseModel):
     points: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Target points of the shape 'points' [units], used relative to their own mean"
     )
+    obstacles: tuple[Obstacle, ...] = Field(
+        default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots keep clear of"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -90,6 +97,7 @@ class Mission(BaseModel):
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
         self._check_room()
         self._check_shape()
+        self._check_obstacles()
         return self
 
     def _check_room(self) -> None:
@@ -128,6 +136,32 @@ class Mission(BaseModel):
                 f"at least {reach:.4g} units from center to every wall: '{self.shape}' of {self.n_robots} robots "
                 f"with spacing {self.spacing:g} reaches that far (here {room:.4g})",
             )
+
+    def _check_obstacles(self) -> None:
+        """Obstacles must be of this space, and leave the shape room in some orientation."""
+        for obstacle in self.obstacles:
+            if obstacle.dim != self.dim:
+                allowed = f"{self.dim} coordinates, as the centre has"
+                raise InputError("obstacles", obstacle.model_dump(exclude_none=True), allowed)
+        if not self.obstacles or self.ideal is None:
+            return
+        points = np.array(self.ideal)
+        for k in range(ORIENTATIONS):
+            turned = points.copy()
+            turned[:, :2] = formations.rotated(points[:, :2], self.center[:2], 2 * math.pi * k / ORIENTATIONS)
+            if all(clearance(tuple(row), self.obstacles) >= self.body_radius for row in turned.tolist()):
+                return
+        raise InputError(
+            "obstacles",
+            f"{len(self.obstacles)} obstacles",
+            f"room for '{self.shape}' around the centre in some orientation, every place at least "
+            f"safe_distance / 2 = {self.body_radius:g} from every obstacle",
+        )
+
+    @property
+    def body_radius(self) -> float:
+        """How far the centre of a robot stays from obstacles: half the safe distance [units]."""
+        return self.safe_distance / 2
 
     def __hash__(self) -> int:
         return hash(self.digest)

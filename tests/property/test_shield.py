@@ -121,14 +121,16 @@ def test_a_robot_in_an_empty_cell_stands_still(dim: int) -> None:
     """Squeezed from both sides closer than the safe distance, no move keeps all sides."""
     own = (0.0,) * dim
     others = [(-1.0, *own[1:]), (1.0, *own[1:])]
-    assert project(own, (5.0, *own[1:]), others, safe_distance=SAFE, max_step=STEP) == own
+    stay = project(own, (5.0, *own[1:]), others, safe_distance=SAFE, max_step=STEP)
+    assert stay == pytest.approx(own, abs=1e-9)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_robot_that_cannot_get_clear_in_one_step_stands_still(dim: int) -> None:
-    """Half a unit from its neighbour it would have to back off 1.25, but may move 1: no move keeps the side."""
+def test_a_robot_that_cannot_get_clear_in_one_step_backs_off_as_far_as_it_can(dim: int) -> None:
+    """Half a unit from its neighbour it would have to back off 1.25, but may move 1."""
     own = (0.0,) * dim
-    assert project(own, (5.0, *own[1:]), [(0.5, *own[1:])], safe_distance=SAFE, max_step=1.0) == own
+    moved = project(own, (5.0, *own[1:]), [(0.5, *own[1:])], safe_distance=SAFE, max_step=1.0)
+    assert moved == pytest.approx((-1.0, *own[1:]))
 
 
 def test_a_robot_too_near_moves_away() -> None:

@@ -170,6 +170,16 @@ def test_without_the_shield_the_model_is_obeyed_to_the_letter() -> None:
     assert move == MoveTo(waypoint=(99.0, 1.0), proposed=(99.0, 1.0), origin=Origin.MODEL)
 
 
+def test_without_the_shield_a_robot_without_an_answer_holds_whoever_is_near() -> None:
+    agent = make(shield_on=False)
+    agent.handle(began(r1=(48.5, 50.0)))
+    agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
+    agent.handle(NegotiationEnded())
+    note, move = agent.handle(Decided(NoAnswer(cause="answer", reason="nothing usable")))
+    assert note == Note("held", {"cause": "answer", "reason": "nothing usable"})
+    assert move == MoveTo(waypoint=(48.0, 50.0), proposed=None, origin=Origin.HOLD)
+
+
 def test_baseline_keeps_the_index_of_its_own_model() -> None:
     agent = Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=False)
     planned(agent)

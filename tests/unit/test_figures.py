@@ -260,3 +260,17 @@ def test_one_robot_can_be_drawn(tmp_path: Path) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=1, rounds=1))
     assert "1 robot ·" in words(figures.snapshots(record))
     assert FakeRun(n=1).mission.n_robots == 1
+
+
+def test_walls_and_obstacles_are_drawn(record: RunRecord) -> None:
+    disc = {"center": [20.0, 30.0], "radius": 4.0, "polygon": None}
+    corners = {"center": None, "radius": None, "polygon": [[1.0, 1.0], [9.0, 1.0], [5.0, 7.0]]}
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "obstacles": [disc, corners]}})
+    patches = figures.snapshots(replace(record, missions=(mission,)), [0]).axes[0].patches
+    (left, bottom), (right, top) = mission.mission["arena"]
+    boxes = [patch.get_path().get_extents(patch.get_patch_transform()).bounds for patch in patches]
+    expected = [(left, bottom, right - left, top - bottom), (16.0, 26.0, 8.0, 8.0), (1.0, 1.0, 8.0, 6.0)]
+    assert np.allclose(boxes, expected)
+    without = {key: value for key, value in mission.mission.items() if key != "obstacles"}
+    older = record.mission.model_copy(update={"mission": without})
+    assert len(figures.snapshots(replace(record, missions=(older,)), [0]).axes[0].patches) == 1

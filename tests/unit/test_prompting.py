@@ -168,3 +168,24 @@ def test_the_documentation_lists_exactly_the_variables() -> None:
     assert {name: set(known) for name, known in VARIABLES.items()} == {
         name: {row.strip() for row in told[name]} for name in VARIABLES
     }
+
+
+def test_obstacles_are_told_where_there_are_any_and_change_nothing_else() -> None:
+    prompts = PromptSet.load()
+    bare = build_mission()
+    disc: dict[str, object] = {"center": (50, 50), "radius": 5}
+    corners: dict[str, object] = {"polygon": ((0, 0), (4, 0), (4, 2.5))}
+    told = prompts.system(build_mission(obstacles=[disc, corners]))
+    line = (
+        "- Obstacles: keep your position and every place of a plan 1.5 or more from a disc of radius 5 around "
+        "[50, 50]; a polygon with the corners [[0, 0], [4, 0], [4, 2.5]]\n"
+    )
+    assert line in told and told.replace(line, "") == prompts.system(bare)
+    assert "Obstacles" not in prompts.system(bare)
+    ball = build_mission(
+        points=((0, 0, 0), (9, 9, 9)),
+        center=(50, 50, 50),
+        arena=((0, 0, 0), (100, 100, 100)),
+        obstacles=[{"center": (9, 9, 9), "radius": 5}],
+    )
+    assert "a ball of radius 5 around [9, 9, 9]" in prompts.system(ball)

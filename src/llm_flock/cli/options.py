@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -50,7 +51,7 @@ def config_parameters() -> list[inspect.Parameter]:
 
 
 def _parameter(field: str, info: FieldInfo, panel: str) -> inspect.Parameter:
-    kind, metavar = _flag_type(info.annotation)
+    kind, metavar = (str, "JSON|FILE") if field == "obstacles" else _flag_type(info.annotation)
     names = [f"{flag(field)}/--no-{flag(field)[2:]}"] if kind is bool else [flag(field)]
     shown = info.get_default(call_default_factory=True)
     option = typer.Option(
@@ -112,9 +113,22 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         half = len(corner) // 2
         low, high = (corner[:half], corner[half:]) if len(corner) >= 4 else ((0.0,) * len(corner), corner)
         values["arena"] = (low, high)
+    if "obstacles" in values:
+        values["obstacles"] = _obstacles(values["obstacles"])
     if "start_positions" in values:
         values["start_positions"] = formations.load_points(Path(values["start_positions"]), "start_positions")
     return values
+
+
+def _obstacles(text: str) -> Any:
+    """A JSON list, or the name of a file that holds one."""
+    try:
+        found = json.loads(text if text.lstrip().startswith("[") else Path(text).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError("obstacles", text, f"a JSON list, or a file with one ({error})") from None
+    if not isinstance(found, list):
+        raise InputError("obstacles", text, "a JSON list of obstacles")
+    return cast("list[Any]", found)
 
 
 def _numbers(field: str, text: str) -> tuple[float, ...]:

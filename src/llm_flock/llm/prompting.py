@@ -31,7 +31,9 @@ logger = logging.getLogger(__name__)
 
 AXES = ("x", "y", "z")
 
-TEAM = frozenset({"shape", "n_robots", "dim", "center", "spacing", "safe_distance", "max_step", "comm_range"})
+TEAM = frozenset(
+    {"shape", "n_robots", "dim", "center", "spacing", "safe_distance", "max_step", "comm_range", "obstacles"}
+)
 COMMON = TEAM | {"json", "point_format", "plan_format"}
 OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
 VARIABLES: Mapping[str, frozenset[str]] = {
@@ -92,6 +94,26 @@ def shape_text(mission: Mission) -> str:
     return f"a given shape, turned in any direction; relative to its centre its places are {places}"
 
 
+def obstacles_text(mission: Mission) -> str:
+    """The obstacles and the distance to keep from them, in words; empty without any."""
+    if not mission.obstacles:
+        return ""
+
+    def row(place: Point) -> str:
+        return "[" + ", ".join(map(number_text, place)) + "]"
+
+    body = "disc" if mission.dim == 2 else "ball"
+    parts = [
+        f"a polygon with the corners [{', '.join(map(row, o.polygon))}]"
+        if o.polygon is not None
+        else f"a {body} of radius {number_text(o.radius or 0.0)} around {row(o.center or ())}"
+        for o in mission.obstacles
+    ]
+    return f"keep your position and every place of a plan {number_text(mission.body_radius)} or more from " + "; ".join(
+        parts
+    )
+
+
 def mission_variables(mission: Mission) -> Mapping[str, Any]:
     """What every template but `retry.j2` may use of the mission."""
     axes = ", ".join(AXES[: mission.dim])
@@ -104,6 +126,7 @@ def mission_variables(mission: Mission) -> Mapping[str, Any]:
         "safe_distance": number_text(mission.safe_distance),
         "max_step": number_text(mission.max_step),
         "comm_range": number_text(mission.comm_range),
+        "obstacles": obstacles_text(mission),
         "point_format": f"[{axes}]",
         "plan_format": f"[[{axes}], [{axes}], ...]" if mission.n_robots > 1 else f"[[{axes}]]",
     }

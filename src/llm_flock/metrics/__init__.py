@@ -13,7 +13,7 @@ from llm_flock.metrics.agreement import (
     within_limit,
 )
 from llm_flock.metrics.resemblance import resemblance
-from llm_flock.metrics.separation import min_separation, segment_separation
+from llm_flock.metrics.separation import StartSeparation, min_separation, segment_separation
 from llm_flock.metrics.shape_error import ShapeError, ShapeTarget, procrustes
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "FormedTracker",
     "ShapeError",
     "ShapeTarget",
+    "StartSeparation",
     "bottleneck_distance",
     "distinct_goals",
     "lower_bound_rounds",

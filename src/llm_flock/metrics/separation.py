@@ -10,6 +10,9 @@ from scipy.spatial import KDTree
 
 from llm_flock import formations
 
+ROUNDING = 1e-6
+"""A pair this much nearer than allowed still counts as apart [units]."""
+
 ALL_PAIRS_UP_TO = 200
 """Up to so many robots all pairs are looked at; beyond, only those that can come near, found by a k-d tree."""
 
@@ -23,7 +26,7 @@ def min_separation(positions: ArrayLike) -> float:
     return formations.smallest_distance(positions)
 
 
-def segment_separation(before: ArrayLike, after: ArrayLike) -> float:
+def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[tuple[int, int]] = frozenset()) -> float:
     """Smallest distance of any pair while all move at once along straight segments [units]; infinite for one robot.
 
     All start and arrive together, each at its own constant speed, as in a lockstep round. A pair with the offset p and
@@ -32,11 +35,18 @@ def segment_separation(before: ArrayLike, after: ArrayLike) -> float:
     Args:
         before: positions at the start of the round, shape (n, d) [units].
         after: positions at its end, shape (n, d) [units].
+        without: pairs (lower id, higher id) to leave out.
     """
     start, end = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
     if len(start) < 2:
         return math.inf
-    one, two = np.triu_indices(len(start), 1) if len(start) <= ALL_PAIRS_UP_TO else _near_pairs(start, end)
+    few = len(start) <= ALL_PAIRS_UP_TO or bool(without)
+    one, two = np.triu_indices(len(start), 1) if few else _near_pairs(start, end)
+    if without:
+        kept = np.array([pair not in without for pair in zip(one.tolist(), two.tolist(), strict=True)])
+        one, two = one[kept], two[kept]
+        if len(one) == 0:
+            return math.inf
     move = end - start
     offset = start[one] - start[two]
     change = move[one] - move[two]
@@ -57,3 +67,47 @@ def _near_pairs(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[N
     reach = (known + longest) * (1 + 1e-9)
     pairs = np.asarray(KDTree((start + end) / 2).query_pairs(reach, output_type="ndarray"))
     return pairs[:, 0], pairs[:, 1]
+
+
+class StartSeparation:
+    """Follows the pairs that start nearer than the safe distance until each has come apart.
+
+    Args:
+        safe_distance: smallest distance allowed between two robots [units].
+
+    Attributes:
+        start_violations: pairs too near at the start.
+        separated_at: first round at whose end every one of them had been apart; 0 where there was none, None before.
+        smallest: smallest distance of any pair, along segments too, from when that pair was first apart [units].
+    """
+
+    def __init__(self, safe_distance: float) -> None:
+        self._limit = safe_distance - ROUNDING
+        self._together: frozenset[tuple[int, int]] | None = None
+        self._before: NDArray[np.float64] | None = None
+        self.start_violations = 0
+        self.separated_at: int | None = None
+        self.smallest = math.inf
+
+    def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
+        """Take a round.
+
+        Args:
+            round_number: from 0, the start.
+            positions: at its end, shape (n, d) [units].
+            closest: smallest distance of any pair in it, along segments too [units].
+        """
+        if self._together is None:
+            near = KDTree(positions).query_pairs(self._limit) if len(positions) > 1 else set[tuple[int, int]]()
+            self._together = frozenset(near)
+            self.start_violations = len(near)
+        if self._together:
+            before = positions if self._before is None else self._before
+            closest = segment_separation(before, positions, self._together)
+        self.smallest = min(self.smallest, closest)
+        self._together = frozenset(
+            (i, j) for i, j in self._together if math.dist(positions[i], positions[j]) < self._limit
+        )
+        self._before = positions
+        if self.separated_at is None and not self._together:
+            self.separated_at = round_number

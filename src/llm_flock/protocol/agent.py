@@ -15,7 +15,6 @@ from typing import assert_never
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol import shield
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import (
@@ -43,6 +42,7 @@ from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.messages import Message, Pedigree, decode, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.safety import Safety
 from llm_flock.protocol.search import Search, advance
 
 AT_PLACE = 0.05
@@ -61,7 +61,7 @@ class Agent:
         mission: what the team is asked to do.
         consensus: rule that chooses the plan.
         assignment: rule that chooses the slot.
-        shield_on: project every waypoint on the buffered Voronoi cell.
+        shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
     """
@@ -87,8 +87,7 @@ class Agent:
         self.rejected: Counter[str] = Counter()
         self._consensus = consensus
         self._assignment = assignment
-        self._shield_on = shield_on
-        self._noise_bound = noise_bound
+        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
         self._judge = Judge(mission, verify=verify, shield_on=shield_on)
         self._question: StepQuestion | None = None
         self._no_plan: NoAnswer | None = None
@@ -277,10 +276,7 @@ class Agent:
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
         if self.plan is None or self.claim.slot is None:
             reason = "no plan yet" if self.plan is None else "every slot is claimed by others"
-            return Phase.MOVING, [
-                Note("held", {"cause": "no_goal", "reason": reason}),
-                MoveTo(waypoint=self.position, proposed=None, origin=Origin.HOLD),
-            ]
+            return Phase.MOVING, self._hold("no_goal", reason)
         effects = self._look_for_others(self.plan, self.claim.slot)
         question = StepQuestion(
             robot=self.robot,
@@ -315,27 +311,30 @@ class Agent:
         return [Note("search", {"begun": bool(self._search.way), "vacant": list(self._search.known[1])})]
 
     def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
-        assert self._question is not None, "only a robot that asked is answered"
-        fit = self._judge.waypoint(self._question, answer)
+        question = self._question
+        assert question is not None, "only a robot that asked is answered"
+        fit = self._judge.waypoint(question, answer)
         asked = answer.waypoint
         if isinstance(fit, NoAnswer):
-            return [
-                Note("held", {"cause": fit.cause, "reason": fit.reason}),
-                MoveTo(waypoint=self.position, proposed=asked, origin=Origin.HOLD),
-            ]
-        if self._shield_on:
-            fit = shield.project(
-                self.position,
-                fit,
-                self._sensed.values(),
-                safe_distance=self.mission.safe_distance,
-                max_step=self.mission.max_step,
-                noise_bound=self._noise_bound,
-            )
+            return self._hold(fit.cause, fit.reason, asked)
         failure = answer.instead_of if isinstance(answer, StepAnswer) else None
         notes = fallback_notes("step", "geometry", failure)
-        if fit != asked:
-            notes.append(Note("shielded", {"proposed": asked, "flown": fit}))
-        altered = Origin.SHIELD if fit != asked else Origin.MODEL
-        origin = altered if failure is None else Origin.FALLBACK
-        return [*notes, MoveTo(waypoint=fit, proposed=asked, origin=origin)]
+        flown, origin = fit, Origin.MODEL
+        if self._safety is not None:
+            flight = self._safety.step(self.position, self._sensed, fit, question.goal)
+            flown, origin = flight.waypoint, flight.origin
+            notes.extend(flight.notes)
+        if origin is Origin.MODEL and flown != asked:  # clipped to the goal or to the step limit
+            notes.append(Note("shielded", {"proposed": asked, "flown": flown}))
+            origin = Origin.SHIELD
+        if failure is not None and origin is not Origin.DETOUR:
+            origin = Origin.FALLBACK
+        return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
+
+    def _hold(self, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
+        """Nothing to do, and why."""
+        held = Note("held", {"cause": cause, "reason": reason})
+        if self._safety is None:
+            return [held, MoveTo(waypoint=self.position, proposed=asked, origin=Origin.HOLD)]
+        flight = self._safety.stay(self.position, self._sensed)
+        return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]

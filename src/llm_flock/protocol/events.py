@@ -32,6 +32,7 @@ class Origin(StrEnum):
     MODEL = "model"
     SHIELD = "shield"
     FALLBACK = "fallback"
+    DETOUR = "detour"
     HOLD = "hold"
 
 

@@ -75,7 +75,7 @@ class State(Entry):
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="What was commanded this round [units], null at the start")
-    origins: list[str] = Field(description="Who made the waypoint: start, model, shield, fallback or hold")
+    origins: list[str] = Field(description="Who made the waypoint: start, model, shield, fallback, detour or hold")
     phases: list[str] = Field(description="Phase of each robot's state machine")
 
 

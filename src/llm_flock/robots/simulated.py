@@ -9,9 +9,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from llm_flock import graph
-from llm_flock.arrays import Pairwise, Point, Points
+from llm_flock.arrays import Pairwise, Point, Points, Vector
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
 
 StartRule: TypeAlias = Literal["separated", "uniform"]
 
@@ -27,7 +28,7 @@ class Sensing:
 
 
 def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> Points:
-    """Random start positions, uniform in the arena (paper, line 184), shape (n, d) [units].
+    """Random start positions, uniform in the arena (paper, line 184) and clear of obstacles, shape (n, d) [units].
 
     `separated` draws a robot again while it is nearer than the safe distance to one placed before; `uniform` is the
     paper's raw draw, which may start in violation.
@@ -36,18 +37,23 @@ def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> P
         InputError: no room was found.
     """
     low, high = (np.array(corner) for corner in mission.arena)
-    if rule == "uniform":
+    if rule == "uniform" and not mission.obstacles:
         return rng.uniform(low, high, size=(mission.n_robots, mission.dim))
     placed = np.empty((mission.n_robots, mission.dim))
     for k in range(mission.n_robots):
         for _ in range(MAX_DRAWS):
             draw = rng.uniform(low, high)
-            if k == 0 or float(np.linalg.norm(placed[:k] - draw, axis=1).min()) >= mission.safe_distance:
+            apart = rule == "uniform" or not k or _nearest(placed[:k], draw) >= mission.safe_distance
+            if apart and clearance(tuple(draw.tolist()), mission.obstacles) >= mission.body_radius:
                 placed[k] = draw
                 break
         else:
             raise InputError("n_robots", mission.n_robots, f"room for that many starts (found {k}) in the arena")
     return placed
+
+
+def _nearest(placed: Points, draw: Vector) -> float:
+    return float(np.linalg.norm(placed - draw, axis=1).min())
 
 
 def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Points:

@@ -12,6 +12,7 @@ from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
+from llm_flock.obstacles import segment_clearance
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.plan import Plan
@@ -48,6 +49,8 @@ class Journal:
         self.faults: Counter[str] = Counter()
         self.waypoints: Counter[str] = Counter()
         self.min_separation = float("inf")
+        self.min_clearance = float("inf")
+        self.start = metrics.StartSeparation(mission.safe_distance)
         self.positions: list[Points] = []
         self.errors: list[tuple[float, float] | None] = []
         self.at_goal = 0
@@ -151,8 +154,15 @@ class Journal:
         self.positions.append(positions)
         separation = metrics.min_separation(positions)
         along = None if self._previous is None else metrics.segment_separation(self._previous, positions)
+        if self.mission.obstacles:
+            before = positions if self._previous is None else self._previous
+            for here, there in zip(before.tolist(), positions.tolist(), strict=True):
+                way = segment_clearance(tuple(here), tuple(there), self.mission.obstacles)
+                self.min_clearance = min(self.min_clearance, way)
         self._previous = positions
-        self.min_separation = min(self.min_separation, separation, float("inf") if along is None else along)
+        closest = separation if along is None else min(separation, along)
+        self.min_separation = min(self.min_separation, closest)
+        self.start.update(round_number, positions, closest)
         distances = [
             float("inf") if (g := a.goal) is None else float(np.linalg.norm(positions[k] - g))
             for k, a in enumerate(agents)

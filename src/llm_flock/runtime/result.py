@@ -38,6 +38,11 @@ class Summary:
         procrustes_mean: mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
         procrustes_mean_squared: mean squared distance [units^2] (paper, appendix C).
         min_separation: smallest distance of any two robots over the whole run, along the segments too [units].
+        start_violations: pairs that were nearer than the safe distance at the start (min_separation has them too).
+        rounds_to_separate: first round at whose end each of these had come apart; 0 without any, None if it never came.
+        min_separation_after_start: as min_separation, each of these pairs counted from when it had come apart [units].
+        min_clearance: smallest distance of a robot's centre to an obstacle, along the segments too, negative inside
+            [units]; None without obstacles.
         plans_in_use: different plans at the end.
         distinct_goals: different goals at the end.
         robots_without_plan: robots that never got a plan.
@@ -51,7 +56,7 @@ class Summary:
         tokens_cached: the part of tokens_input that the provider had in its cache.
         cost_usd: cost where the price of every call is known, else None [US dollars].
         latency_mean_s: mean duration of a call, waits included [s]; None without calls.
-        waypoints: waypoints flown by who made them: model, shield, fallback, hold.
+        waypoints: waypoints flown by who made them: model, shield, fallback, detour, hold.
         messages_sent: broadcasts.
         bytes_per_robot_round: bytes broadcast per robot and round.
         messages_rejected: messages refused on receipt, by reason.
@@ -76,6 +81,10 @@ class Summary:
     procrustes_mean: float | None
     procrustes_mean_squared: float | None
     min_separation: float | None
+    start_violations: int
+    rounds_to_separate: int | None
+    min_separation_after_start: float | None
+    min_clearance: float | None
     plans_in_use: int
     distinct_goals: int
     robots_without_plan: int

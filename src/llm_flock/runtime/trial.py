@@ -253,7 +253,6 @@ class Trial:
         error = journal.errors[-1]
         rejected = sum((a.rejected for a in self.agents), type(self.agents[0].rejected)())
         broadcasts = self.transport.traffic
-        separation = journal.min_separation
         return Summary(
             shape=config.mission.shape,
             n_robots=config.mission.n_robots,
@@ -271,7 +270,11 @@ class Trial:
             lower_bound_rounds=bound,
             procrustes_mean=None if error is None else error[0],
             procrustes_mean_squared=None if error is None else error[1],
-            min_separation=separation if separation < float("inf") else None,
+            min_separation=_finite(journal.min_separation),
+            start_violations=journal.start.start_violations,
+            rounds_to_separate=journal.start.separated_at,
+            min_separation_after_start=_finite(journal.start.smallest),
+            min_clearance=_finite(journal.min_clearance),
             plans_in_use=metrics.plans_in_use(plan_ids),
             distinct_goals=metrics.distinct_goals(plan_ids, slots),
             robots_without_plan=plan_ids.count(None),
@@ -299,6 +302,11 @@ class Trial:
         if plan is None or len(set(plan_ids)) != 1:
             return None
         return metrics.lower_bound_rounds(self.journal.positions[0], plan.array, self.config.mission.max_step)
+
+
+def _finite(value: float) -> float | None:
+    """None for an infinite distance, which JSON cannot say."""
+    return value if value < float("inf") else None
 
 
 async def _all(asking: dict[int, Awaitable[T]]) -> dict[int, T]:

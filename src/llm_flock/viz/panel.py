@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
@@ -69,6 +70,19 @@ class Panel:
         axes.set_ylim(bottom, top)
         axes.set_aspect("equal")
         axes.tick_params(length=2)
+        self._surroundings(axes)
+
+    def _surroundings(self, axes: Axes) -> None:
+        """The arena's walls, and the obstacles; balls and walls of space by their shadow on the plane."""
+        mission = self.record.mission.mission
+        (left, bottom, *_), (right, top, *_) = mission["arena"]
+        look: dict[str, Any] = {"edgecolor": FAINT, "linewidth": 0.8, "zorder": 0.5}
+        axes.add_patch(Rectangle((left, bottom), right - left, top - bottom, facecolor="none", **look))
+        for obstacle in mission.get("obstacles", ()):
+            if obstacle.get("polygon") is not None:
+                axes.add_patch(Polygon(obstacle["polygon"], closed=True, facecolor=FAINT, **look))
+            else:
+                axes.add_patch(Circle(obstacle["center"][:2], obstacle["radius"], facecolor=FAINT, **look))
 
     def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
         """As `draw`, on axes that have been framed."""

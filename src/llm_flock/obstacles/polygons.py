@@ -1,0 +1,148 @@
+"""Plane geometry of simple polygons: convex pieces, nearest points, crossings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from llm_flock.arrays import Point
+
+FLAT = 1e-12
+"""Smallest share of the squared size that counts as area."""
+
+
+def cross(a: Point, b: Point, c: Point) -> float:
+    """Twice the signed area of the triangle a, b, c: positive where it turns left [units^2]."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def edges(polygon: Sequence[Point]) -> Iterator[tuple[Point, Point]]:
+    """Its sides, the closing one included."""
+    return ((a, polygon[(k + 1) % len(polygon)]) for k, a in enumerate(polygon))
+
+
+def signed_area(polygon: Sequence[Point]) -> float:
+    """Area, positive where the corners run counterclockwise [units^2]."""
+    origin = polygon[0]
+    return sum(cross(origin, a, b) for a, b in edges(polygon)) / 2.0
+
+
+def contains(polygon: Sequence[Point], point: Point) -> bool:
+    """Whether the point is inside, by the even-odd rule; points on the boundary may count either way."""
+    inside = False
+    x, y = point[0], point[1]
+    for a, b in edges(polygon):
+        if (a[1] > y) != (b[1] > y) and x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0]:
+            inside = not inside
+    return inside
+
+
+def nearest_on_segment(point: Point, a: Point, b: Point) -> Point:
+    """The point of the segment a .. b that is nearest to `point`, in any dimension."""
+    along = tuple(y - x for x, y in zip(a, b, strict=True))
+    squared = sum(x * x for x in along)
+    if squared == 0.0:
+        return a
+    share = sum((p - x) * d for p, x, d in zip(point, a, along, strict=True)) / squared
+    share = min(1.0, max(0.0, share))
+    return tuple(x + share * d for x, d in zip(a, along, strict=True))
+
+
+def nearest_on_boundary(polygon: Sequence[Point], point: Point) -> Point:
+    """The point of the boundary that is nearest to `point`."""
+    return min((nearest_on_segment(point, a, b) for a, b in edges(polygon)), key=lambda q: math.dist(q, point))
+
+
+def segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether a .. b and c .. d have a point in common."""
+    one, two, three, four = cross(a, b, c), cross(a, b, d), cross(c, d, a), cross(c, d, b)
+    if ((one > 0) != (two > 0)) and ((three > 0) != (four > 0)) and one * two * three * four != 0.0:
+        return True
+    touching = ((one, a, b, c), (two, a, b, d), (three, c, d, a), (four, c, d, b))
+    return any(turn == 0.0 and math.dist(nearest_on_segment(p, q, r), p) == 0.0 for turn, q, r, p in touching)
+
+
+def segment_distance(a: Point, b: Point, c: Point, d: Point) -> float:
+    """Distance of the segments a .. b and c .. d in the plane [units]."""
+    if segments_cross(a, b, c, d):
+        return 0.0
+    pairs = ((a, c, d), (b, c, d), (c, a, b), (d, a, b))
+    return min(math.dist(p, nearest_on_segment(p, q, r)) for p, q, r in pairs)
+
+
+def is_simple(polygon: Sequence[Point]) -> bool:
+    """Whether it has an area, and no two sides meet but neighbours at their corner."""
+    n = len(polygon)
+    size = max(math.dist(polygon[0], p) for p in polygon)
+    if abs(signed_area(polygon)) <= FLAT * size * size:
+        return False
+    sides = list(edges(polygon))
+    for i in range(n):
+        a, b = sides[i]
+        c = sides[(i + 1) % n][1]
+        forward = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
+        if a == b or (cross(a, b, c) == 0.0 and forward < 0.0):
+            return False  # a corner twice, or a side that runs back on the last one
+        if any(segments_cross(a, b, *sides[j]) for j in range(i + 2, n) if (j + 1) % n != i):
+            return False
+    return True
+
+
+def convex_pieces(polygon: Sequence[Point]) -> tuple[tuple[Point, ...], ...]:
+    """A simple polygon as convex polygons that cover it and do not overlap, corners counterclockwise.
+
+    Ear clipping (Meisters 1975), then diagonals that no piece needs are taken out again (Hertel, Mehlhorn 1983): at
+    most four times as many pieces as the fewest possible. A convex polygon is one piece.
+    """
+    corners = list(polygon) if signed_area(polygon) > 0.0 else list(polygon)[::-1]
+    triangles: list[tuple[Point, ...]] = []
+    while len(corners) > 3:
+        # The sharpest ear; where rounding hides the last ears of a needle-thin rest, its sharpest left turn.
+        k = max(range(len(corners)), key=lambda k: (_is_ear(corners, k), cross(*_around(corners, k))))
+        triangles.append(_around(corners, k))
+        del corners[k]
+    triangles.append(tuple(corners))
+    return _merged([t for t in triangles if cross(t[0], t[1], t[2]) > 0.0])
+
+
+def _around(corners: Sequence[Point], k: int) -> tuple[Point, Point, Point]:
+    return corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
+
+
+def _is_ear(corners: Sequence[Point], k: int) -> bool:
+    """Whether cutting corner k off leaves the rest of the polygon outside."""
+    a, b, c = _around(corners, k)
+    if cross(a, b, c) < 0.0:
+        return False
+    others = (p for p in corners if p not in (a, b, c))
+    return not any(cross(a, b, p) >= 0.0 and cross(b, c, p) >= 0.0 and cross(c, a, p) >= 0.0 for p in others)
+
+
+def _merged(pieces: list[tuple[Point, ...]]) -> tuple[tuple[Point, ...], ...]:
+    """Join pieces along a common side while the whole stays convex."""
+    joined = True
+    while joined:
+        joined = False
+        for i in range(len(pieces)):
+            for j in range(i):
+                whole = _joined(pieces[i], pieces[j])
+                if whole is not None:
+                    pieces[j] = whole
+                    del pieces[i]
+                    joined = True
+                    break
+            if joined:
+                break
+    return tuple(pieces)
+
+
+def _joined(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...] | None:
+    """Both pieces as one convex polygon, if they share a side and that is what they make."""
+    for k, (a, b) in enumerate(edges(one)):
+        if b in two and two[(two.index(b) + 1) % len(two)] == a:
+            at = two.index(a)
+            rest = tuple(two[(at + step) % len(two)] for step in range(1, len(two) - 1))
+            whole = one[: k + 1] + rest + one[k + 1 :]
+            corners = range(len(whole))
+            return whole if all(cross(*_around(whole, m)) >= 0.0 for m in corners) else None
+    return None

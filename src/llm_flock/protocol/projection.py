@@ -1,0 +1,155 @@
+"""The nearest move that keeps a set of half-spaces and a longest length: exact, in any dimension."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from llm_flock.arrays import Point, Points, Vector
+
+TOLERANCE = 1e-9
+"""A constraint counts as kept within this much [units]."""
+
+BISECTIONS = 60
+RELAXATIONS = 24
+
+
+@dataclass(frozen=True, slots=True)
+class HalfSpace:
+    """Displacements u with normal . u <= room; `normal` is a unit vector.
+
+    Attributes:
+        normal: unit vector that points out of the cell.
+        room: how far the robot may go that way [units]; below 0 it has to go back.
+        violated: the limit that the side stands for is broken already, beyond doubt of noise.
+    """
+
+    normal: Point
+    room: float
+    violated: bool = False
+
+
+def nearest_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point | None:
+    """The displacement nearest to `wish` that keeps all sides and is no longer than `longest`.
+
+    Returns:
+        `wish` itself where it keeps everything; None where nothing does.
+    """
+    move = clip(wish, longest)
+    if all(_dot(side.normal, move) <= side.room for side in sides):
+        return move
+    return _project_plane(wish, sides, longest) if len(wish) == 2 else _project_any(wish, sides, longest)
+
+
+def relaxed_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point:
+    """As `nearest_move`, also where limits are violated: as much of the way back as all sides allow together.
+
+    Rooms of violated sides are multiplied by the largest share of 0 .. 1 for which some move keeps every side, so
+    none of them gets worse and no kept one is broken. Where even that is impossible, the robot stands still.
+    """
+    best = nearest_move(wish, sides, longest)
+    if best is None and any(side.violated for side in sides):
+        low, high = 0.0, 1.0
+        best = nearest_move(wish, [_eased(side, low) for side in sides], longest)
+        for _ in range(RELAXATIONS if best is not None else 0):
+            share = (low + high) / 2
+            tried = nearest_move(wish, [_eased(side, share) for side in sides], longest)
+            if tried is None:
+                high = share
+            else:
+                low, best = share, tried
+    return (0.0,) * len(wish) if best is None else best
+
+
+def _eased(side: HalfSpace, share: float) -> HalfSpace:
+    return HalfSpace(side.normal, share * min(side.room, 0.0)) if side.violated else side
+
+
+def _dot(a: Point, b: Point) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def clip(vector: Point, longest: float) -> Point:
+    """The same direction, no longer than `longest`."""
+    length = math.hypot(*vector)
+    if length <= longest:
+        return vector
+    return tuple(x * longest / length for x in vector)
+
+
+def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Point | None:
+    """Exact projection on the intersection of half-planes and a disc, by looking at every possible active set.
+
+    The nearest point is the wish clipped to the disc, the foot of the wish on one side, the corner of two sides, or
+    the meeting of a side with the circle.
+    """
+    candidates: list[tuple[float, float]] = []
+    clipped = clip(wish, radius)
+    candidates.append((clipped[0], clipped[1]))
+    wx, wy = wish[0], wish[1]
+    for i, side in enumerate(sides):
+        nx, ny = side.normal[0], side.normal[1]
+        over = nx * wx + ny * wy - side.room
+        candidates.append((wx - over * nx, wy - over * ny))
+        # A side that misses the circle gives points outside of it, which are refused below.
+        chord = math.sqrt(max(0.0, radius * radius - side.room * side.room))
+        candidates.append((side.room * nx - chord * ny, side.room * ny + chord * nx))
+        candidates.append((side.room * nx + chord * ny, side.room * ny - chord * nx))
+        for other in sides[:i]:
+            mx, my = other.normal[0], other.normal[1]
+            det = nx * my - ny * mx
+            if abs(det) > 1e-12:
+                candidates.append(((side.room * my - other.room * ny) / det, (other.room * nx - side.room * mx) / det))
+    candidates.sort(key=lambda u: (u[0] - wx) ** 2 + (u[1] - wy) ** 2)
+    limit = radius + TOLERANCE
+    for ux, uy in candidates:
+        if ux * ux + uy * uy <= limit * limit and all(
+            s.normal[0] * ux + s.normal[1] * uy <= s.room + TOLERANCE for s in sides
+        ):
+            return (ux, uy)
+    return None
+
+
+def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Point | None:
+    """Exact projection in any dimension.
+
+    Without the ball this is least distance programming (Lawson, Hanson: Solving Least Squares Problems, 1974, ch. 23).
+    The ball's multiplier only pulls the wish towards the origin, and the farther it is pulled the shorter the move:
+    bisection finds the longest move that the ball allows. There has to be a side.
+    """
+    normals = np.array([side.normal for side in sides])
+    rooms = np.array([side.room for side in sides])
+    target = np.array(wish)
+    move = _nearest(target, normals, rooms)
+    if move is not None and float(np.linalg.norm(move)) > radius:
+        move = _nearest(np.zeros_like(target), normals, rooms)
+        if move is None or float(np.linalg.norm(move)) > radius:
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            tried = _nearest(middle * target, normals, rooms)
+            if tried is not None and float(np.linalg.norm(tried)) <= radius:
+                low, move = middle, tried
+            else:
+                high = middle
+    return None if move is None else tuple(float(x) for x in move)
+
+
+def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
+    """The point with `normals @ u <= rooms` nearest to `target`; None if there is none."""
+    excess = normals @ target - rooms
+    if float(excess.max()) <= 0.0:
+        return target
+    system = np.vstack([-normals.T, excess])
+    ones = np.zeros(len(target) + 1)
+    ones[-1] = 1.0
+    weights, residual = nnls(system, ones)
+    if residual < 1e-12:
+        return None
+    left = system @ weights - ones
+    return target - left[:-1] / left[-1]

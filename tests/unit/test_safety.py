@@ -1,0 +1,225 @@
+"""Safe motion of whole teams: what blocks them, what they do about it, and starts that are too near."""
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from llm_flock.metrics import min_separation, segment_separation
+from llm_flock.mission import Mission, build_mission
+from llm_flock.obstacles import Obstacle, segment_clearance
+from llm_flock.protocol.events import Note, Origin
+from llm_flock.protocol.progress import LAP, PATIENCE, Progress, detour, watch
+from llm_flock.protocol.safety import Safety
+from llm_flock.protocol.shield import told_apart
+
+SAFE = 3.0
+
+
+class Team:
+    """Robots that fly straight to their goals, as far as their safety lets them."""
+
+    def __init__(self, starts: object, goals: object, *obstacles: Obstacle) -> None:
+        self.positions = np.array(starts, dtype=float)
+        self.goals = np.array(goals, dtype=float)
+        n, dim = self.positions.shape
+        arena = ((0.0,) * dim, (100.0,) * dim)
+        self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
+        self.minds = [Safety(i, self.mission, 0.0) for i in range(n)]
+        self.kinds: Counter[str] = Counter()
+        self.smallest = math.inf
+        self.clearance = math.inf
+
+    def fly(self, rounds: int) -> int | None:
+        """The round after which all are at their goals, None if that does not come."""
+        for number in range(rounds):
+            if float(np.linalg.norm(self.positions - self.goals, axis=1).max()) < 0.5:
+                return number
+            self.round()
+        return None
+
+    def round(self) -> None:
+        before = self.positions
+        rows = [tuple(row) for row in before.tolist()]
+        after = before.copy()
+        for i, mind in enumerate(self.minds):
+            sensed = {j: x for j, x in enumerate(rows) if j != i and math.dist(x, rows[i]) <= self.mission.sensing}
+            goal = tuple(self.goals[i].tolist())
+            far = math.dist(rows[i], goal)
+            share = min(1.0, self.mission.max_step / max(far, 1e-9))
+            wish = goal if share == 1.0 else tuple(x + share * (g - x) for x, g in zip(rows[i], goal, strict=True))
+            flight = mind.step(rows[i], sensed, wish, goal)
+            self.kinds.update(note.kind for note in flight.notes)
+            self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
+            after[i] = flight.waypoint
+        self.smallest = min(self.smallest, segment_separation(before, after))
+        self.positions = after
+
+
+def ring(n: int, radius: float, turn: float = 0.0) -> np.ndarray:
+    angles = turn + 2 * math.pi * np.arange(n) / n
+    return 50 + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_two_robots_that_meet_head_on_pass_each_other(dim: int) -> None:
+    rest = [50.0] * (dim - 1)
+    ends = [[20.0, *rest], [80.0, *rest]]
+    team = Team(ends, ends[::-1])
+    assert team.fly(30) is not None
+    assert team.kinds["deadlock"] == 2 and team.smallest >= SAFE - 1e-6
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
+def test_a_ring_of_robots_that_change_places_across_the_middle_comes_through(n: int) -> None:
+    starts = ring(n, 20.0)
+    team = Team(starts, 100 - starts)
+    assert team.fly(60) is not None
+    assert team.smallest >= SAFE - 1e-6
+
+
+def test_through_a_ring_that_stands_around_the_goal() -> None:
+    """Straight ahead stands one of six that do not move."""
+    stands = ring(6, 10.0)
+    team = Team([[80.0, 50.0], *stands], [[50.0, 50.0], *stands])
+    assert team.fly(40) is not None
+    assert team.kinds["deadlock"] == 1 and team.smallest >= SAFE - 1e-6
+
+
+def test_three_bodies_in_contact_change_places() -> None:
+    touching = ring(3, SAFE / math.sqrt(3))
+    team = Team(touching, np.roll(touching, 1, axis=0))
+    assert team.fly(60) is not None
+    assert team.smallest >= SAFE - 1e-6
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        Obstacle(center=(50.0, 50.0), radius=6.0),
+        Obstacle(polygon=((48.0, 30.0), (52.0, 30.0), (52.0, 70.0), (48.0, 70.0))),
+        Obstacle(
+            polygon=(
+                (30.0, 30.0),
+                (60.0, 30.0),
+                (60.0, 70.0),
+                (30.0, 70.0),
+                (30.0, 66.0),
+                (56.0, 66.0),
+                (56.0, 34.0),
+                (30.0, 34.0),
+            )
+        ),
+    ],
+    ids=["disc", "wall", "dead-end"],
+)
+def test_round_an_obstacle_exactly_in_line(obstacle: Obstacle) -> None:
+    start = [40.0, 50.0]
+    team = Team([start], [[80.0, 50.0]], obstacle)
+    assert team.fly(60) is not None
+    assert team.kinds["deadlock"] >= 1
+    assert team.clearance >= SAFE / 2 - 1e-6
+
+
+def test_a_goal_that_cannot_be_reached_is_said_once_and_circled() -> None:
+    team = Team([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
+    assert team.fly(80) is None
+    assert team.kinds["deadlock"] <= 3 and team.clearance >= SAFE / 2 - 1e-6
+
+
+def dense(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to a dozen robots in a box that is too small for them, some on one spot."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 13))
+    starts = 50 + rng.uniform(-4, 4, (n, 2))
+    for k in range(1, n):
+        if rng.random() < 0.3:
+            starts[k] = starts[int(rng.integers(0, k))]
+    goals = np.full((n, 2), 50.0) if seed % 2 else 50 + rng.uniform(-30, 30, (n, 2))
+    return starts, goals
+
+
+@pytest.mark.parametrize("first", range(0, 500, 50))
+def test_any_crowd_separates_within_eight_rounds_and_no_pair_gets_worse(first: int) -> None:
+    for seed in range(first, first + 50):
+        team = Team(*dense(seed))
+        crowded = min_separation(team.positions) < SAFE - 1e-6
+        for _ in range(8):
+            before = np.linalg.norm(team.positions[:, None] - team.positions, axis=2)
+            if min_separation(team.positions) >= SAFE - 1e-6:
+                break
+            team.round()
+            after = np.linalg.norm(team.positions[:, None] - team.positions, axis=2)
+            assert bool((after + 1e-6 >= np.minimum(before, SAFE)).all()), seed
+        assert min_separation(team.positions) >= SAFE - 1e-6, seed
+        assert ("separating" in team.kinds) == crowded
+
+
+def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
+    here = (10.0, 10.0)
+    views = [told_apart(i, here, {j: here for j in range(4) if j != i} | {9: (15.0, 10.0)}) for i in range(4)]
+    for i, view in enumerate(views):
+        assert view[9] == (15.0, 10.0)
+        for j in range(4):
+            if j != i:
+                seen, back = np.array(view[j]) - here, np.array(views[j][i]) - here
+                assert np.linalg.norm(seen) > 0 and seen == pytest.approx(-back)
+    assert told_apart(0, here, {1: (12.0, 10.0)}) == {1: (12.0, 10.0)}
+
+
+def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
+    mind = Safety(0, Mission(), 0.0)
+    assert mind.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
+    flight = mind.stay((50.0, 50.0), {1: (51.0, 50.0)})
+    assert flight.origin is Origin.SHIELD and flight.waypoint[0] <= 49.0
+    assert flight.notes == (Note("separating", {"nearest": 1.0, "makes_way": False}),)
+    way = mind.stay((50.0, 50.0), {1: (54.0, 50.0), 2: (55.0, 50.0)})
+    assert way.notes[0].detail["makes_way"] is True and way.waypoint[0] < 50.0
+
+
+def test_noise_that_could_explain_it_is_no_crowd() -> None:
+    mind = Safety(0, Mission(), 0.1)
+    assert mind.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
+    assert mind.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
+
+
+def test_progress_is_counted_and_a_new_goal_begins_anew() -> None:
+    def seen(last: Progress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> Progress:
+        return watch(last, (x, 0.0), goal, gain=0.3, within=0.5, lap=LAP)
+
+    state = seen(None, 0.0)
+    for _ in range(PATIENCE - 1):
+        state = seen(state, 0.2)
+        assert not state.blocked
+    state = seen(state, 0.2)
+    assert state.blocked and state.nearest == 10.0
+    assert not seen(state, 0.4).blocked
+    assert not seen(state, 0.2, (10.0, 1.0)).blocked
+    at_goal = seen(None, 9.8)
+    for _ in range(5):
+        at_goal = seen(at_goal, 9.7)
+    assert not at_goal.blocked
+
+
+def test_a_lap_without_success_changes_the_side_and_gives_it_longer() -> None:
+    state = Progress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE, lap=2)
+    sides: list[int] = []
+    for _ in range(7):
+        _, state = detour(state, (0.0, 0.0), lambda _: (0.0, 0.0), length=6.0, follow=False)
+        sides.append(state.side)
+    assert sides == [-1, -1, 1, 1, 1, 1, -1]
+
+
+def test_a_detour_turns_no_more_than_it_must() -> None:
+    state = Progress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE)
+    to, _ = detour(state, (0.0, 0.0), lambda target: target, length=6.0, follow=False)
+    assert to == pytest.approx((6.0, 0.0))
+
+
+def test_paper_and_baseline_know_nothing_of_it() -> None:
+    """Obstacles and detours belong to the shield, which both presets leave off."""
+    from llm_flock.runtime.rules import PRESETS
+
+    assert [PRESETS[name]["shield"] for name in ("flock", "paper", "baseline")] == [True, False, False]
+    assert build_mission().obstacles == ()
