@@ -13,6 +13,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
 
+from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.protocol.plan import Plan
 
@@ -128,6 +129,12 @@ def encode(message: Message) -> bytes:
     )
 
 
+@functools.lru_cache(maxsize=256)
+def _plan(points: tuple[Point, ...]) -> Plan:
+    """The plan of these points: a few plans come in many messages, and rounding a long one takes milliseconds."""
+    return Plan(points)
+
+
 @functools.lru_cache(maxsize=4096)
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     """A message from bytes that anybody may have sent.
@@ -150,7 +157,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         sender=wire.sender,
         sequence=wire.sequence,
         neighbors=wire.neighbors,
-        plan=None if wire.plan is None else Plan(wire.plan),
+        plan=None if wire.plan is None else _plan(wire.plan),
         pedigree=None
         if origin is None
         else Pedigree(
