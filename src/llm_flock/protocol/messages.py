@@ -206,7 +206,7 @@ def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
         if wire.slot is not None or wire.table is not None:
             raise MessageError("malformed", "claims without a plan")
         return
-    if len(wire.plan) != n_robots or any(len(point) != dim for point in wire.plan):
+    if len(wire.plan) != n_robots or set(map(len, wire.plan)) != {dim}:
         raise MessageError("wrong_length", f"a plan has {n_robots} points of {dim} coordinates")
     if wire.slot is not None and wire.slot >= n_robots:
         raise MessageError("wrong_length", f"slot {wire.slot} of {n_robots}")

@@ -28,7 +28,6 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.transport.memory import Traffic
 
-
 ERROR_EVERY_ROUND_UP_TO = 300
 """Up to so many robots the shape error is measured after every round. Its search takes seconds for a thousand, so a
 larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
