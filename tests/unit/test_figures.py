@@ -131,7 +131,7 @@ def test_records_and_labels_must_fit(record: RunRecord) -> None:
     with pytest.raises(InputError, match="one label for each of the 2 records"):
         figures.comparison([record, record], ["only one"])
     rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
-    with pytest.raises(InputError, match="ideal points are known"):
+    with pytest.raises(InputError, match="known after every round"):
         figures.error_over_time([replace(record, metrics=rows)], ["free text"])
     assert "error" not in words(figures.snapshots(replace(record, metrics=rows)))
 
