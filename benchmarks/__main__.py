@@ -1,10 +1,12 @@
 """What the framework itself costs, apart from the models: `make bench`.
 
-    python -m benchmarks [overhead] [http] [late]
+    python -m benchmarks [overhead] [trials] [http] [late] [thousand]
 
 `overhead`  an instant simulated model, record on, one core: milliseconds per robot and round at N = 10 and N = 100
+`trials`    whole trials, circle of ten, record off, one core: processor time of one
 `http`      a zero-latency OpenAI-compatible server in a process of its own: milliseconds per robot and round
 `late`      50 robots and a server that takes 1 s to answer: seconds per round
+`thousand`  a grid of 1,000 robots, at most 60 rounds, record off: time and memory (only when named, it takes minutes)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it.
 """
@@ -12,6 +14,7 @@ Each figure is the smallest and the median of several runs; the bar stands besid
 from __future__ import annotations
 
 import os
+import resource
 import statistics
 import sys
 import tempfile
@@ -62,6 +65,32 @@ def overhead() -> None:
         os.sched_setaffinity(0, cores)
 
 
+def trials() -> None:
+    """Trials as `llm-flock compare` flies them, one after the other."""
+    seeds = iter(range(10_000))
+
+    def trial_s() -> float:
+        began = time.process_time()
+        for _ in range(20):
+            llm_flock.run(circle(10), seed=next(seeds))
+        return (time.process_time() - began) / 20
+
+    report("a trial, circle of 10, record off", 1 / 8, "s", trial_s, 5)
+
+
+def thousand() -> None:
+    """A thousand robots in an arena that fits them, starts drawn in all of it; not all is well until `formed`."""
+    mission = llm_flock.Mission(shape="grid", n_robots=1000, center=(240, 240), arena=((0, 0), (480, 480)))
+    began, cpu = time.perf_counter(), time.process_time()
+    summary = llm_flock.run(mission, rounds=60, seed=0).summary
+    took, busy = time.perf_counter() - began, time.process_time() - cpu
+    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        f"grid of 1,000: formed {summary.formed} after {summary.rounds} rounds, {summary.distinct_goals} distinct goals"
+    )
+    print(f"  {took:.0f} s (processor {busy:.0f} s)   bar 300;   {peak_mib:.0f} MiB   bar 2048", flush=True)
+
+
 def http() -> None:
     """Over HTTP to a server without latency."""
     from integration.fault_server import running
@@ -93,8 +122,9 @@ def late() -> None:
         report("1 s latency, N = 50, slowest round", 1.25, "s", slowest_round, 2)
 
 
-PARTS = {"overhead": overhead, "http": http, "late": late}
+PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
+LONG = {"thousand": thousand}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or list(PARTS):
-        PARTS[part]()
+        (PARTS | LONG)[part]()

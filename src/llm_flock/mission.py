@@ -32,6 +32,12 @@ START_DENSITY = 0.35
 """Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
 
 
+def start_volume(n_robots: int, dim: int, safe_distance: float) -> float:
+    """Volume of the smallest arena in which that many random starts, safe_distance apart, are drawn [units^dim]."""
+    ball = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1) * (safe_distance / 2) ** dim
+    return n_robots * ball / START_DENSITY
+
+
 class Mission(BaseModel):
     """A formation to build, the team that builds it, and the limits it must respect.
 
@@ -103,10 +109,8 @@ class Mission(BaseModel):
     def _check_room(self) -> None:
         """Random starts at least `safe_distance` apart must exist, and be found by drawing."""
         low, high = self.arena
-        dim = len(low)
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
-        ball = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1) * (self.safe_distance / 2) ** dim
-        most = max(1, int(START_DENSITY * volume / ball))
+        most = max(1, int(volume / start_volume(1, len(low), self.safe_distance)))
         if self.n_robots > most:
             raise InputError(
                 "n_robots", self.n_robots, f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"

@@ -161,3 +161,73 @@ def test_a_comparison_of_three_protocols(tmp_path: Path) -> None:
         flock("run", "--seed", "7", "--rounds", "30", "--out", name, *options, cwd=tmp_path)
     flock("figure", "flock", "none", "paper", "--out", "three.png", cwd=tmp_path)
     assert (tmp_path / "three.png").stat().st_size > 20_000
+
+
+def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> None:
+    arguments = ("--cells", "triangle/3,circle/60", "--protocols", "flock,baseline", "--trials", "2", "--fit-arena")
+    done = flock("compare", *arguments, "--rounds", "3", "--jobs", "2", "--out", "a.csv", cwd=tmp_path)
+    assert re.search(r"\| flock +\| circle +\| 60 +\| 0.0 \[", done.stdout)
+    assert "simulated" in done.stdout and "baseline circle 60: 0 of 2 formed" in done.stderr
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 8
+    again = flock("compare", *arguments, "--rounds", "3", "--jobs", "1", "--json", "--quiet", cwd=tmp_path)
+    rows = json.loads(again.stdout)
+    assert again.stderr == "" and [(r["protocol"], r["n_robots"]) for r in rows][:2] == [("flock", 3), ("baseline", 3)]
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.csv"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--cells", "circle"], "cells = 'circle'"),
+        (["--cells", "circle/60"], "arena = "),
+        (["--protocols", "best"], "protocol.protocol = 'best'"),
+        (["--model", "openai:o3-mini"], "OPENAI_API_KEY"),
+    ],
+)
+def test_a_comparison_that_cannot_be_is_one_line(tmp_path: Path, arguments: list[str], words: str) -> None:
+    done = flock("compare", "--trials", "1", "--jobs", "1", *arguments, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert words in done.stderr
+
+
+def test_broken_trials_are_told_by_the_exit_code(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("class Broken:\n    name = 'broken'\n")
+    env = {**ENV, "PYTHONPATH": os.pathsep.join([str(tmp_path), ENV.get("PYTHONPATH", "")])}
+    command = ["compare", "--cells", "line/2", "--protocols", "flock", "--trials", "1", "--consensus", "mine:Broken"]
+    done = subprocess.run(
+        [sys.executable, "-m", "llm_flock", *command], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1 and "broke off: seed 0: AttributeError" in done.stdout
+
+
+def gone(group: int) -> bool:
+    """Whether a group of processes ends within five seconds."""
+    for _ in range(50):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def test_ctrl_c_ends_a_comparison_at_once_and_leaves_no_process(tmp_path: Path) -> None:
+    running = subprocess.Popen(
+        [sys.executable, "-m", "llm_flock", "compare", "--jobs", "2", "--trials", "500", "--out", "a.csv"],
+        cwd=tmp_path,
+        env=ENV,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    path = tmp_path / "a.csv"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (path.exists() and path.read_text().count("\n") > 3):
+        time.sleep(0.1)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to everybody in the group
+    _, errors = running.communicate(timeout=10)
+    assert running.returncode == 130
+    assert errors == "interrupted; finished trials are in a.csv\n"
+    assert path.read_text().count("\n") > 3
+    assert gone(running.pid)

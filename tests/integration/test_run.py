@@ -14,6 +14,7 @@ from llm_flock.llm.limits import Limited
 from llm_flock.llm.port import Call, Reply
 from llm_flock.record.reader import iter_messages
 from llm_flock.record.schema import without_volatile
+from llm_flock.runtime import journal
 from llm_flock.runtime.trial import Progress
 
 CASES = [("triangle", 3), ("triangle", 6), ("square", 4), ("square", 8), ("cross", 5), ("circle", 5), ("circle", 10)]
@@ -30,6 +31,20 @@ def test_the_papers_cases_form_and_stay_safe(shape: str, n: int) -> None:
     assert figures.rounds_to_formed >= figures.lower_bound_rounds
     assert result.positions.shape == (figures.rounds + 1, n, 2)
     assert result.errors[-1] == figures.procrustes_mean
+
+
+def test_a_large_team_is_measured_when_all_are_at_their_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission = llm_flock.Mission(shape="circle", n_robots=10)
+    every = llm_flock.run(mission, seed=3)
+    monkeypatch.setattr(journal, "ERROR_EVERY_ROUND_UP_TO", 9)
+    late = llm_flock.run(mission, seed=3)
+    first = late.summary.rounds_to_formed
+    assert first is not None and first == every.summary.rounds_to_formed and late.formed
+    assert np.isnan(late.errors[:first]).all()
+    assert late.errors[first:].tolist() == every.errors[first:].tolist()
+    early = llm_flock.run(mission, seed=3, rounds=2)
+    assert early.summary.procrustes_mean == every.errors[2], "the end is always measured"
+    assert np.isnan(early.errors[:2]).all()
 
 
 @pytest.mark.parametrize("extra", [{"answers": "json"}, {"history": "last:2"}, {"observe": "all"}, {"noise": 0.1}])

@@ -132,7 +132,7 @@ def test_records_and_labels_must_fit(record: RunRecord) -> None:
     with pytest.raises(InputError, match="one label for each of the 2 records"):
         figures.comparison([record, record], ["only one"])
     rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
-    with pytest.raises(InputError, match="ideal points are known"):
+    with pytest.raises(InputError, match="known after every round"):
         figures.error_over_time([replace(record, metrics=rows)], ["free text"])
     assert "error" not in words(figures.snapshots(replace(record, metrics=rows)))
 
@@ -213,7 +213,7 @@ def test_runs_without_a_known_ideal_are_compared_without_errors(record: RunRecor
     figure = figures.comparison([free, record], ["one", "two"])
     assert [axes.get_title() for axes in figure.axes] == ["one\nformed in round 10", "two\nformed in round 10"]
     figures.save(figure, tmp_path / "compared.png")
-    with pytest.raises(InputError, match="whose ideal points are known"):
+    with pytest.raises(InputError, match="known after every round"):
         figures.error_over_time([free], ["one"])
 
 

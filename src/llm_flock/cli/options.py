@@ -23,6 +23,9 @@ SHORT = {"n_robots": "--robots"}
 NOT_FLAGS = frozenset({"points"})
 """Fields that are given another way: `--shape points:FILE`."""
 
+SET_BY_COMPARE = frozenset({"protocol", "shape", "n_robots", "seed", "out", "record_llm"})
+"""Fields that `compare` sets itself: they differ between its cells or trials, or are files of a single run."""
+
 PANELS = {
     "mission": "Mission",
     "protocol": "Protocol",
@@ -38,14 +41,14 @@ def flag(field: str) -> str:
     return SHORT.get(field, "--" + field.replace("_", "-"))
 
 
-def config_parameters() -> list[inspect.Parameter]:
-    """One keyword parameter for each field of the configuration, None meaning: not given."""
+def config_parameters(without: frozenset[str] = frozenset()) -> list[inspect.Parameter]:
+    """One keyword parameter for each field of the configuration but some, None meaning: not given."""
     found: list[inspect.Parameter] = []
     for name, section_info in RunConfig.model_fields.items():
         section = section_info.annotation
         assert isinstance(section, type) and issubclass(section, BaseModel)
         for field, info in section.model_fields.items():
-            if field not in NOT_FLAGS:
+            if field not in NOT_FLAGS | without:
                 found.append(_parameter(field, info, PANELS[name]))
     return found
 
@@ -90,13 +93,17 @@ def _flag_type(annotation: Any) -> tuple[Any, str | None]:
     return annotation, None
 
 
-def with_config_flags(command: Callable[..., None]) -> Callable[..., None]:
-    """Add one flag for each field of the configuration to a command that takes them as `**flags`."""
-    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD]
-    parameters = own + config_parameters()
-    vars(command)["__signature__"] = inspect.Signature(parameters)
-    command.__annotations__ = {p.name: p.annotation for p in parameters}
-    return command
+def with_config_flags(without: frozenset[str] = frozenset()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add one flag for each field of the configuration, but some, to a command that takes them as `**flags`."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD]
+        parameters = own + config_parameters(without)
+        vars(command)["__signature__"] = inspect.Signature(parameters)
+        command.__annotations__ = {p.name: p.annotation for p in parameters}
+        return command
+
+    return decorate
 
 
 def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:

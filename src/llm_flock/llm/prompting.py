@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import jinja2
@@ -164,15 +165,8 @@ class PromptSet:
             if not replaced:
                 raise InputError("prompts", str(directory), f"a folder with at least one of {', '.join(VARIABLES)}")
             logger.info("prompt templates from %s: %s", directory, ", ".join(replaced))
-        folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
-        # Templates may come from strangers; the sandbox keeps them from anything but text.
-        environment = SandboxedEnvironment(
-            loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", "prompts")]),
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        prompts = cls(json=json, templates={name: _compiled(environment, name, directory) for name in VARIABLES})
+        templates = _packaged_templates() if directory is None else _templates(directory)
+        prompts = cls(json=json, templates=templates)
         prompts._try_out()
         return prompts
 
@@ -238,6 +232,25 @@ class PromptSet:
         self.step(mission, StepQuestion(robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0))
         for kind in ("plan", "step"):
             self.retry("the answer is an example.", kind)
+
+
+@lru_cache(maxsize=1)
+def _packaged_templates() -> Mapping[str, jinja2.Template]:
+    """Compiled once in a process: a trial of a second should not spend a tenth of it on that."""
+    return MappingProxyType(_templates(None))
+
+
+def _templates(directory: Path | None) -> dict[str, jinja2.Template]:
+    """Every template, compiled and checked: the operator's where there is one, else the packaged one."""
+    folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
+    # Templates may come from strangers; the sandbox keeps them from anything but text.
+    environment = SandboxedEnvironment(
+        loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", "prompts")]),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return {name: _compiled(environment, name, directory) for name in VARIABLES}
 
 
 def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> jinja2.Template:

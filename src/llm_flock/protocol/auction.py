@@ -8,7 +8,9 @@ follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning 
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass, replace
+from itertools import compress
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
@@ -33,7 +35,15 @@ def merge(mine: Table, theirs: Table) -> Table:
     """Slot by slot the claim of higher rank; associative, commutative and idempotent."""
     if mine == theirs:
         return mine
-    return tuple(a if a == b or rank(a) > rank(b) else b for a, b in zip(mine, theirs, strict=True))
+    # Tables are long and differ in few slots: those are found without a step of the interpreter for each slot.
+    differ = compress(range(len(mine)), map(operator.ne, mine, theirs))
+    higher = {a: theirs[a] for a in differ if rank(theirs[a]) > rank(mine[a])}
+    if not higher:
+        return mine
+    merged = list(mine)
+    for a, entry in higher.items():
+        merged[a] = entry
+    return tuple(merged)
 
 
 def vacant(table: Table) -> list[int]:

@@ -13,6 +13,7 @@ from typing import Annotated, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
 
+from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.protocol.plan import Plan
 
@@ -175,6 +176,12 @@ def encode(message: Message) -> bytes:
     )
 
 
+@functools.lru_cache(maxsize=256)
+def _plan(points: tuple[Point, ...]) -> Plan:
+    """The plan of these points: a few plans come in many messages, and rounding a long one takes milliseconds."""
+    return Plan(points)
+
+
 @functools.lru_cache(maxsize=4096)
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     """A message from bytes that anybody may have sent.
@@ -197,7 +204,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         sender=wire.sender,
         sequence=wire.sequence,
         neighbors=wire.neighbors,
-        plan=None if wire.plan is None else Plan(wire.plan),
+        plan=None if wire.plan is None else _plan(wire.plan),
         pedigree=None
         if origin is None
         else Pedigree(
@@ -249,7 +256,7 @@ def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
         if wire.slot is not None or wire.table is not None or wire.offer is not None:
             raise MessageError("malformed", "claims without a plan")
         return
-    if len(wire.plan) != n_robots or any(len(point) != dim for point in wire.plan):
+    if len(wire.plan) != n_robots or set(map(len, wire.plan)) != {dim}:
         raise MessageError("wrong_length", f"a plan has {n_robots} points of {dim} coordinates")
     if wire.slot is not None and wire.slot >= n_robots:
         raise MessageError("wrong_length", f"slot {wire.slot} of {n_robots}")

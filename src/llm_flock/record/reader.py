@@ -100,7 +100,7 @@ class RunRecord:
 
     @property
     def errors(self) -> NDArray[np.float64]:
-        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN without an ideal shape."""
+        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN where it is not known."""
         means = [row.procrustes_mean for row in self.metrics]
         return np.array([np.nan if mean is None else mean for mean in means], dtype=np.float64)
 

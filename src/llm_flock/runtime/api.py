@@ -113,7 +113,8 @@ async def _fly(config: RunConfig, agents: list[Agent], on_round: Callable[[Progr
             raise
         journal = Journal(mission, writer)
         thinkers.listen(journal.attempt)
-        writer.run(_run_info(config, thinkers))
+        if path is not None:  # a record says where it came from; asking git takes longer than many a round
+            writer.run(_run_info(config, thinkers))
         ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
         writer.mission(MissionInfo(version=0, round=0, mission=mission.model_dump(mode="json"), ideal=ideal))
         trial = Trial(config, agents, thinkers, bodies, transport, journal, on_round)

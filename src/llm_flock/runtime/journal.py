@@ -29,6 +29,10 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.transport.memory import Traffic
 
+ERROR_EVERY_ROUND_UP_TO = 300
+"""Up to so many robots the shape error is measured after every round. Its search takes seconds for a thousand, so a
+larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
+
 
 class Journal:
     """Counts and records one run.
@@ -139,6 +143,12 @@ class Journal:
         )
         self._measure(round_number, positions, agents, plan_ids, slots, team.connected, traffic)
 
+    def measure_error(self) -> None:
+        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet."""
+        if self._target is not None and self.errors[-1] is None:
+            shape = self._target.error(self.positions[-1])
+            self.errors[-1] = (shape.mean, shape.mean_squared)
+
     def _measure(
         self,
         round_number: int,
@@ -149,8 +159,6 @@ class Journal:
         connected: bool,
         traffic: Traffic,
     ) -> None:
-        shape = None if self._target is None else self._target.error(positions)
-        self.errors.append(None if shape is None else (shape.mean, shape.mean_squared))
         self.positions.append(positions)
         separation = metrics.min_separation(positions)
         along = None if self._previous is None else metrics.segment_separation(self._previous, positions)
@@ -167,19 +175,23 @@ class Journal:
             float("inf") if (g := a.goal) is None else float(np.linalg.norm(positions[k] - g))
             for k, a in enumerate(agents)
         ]
+        self.at_goal = metrics.robots_at_goal(distances, self.mission.spacing)
+        self.errors.append(None)
+        if len(agents) <= ERROR_EVERY_ROUND_UP_TO or self.at_goal == len(agents):
+            self.measure_error()
+        error = self.errors[-1]
         self.tracker.update(
             round_number,
             plan_ids=plan_ids,
             slots=slots,
             goal_distances=distances,
-            residual=None if shape is None else shape.mean,
+            residual=None if error is None else error[0],
         )
-        self.at_goal = metrics.robots_at_goal(distances, self.mission.spacing)
         self.writer.metrics(
             MetricsRow(
                 round=round_number,
-                procrustes_mean=None if shape is None else shape.mean,
-                procrustes_mean_squared=None if shape is None else shape.mean_squared,
+                procrustes_mean=None if error is None else error[0],
+                procrustes_mean_squared=None if error is None else error[1],
                 min_separation=_finite(separation),
                 segment_separation=None if along is None else _finite(along),
                 plans_in_use=metrics.plans_in_use(plan_ids),

@@ -119,7 +119,8 @@ class RunResult:
         config: everything that defined the run.
         summary: its figures.
         positions: true positions, shape (rounds + 1, n, d) [units; world frame]; row 0 is the start.
-        errors: mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal shape.
+        errors: mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal
+            shape, and in teams over 300 while not all were at their goals.
         plans: each robot's plan at the end.
         slots: each robot's place in it.
     """

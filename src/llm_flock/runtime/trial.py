@@ -232,6 +232,8 @@ class Trial:
     def finish(self, record: str | None) -> RunResult:
         """The result so far; writes it to the record. Call once, also after a cancelled `run`."""
         self.journal.flush_attempts()
+        if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
+            self.journal.measure_error()
         summary = self._summary(record)
         self.journal.writer.summary(summary.to_dict())
         return RunResult(

@@ -207,7 +207,9 @@ def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, li
     groups: dict[str, list[NDArray[np.float64]]] = {}
     for record, label in zip(records, labels, strict=True):
         if not _error_known(record):
-            raise InputError("records", str(record.path), "records of shapes whose ideal points are known")
+            raise InputError(
+                "records", str(record.path), "records whose distance from the ideal shape is known after every round"
+            )
         groups.setdefault(label, []).append(record.errors)
     return groups
 

@@ -1,0 +1,1 @@
+"""Many seeded trials, and what they say together."""

@@ -1,0 +1,149 @@
+"""A comparison on paper: a table in Markdown, and one line a trial in a CSV file."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from llm_flock.errors import InputError
+from llm_flock.experiments.compare import Cell, Row
+from llm_flock.experiments.statistics import Estimate
+from llm_flock.experiments.trials import Outcome
+from llm_flock.runtime.result import Summary
+
+SHOWN_SEEDS = 20
+"""So many failed seeds of a row are listed; JSON has all of them."""
+
+HEADER = (
+    "protocol",
+    "shape",
+    "N",
+    "formed % [95 %]",
+    "rounds",
+    "ratio",
+    "min sep.",
+    "violations",
+    "calls/robot [95 %]",
+    "waypoints %",
+)
+
+FIGURES = (
+    "formed",
+    "rounds_to_formed",
+    "lower_bound_rounds",
+    "stopped",
+    "rounds",
+    "procrustes_mean",
+    "min_separation",
+    "plans_in_use",
+    "distinct_goals",
+    "model_calls",
+    "calls_rejected",
+    "calls_failed",
+    "tokens",
+    "bytes_per_robot_round",
+    "wall_s",
+)
+"""Fields of `Summary` that a CSV line has."""
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table, columns aligned, below it the seeds of the trials that did not form, and whether models were real."""
+    lines = [HEADER, *map(_cells, rows)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(HEADER))]
+    texts = ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
+    texts.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
+    if any(row.simulated for row in rows):
+        texts += ["", "simulated language models"]
+    return "\n".join([*texts, *(note for row in rows for note in _notes(row))])
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    return (
+        row.protocol,
+        row.shape,
+        str(row.n_robots),
+        _interval(row.formed, 1, factor=100.0),
+        _number(row.rounds, "g"),
+        _number(row.ratio, ".2f"),
+        _number(row.min_separation, ".6f"),
+        str(row.violations),
+        _interval(row.calls, 2),
+        _shares(row.waypoints),
+    )
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _interval(estimate: Estimate | None, digits: int, factor: float = 1.0) -> str:
+    if estimate is None:
+        return "-"
+    value = f"{factor * estimate.value:.{digits}f}"
+    if estimate.low is None or estimate.high is None:
+        return value
+    return f"{value} [{factor * estimate.low:.{digits}f}, {factor * estimate.high:.{digits}f}]"
+
+
+def _shares(counts: dict[str, int]) -> str:
+    total = sum(counts.values())
+    return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items()) or "-"
+
+
+def _notes(row: Row) -> list[str]:
+    if not row.failed_seeds:
+        return []
+    seeds = ", ".join(map(str, row.failed_seeds[:SHOWN_SEEDS]))
+    more = len(row.failed_seeds) - SHOWN_SEEDS
+    name = f"{row.protocol} {row.shape} {row.n_robots}"
+    lines = ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
+    lines[-1] += f", and {more} more" if more > 0 else ""
+    if row.broken:
+        lines += ["", f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"]
+    return lines
+
+
+class TrialFile:
+    """One line a trial, written as trials come in; a context manager.
+
+    Args:
+        path: file to write; missing folders are made, an existing file is never overwritten.
+
+    Raises:
+        InputError: the file exists, or cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("x", newline="", encoding="utf-8")
+        except OSError as error:
+            if path.exists():
+                raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
+            raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._file.close()
+
+    def add(self, cell: Cell, outcome: Outcome) -> None:
+        """Write one trial, and hand it to the operating system."""
+        summary = outcome.summary
+        figures = [None] * len(FIGURES) if summary is None else [getattr(summary, name) for name in FIGURES]
+        self._writer.writerow(
+            (cell.protocol, cell.shape, cell.n_robots, outcome.seed, *figures, _waypoints(summary), outcome.error)
+        )
+        self._file.flush()
+
+
+def _waypoints(summary: Summary | None) -> str:
+    """Counts in one field, such as `model=96 shield=4`."""
+    return "" if summary is None else " ".join(f"{who}={count}" for who, count in summary.waypoints.items())

@@ -1,0 +1,217 @@
+"""Cells, arenas that fit, rows of figures, and how they are written down; no trial is flown here."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from llm_flock import formations
+from llm_flock.errors import InputError
+from llm_flock.experiments.arena import fitted_arena
+from llm_flock.experiments.compare import Cell, build_cells, compare, parse_teams, row
+from llm_flock.experiments.report import SHOWN_SEEDS, TrialFile, markdown
+from llm_flock.experiments.trials import Outcome, run_trials
+from llm_flock.mission import Mission
+from llm_flock.runtime.config import build_config
+from llm_flock.runtime.result import Summary
+
+SUMMARY = Summary(
+    shape="circle",
+    n_robots=10,
+    seed=0,
+    consensus="pedigree",
+    assignment="auction",
+    shield=True,
+    models=("simulated:ideal",),
+    simulated=True,
+    stopped="formed",
+    reason=None,
+    start_violations=0,
+    rounds_to_separate=0,
+    min_separation_after_start=None,
+    min_clearance=None,
+    rounds=12,
+    formed=True,
+    rounds_to_formed=10,
+    lower_bound_rounds=8,
+    procrustes_mean=0.1,
+    procrustes_mean_squared=0.01,
+    min_separation=3.2,
+    plans_in_use=1,
+    distinct_goals=10,
+    robots_without_plan=0,
+    model_calls=130,
+    calls_rejected=0,
+    calls_failed=0,
+    faults={},
+    tokens=1000,
+    tokens_input=900,
+    tokens_output=100,
+    tokens_cached=0,
+    cost_usd=0.0,
+    latency_mean_s=0.001,
+    waypoints={"model": 115, "shield": 5},
+    messages_sent=600,
+    bytes_per_robot_round=500.0,
+    messages_rejected={},
+    wall_s=0.1,
+    record=None,
+)
+CELL = Cell(config=build_config(shape="circle", n_robots=10))
+
+
+def good(seed: int, **changes: object) -> Outcome:
+    return Outcome(seed=seed, summary=replace(SUMMARY, seed=seed, **changes))
+
+
+def test_teams_are_read() -> None:
+    assert parse_teams("triangle/6, text:a V/ish thing/12") == [("triangle", 6), ("text:a V/ish thing", 12)]
+
+
+@pytest.mark.parametrize("text", ["", "circle", "circle/", "/10", "circle/ten", "circle/-1", "circle/5,,square/4"])
+def test_other_words_for_teams_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="cells"):
+        parse_teams(text)
+
+
+def test_cells_are_teams_by_protocols_and_share_every_option() -> None:
+    cells = build_cells([("triangle", 3), ("circle", 10)], ["flock", "paper"], loss=0.3, rounds=40)
+    assert [(c.shape, c.n_robots, c.protocol) for c in cells] == [
+        ("triangle", 3, "flock"),
+        ("triangle", 3, "paper"),
+        ("circle", 10, "flock"),
+        ("circle", 10, "paper"),
+    ]
+    assert {(c.config.links.loss, c.config.trial.rounds) for c in cells} == {(0.3, 40)}
+    assert cells[0].config.protocol.consensus == "pedigree" and cells[1].config.protocol.consensus == "influence"
+    assert cells[0].with_seed(7) == build_config(shape="triangle", n_robots=3, loss=0.3, rounds=40, seed=7)
+
+
+def test_a_file_is_read_and_flags_win(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("[links]\nloss = 0.1\ndelay = 2\n")
+    (cell,) = build_cells([("circle", 5)], ["flock"], file=file, loss=0.2)
+    assert (cell.config.links.loss, cell.config.links.delay) == (0.2, 2)
+
+
+@pytest.mark.parametrize(("teams", "protocols"), [([("circle", 60)], ["flock"]), ([("circle", 5)], ["best"])])
+def test_what_a_run_refuses_is_refused(teams: list[tuple[str, int]], protocols: list[str]) -> None:
+    with pytest.raises(InputError):
+        build_cells(teams, protocols)
+
+
+@pytest.mark.parametrize(("shape", "n"), [("circle", 100), ("square", 100), ("grid", 1000), ("cross", 101)])
+def test_a_fitted_arena_has_room_for_the_shape_and_one_spacing_more(shape: str, n: int) -> None:
+    (cell,) = build_cells([(shape, n)], ["flock"], fit_arena=True, spacing=8.0)
+    mission = cell.config.mission
+    assert mission.ideal is not None
+    reach = formations.circumradius(mission.ideal, mission.center) + 8.0
+    assert mission.arena[0] == pytest.approx((50 - reach, 50 - reach))
+    assert mission.arena[1] == pytest.approx((50 + reach, 50 + reach))
+
+
+def test_an_arena_that_fits_stays_and_each_team_has_its_own() -> None:
+    cells = build_cells([("circle", 100), ("circle", 10)], ["flock", "paper"], fit_arena=True)
+    assert cells[0].config.mission.arena == cells[1].config.mission.arena
+    assert cells[2].config.mission.arena == ((0.0, 0.0), (100.0, 100.0))
+
+
+def test_only_the_walls_in_the_way_are_moved() -> None:
+    team = Mission(shape="text:x", n_robots=1, arena=((0, 0), (500, 100)))
+    low, high = fitted_arena(team, "circle", 40)
+    assert low[0] < 0 and high[0] == 500.0
+    assert low[1] < 0 and high[1] > 100
+
+
+def test_an_arena_for_words_has_room_for_the_starts() -> None:
+    team = Mission(shape="text:x", n_robots=1)
+    with pytest.raises(InputError):
+        Mission(shape="text:x", n_robots=1500)
+    arena = fitted_arena(team, "text:x", 1500)
+    assert Mission(shape="text:x", n_robots=1500, arena=arena).n_robots == 1500
+
+
+def test_an_arena_for_points_of_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "far.csv"
+    file.write_text("0,0,0\n300,0,0\n")
+    (cell,) = build_cells(
+        [(f"points:{file}", 2)], ["flock"], fit_arena=True, center=(5.0, 5.0, 5.0), arena=((0, 0, 0), (10, 10, 10))
+    )
+    assert cell.config.mission.arena[1] == pytest.approx((165.0, 165.0, 165.0))
+
+
+def test_a_row_says_what_its_trials_did() -> None:
+    outcomes = [
+        good(5),
+        good(6, rounds_to_formed=16, min_separation=2.9, model_calls=150),
+        good(7, formed=False, rounds_to_formed=None, lower_bound_rounds=None, waypoints={"hold": 3}),
+        Outcome(seed=8, summary=None, error="ValueError: bad"),
+    ]
+    found = row(CELL, outcomes)
+    assert (found.trials, found.formed.value, found.broken) == (4, 0.5, 1)
+    assert (found.rounds, found.ratio) == (13.0, pytest.approx((10 / 8 + 2) / 2))
+    assert (found.min_separation, found.violations) == (2.9, 1)
+    assert found.calls is not None and found.calls.value == pytest.approx((13 + 15 + 13) / 3)
+    assert found.waypoints == {"hold": 3, "model": 230, "shield": 10}
+    assert found.failed_seeds == (7, 8)
+    assert found.errors == ("seed 8: ValueError: bad",)
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["formed"]["value"] == 0.5
+
+
+def test_a_separation_that_rounding_made_too_small_is_no_violation() -> None:
+    assert row(CELL, [good(0, min_separation=3 - 1e-7)]).violations == 0
+    assert row(CELL, [good(0, min_separation=3 - 2e-6)]).violations == 1
+
+
+def test_a_team_in_place_from_the_start_has_a_ratio() -> None:
+    assert row(CELL, [good(0, rounds_to_formed=1, lower_bound_rounds=0)]).ratio == 1.0
+
+
+def test_a_row_of_broken_trials_has_no_figures() -> None:
+    found = row(CELL, [Outcome(seed=0, summary=None, error="ValueError: bad")])
+    assert (found.formed.value, found.rounds, found.ratio, found.min_separation, found.calls) == (0.0, *[None] * 4)
+    assert "| -  " in markdown([found])
+
+
+def test_the_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
+    bad = [good(seed, formed=False) for seed in range(SHOWN_SEEDS + 5)]
+    text = markdown([row(CELL, [good(99)]), row(CELL, [*bad, Outcome(seed=77, summary=None, error="Oops: x")])])
+    lines = text.splitlines()
+    assert len({len(line) for line in lines[:4]}) == 1 and lines[1].startswith("|---")
+    assert "100.0 [20.7, 100.0]" in lines[2] and "| 13.00 " in lines[2]
+    assert "simulated language models" in text
+    assert "26 of 26 not formed, seeds 0, 1, " in text and ", 19, and 6 more" in text
+    assert "1 of these broke off: seed 77: Oops: x" in text
+
+
+def test_a_line_for_each_trial(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "trials.csv"
+    with TrialFile(path) as file:
+        file.add(CELL, good(3))
+        assert len(path.read_text().splitlines()) == 2, "an interrupted comparison keeps what was ready"
+        file.add(CELL, Outcome(seed=4, summary=None, error="ValueError: bad"))
+    with path.open() as lines:
+        first, second = csv.DictReader(lines)
+    assert (first["protocol"], first["shape"], first["n_robots"], first["seed"]) == ("flock", "circle", "10", "3")
+    assert (first["formed"], first["rounds_to_formed"], first["waypoints"]) == ("True", "10", "model=115 shield=5")
+    assert (second["seed"], second["formed"], second["error"]) == ("4", "", "ValueError: bad")
+
+
+def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "trials.csv"
+    path.write_text("precious")
+    with pytest.raises(InputError, match="overwritten"):
+        TrialFile(path)
+    with pytest.raises(InputError, match="written to"):
+        TrialFile(path / "below.csv")
+    assert path.read_text() == "precious"
+
+
+def test_nothing_to_fly_and_nobody_to_fly_it() -> None:
+    assert run_trials([], jobs=1) == []
+    with pytest.raises(InputError, match="jobs"):
+        run_trials([CELL.config], jobs=0)
+    with pytest.raises(InputError, match="trials"):
+        compare([CELL], trials=0)
