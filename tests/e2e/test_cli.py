@@ -180,7 +180,7 @@ def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> Non
     [
         (["--cells", "circle"], "cells = 'circle'"),
         (["--cells", "circle/60"], "arena = "),
-        (["--protocols", "best"], "protocol.protocol = 'best'"),
+        (["--protocols", "best"], "protocol = 'best'"),
         (["--model", "openai:o3-mini"], "OPENAI_API_KEY"),
     ],
 )
@@ -191,7 +191,9 @@ def test_a_comparison_that_cannot_be_is_one_line(tmp_path: Path, arguments: list
 
 
 def test_broken_trials_are_told_by_the_exit_code(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("class Broken:\n    name = 'broken'\n")
+    (tmp_path / "mine.py").write_text(
+        "class Broken:\n    name = 'broken'\n    def choose(self, own, heard):\n        raise AttributeError('broken')\n"
+    )
     env = {**ENV, "PYTHONPATH": os.pathsep.join([str(tmp_path), ENV.get("PYTHONPATH", "")])}
     command = ["compare", "--cells", "line/2", "--protocols", "flock", "--trials", "1", "--consensus", "mine:Broken"]
     done = subprocess.run(
