@@ -192,7 +192,7 @@ def test_a_comparison_that_cannot_be_is_one_line(tmp_path: Path, arguments: list
 
 def test_broken_trials_are_told_by_the_exit_code(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "class Broken:\n    name = 'broken'\n    def choose(self, own, heard):\n        raise AttributeError('broken')\n"
+        "class Broken:\n  name = 'broken'\n  def choose(self, own, heard):\n    raise AttributeError('broken')\n"
     )
     env = {**ENV, "PYTHONPATH": os.pathsep.join([str(tmp_path), ENV.get("PYTHONPATH", "")])}
     command = ["compare", "--cells", "line/2", "--protocols", "flock", "--trials", "1", "--consensus", "mine:Broken"]
