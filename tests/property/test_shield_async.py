@@ -108,7 +108,7 @@ def test_the_margin_is_no_larger_than_it_must_be() -> None:
 
 
 def test_an_announced_segment_is_kept_clear_of() -> None:
-    """The example of the protocol note: from 15 to 6 while the other is on its way from 0 to 6."""
+    """A stale sighting: from 15 to 6 while the other is on its way from 0 to 6."""
     other = Sighting(position=(0.0, 0.0), age_s=0.0, committed=(6.0, 0.0))
     to = project_async((15.0, 0.0), (6.0, 0.0), [other], safe_distance=SAFE, speed=6.0, period_s=1.0)
     assert to == pytest.approx((9.0, 0.0))

@@ -14,6 +14,7 @@ from typing import assert_never
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.consensus import ConsensusRule, Standing
@@ -44,9 +45,6 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.safety import Safety
 from llm_flock.protocol.search import Search, advance
-
-AT_PLACE = 0.05
-"""A robot is at its place within this share of the spacing."""
 
 
 class IllegalEvent(AssertionError):
@@ -304,7 +302,7 @@ class Agent:
             table=self.claim.table,
             center=self.mission.center,
             spacing=spacing,
-            at_goal=math.dist(self.position, plan.points[slot]) <= AT_PLACE * spacing,
+            at_goal=math.dist(self.position, plan.points[slot]) <= AT_GOAL * spacing,
         )
         if bool(before.way) == bool(self._search.way):
             return []

@@ -7,14 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from llm_flock.arrays import Point
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol import progress as timing
 from llm_flock.protocol import shield
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.surroundings import static_half_spaces
-
-AT_GOAL_SHARE = 0.05
-"""Within this share of the spacing a robot is at its goal (protocol note, section 4)."""
 
 CLOSE = 1e-6
 """Pairs that keep the safe distance to within this count as apart [units]."""
@@ -69,7 +67,7 @@ class Safety:
             position,
             goal,
             gain=timing.GAIN_SHARE * mission.max_step,
-            within=AT_GOAL_SHARE * mission.spacing + self._noise_bound,
+            within=AT_GOAL * mission.spacing + self._noise_bound,
             lap=self._lap,
         )
         self._progress = seen

@@ -15,7 +15,7 @@ from llm_flock.runtime.config import RunConfig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """The figures of one trial (protocol note, section 4); field names are the keys of `--json`.
+    """The figures of one trial; field names are the keys of `--json`.
 
     Attributes:
         shape: the mission's shape.
