@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
 import msgspec
+import msgspec.structs
 
 from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import MessageError
@@ -86,8 +87,7 @@ class Offer:
     bid: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
+class Message(msgspec.Struct, frozen=True, kw_only=True):
     """One robot's standing, as broadcast.
 
     Attributes:
@@ -102,7 +102,7 @@ class Message:
         pedigree: origin of that plan, present with it.
         slot: index of the place it claims in the plan.
         table: what it says of everybody's claims on that plan, UNSAID for the slots left out (auction only).
-        table_digest: digest of its whole table (auction only).
+        table_digest: digest of its whole table (auction only); that of `table` if left out.
         offer: an exchange of places that it offers (auction only).
         beats: how often it has heard each robot's heart beat, by id; None where that is not said.
         plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
@@ -113,7 +113,7 @@ class Message:
     neighbors: int
     mission: Stamp = Stamp(0, "0" * 16)
     mission_text: str | None = None
-    plan: Plan | None = field(default=None)
+    plan: Plan | None = None
     plan_digest: str | None = None
     places: int = 0
     pedigree: Pedigree | None = None
@@ -125,11 +125,14 @@ class Message:
     plan_class: int = 0
 
     def __post_init__(self) -> None:
-        if self.pedigree is not None:
-            object.__setattr__(self, "mission", Stamp(self.pedigree.mission, self.pedigree.mission_digest))
-        if self.plan is not None:
-            object.__setattr__(self, "plan_digest", self.plan.digest)
-            object.__setattr__(self, "places", len(self.plan))
+        origin, plan = self.pedigree, self.plan
+        if origin is not None and self.mission.digest != origin.mission_digest:
+            msgspec.structs.force_setattr(self, "mission", Stamp(origin.mission, origin.mission_digest))
+        if plan is not None:
+            msgspec.structs.force_setattr(self, "plan_digest", plan.digest)
+            msgspec.structs.force_setattr(self, "places", len(plan))
+        if self.table is not None and self.table_digest is None:
+            msgspec.structs.force_setattr(self, "table_digest", table_digest(self.table))
 
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]

@@ -10,8 +10,9 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Literal, TypeAlias
+
+from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError, MessageError

@@ -9,7 +9,7 @@ types, 2018).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.liveness import Liveness
@@ -41,6 +41,7 @@ class Speech:
         self._changed: tuple[frozenset[int], ...] = ()  # since each of the last two broadcasts
         self._plan_said: str | None = None
         self._said: Message | None = None
+        self._sequence = 0
         self._payload = b""
 
     def begin_round(self, around: frozenset[int], neighbors: int) -> None:
@@ -89,9 +90,10 @@ class Speech:
             table_digest=self._table_digest,
             beats=liveness.beats if greeting else None,
         )
-        if self._said is None or replace(self._said, sequence=0) != message:
-            self._said = replace(message, sequence=0 if self._said is None else self._said.sequence + 1)
-            self._payload = encode(self._said)
+        if message != self._said:
+            self._said = message
+            self._payload = encode(replace(message, sequence=self._sequence))
+            self._sequence += 1
         return self._payload
 
     def _agrees(self, heard: Message, whole: Message) -> bool:
