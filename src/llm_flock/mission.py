@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sized
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import formations
-from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.arrays import MAX_COORDINATE, Point, Points
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 
@@ -28,6 +28,8 @@ Length = Annotated[float, Field(ge=MIN_LENGTH, allow_inf_nan=False)]
 
 ORIENTATIONS = 72
 """In so many turns of the shape room among the obstacles is looked for."""
+SAFETY_FIELDS = ("n_robots", "safe_distance", "max_step", "comm_range", "sense_range", "arena", "obstacles")
+"""What a robot knows of itself and its surroundings: no mission that comes over the radio may change it."""
 START_DENSITY = 0.35
 """Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
 
@@ -55,7 +57,14 @@ class Mission(BaseModel):
         default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."
     )
     n_robots: int = Field(default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
+    places: int | None = Field(
+        default=None, ge=1, le=MAX_ROBOTS, description="Places of the formation; one for each robot if unset"
+    )
     center: tuple[Coordinate, ...] = Field(default=(50.0, 50.0), description="Centre of the formation [units]")
+    velocity: tuple[Coordinate, ...] | None = Field(
+        default=None, description="Velocity of the centre [units per round]; it stands still if unset"
+    )
+    since: int = Field(default=0, ge=0, description="Round in which a moving centre is at `center`")
     spacing: Length = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
     safe_distance: Length = Field(
         default=3.0, description="Smallest distance allowed between any two robots d_s [units]"
@@ -78,7 +87,7 @@ class Mission(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _fill_from_points(cls, data: Any) -> Any:
-        """`points` alone says how many robots there are and what the shape is."""
+        """`points` alone says what the shape is, how many places it has, and, unless given, how many robots."""
         if not isinstance(data, dict):
             return data
         given = cast("dict[str, Any]", data)
@@ -87,7 +96,10 @@ class Mission(BaseModel):
             return given  # nothing was given, or what the field itself will refuse
         if not len(points):
             raise InputError("points", points, "at least one point")
-        return {"shape": "points", "n_robots": len(points), **given}
+        filled = {"shape": "points", "n_robots": len(points), **given}
+        if filled.get("places") is None and filled["n_robots"] != len(points):
+            filled["places"] = len(points)
+        return filled
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -101,10 +113,26 @@ class Mission(BaseModel):
             raise InputError("center", list(self.center), f"inside the arena {list(low)} .. {list(high)}")
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
+        self._check_velocity()
         self._check_room()
         self._check_shape()
         self._check_obstacles()
         return self
+
+    def _check_velocity(self) -> None:
+        """Robots must be able to catch up with their places."""
+        if self.velocity is None:
+            return
+        if len(self.velocity) != self.dim:
+            raise InputError("velocity", list(self.velocity), f"{self.dim} numbers, as the centre has")
+        speed = math.hypot(*self.velocity)
+        if speed > self.max_step / 2 + 1e-9:
+            raise InputError(
+                "velocity",
+                list(self.velocity),
+                f"at most max_step / 2 = {self.max_step / 2:g} a round, so that robots can catch up with their places "
+                f"(here {speed:.4g})",
+            )
 
     def _check_room(self) -> None:
         """Random starts at least `safe_distance` apart must exist, and be found by drawing."""
@@ -122,7 +150,7 @@ class Mission(BaseModel):
             raise InputError("points", "given" if self.points else "missing", "points together with shape 'points'")
         if self.points is not None and any(len(p) != len(self.center) for p in self.points):
             raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
-        ideal = formations.ideal_points(self.shape, self.n_robots, self.center, self.spacing, self.points)
+        ideal = self._ideal_points()
         if ideal is None:
             return
         nearest = formations.smallest_distance(ideal)
@@ -137,8 +165,9 @@ class Mission(BaseModel):
             raise InputError(
                 "arena",
                 [list(low), list(high)],
-                f"at least {reach:.4g} units from center to every wall: '{self.shape}' of {self.n_robots} robots "
-                f"with spacing {self.spacing:g} reaches that far (here {room:.4g})",
+                f"at least {reach:.4g} units from center to every wall: '{self.shape}' of {self.n_places} "
+                f"{'robots' if self.places is None else 'places'} with spacing {self.spacing:g} reaches that far "
+                f"(here {room:.4g})",
             )
 
     def _check_obstacles(self) -> None:
@@ -162,6 +191,20 @@ class Mission(BaseModel):
             f"safe_distance / 2 = {self.body_radius:g} from every obstacle",
         )
 
+    def _ideal_points(self) -> Points | None:
+        """What `ideal` gives, shape (n_places, d); what the shape says against a number is said of the right field."""
+        try:
+            return formations.ideal_points(self.shape, self.n_places, self.center, self.spacing, self.points)
+        except InputError as error:
+            if error.field != "n_robots" or self.places is None:
+                raise
+            raise InputError("places", error.value, error.allowed) from None
+
+    @property
+    def n_places(self) -> int:
+        """How many places the formation has: fewer than robots leave spares, more leave gaps."""
+        return self.n_robots if self.places is None else self.places
+
     @property
     def body_radius(self) -> float:
         """How far the centre of a robot stays from obstacles: half the safe distance [units]."""
@@ -183,13 +226,81 @@ class Mission(BaseModel):
     @cached_property
     def ideal(self) -> tuple[Point, ...] | None:
         """Ideal target points of the shape in its reference orientation, or None where none is known."""
-        points = formations.ideal_points(self.shape, self.n_robots, self.center, self.spacing, self.points)
+        points = self._ideal_points()
         return None if points is None else tuple(tuple(float(x) for x in row) for row in points)
 
     @cached_property
     def digest(self) -> str:
         """16 hexadecimal digits that stand for the content of this mission."""
         return hashlib.blake2b(self.model_dump_json().encode(), digest_size=8).hexdigest()
+
+    @cached_property
+    def travel_rounds(self) -> float:
+        """After so many rounds the formation stops at a wall; infinite for a centre that stands still."""
+        if self.velocity is None:
+            return math.inf
+        reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
+        low, high = self.arena
+        room = [
+            (b - reach - c) / v if v > 0 else (c - reach - a) / -v
+            for a, c, b, v in zip(low, self.center, high, self.velocity, strict=True)
+            if v != 0
+        ]
+        return max(0.0, min(room, default=math.inf))
+
+    def drift(self, round_: int) -> Point:
+        """How far the centre is from `center` at the end of a round [units].
+
+        The formation stops as a whole where the circle around its shape would touch a wall.
+        """
+        if self.velocity is None:
+            return (0.0,) * self.dim
+        rounds = min(max(0, round_ - self.since), self.travel_rounds)
+        return tuple(rounds * v for v in self.velocity)
+
+    def at(self, round_: int) -> Mission:
+        """The same mission as it is at the end of a round: `center` is where the centre is then, `since` is that round.
+
+        Where the formation has stopped at a wall, it has no velocity any more. A mission that stands still is its own.
+        """
+        return self if self.velocity is None else _at(self, round_)
+
+    def resized(self, places: int) -> Mission:
+        """The same mission for a plan of so many places.
+
+        For a moving centre resize first, then look where it is: a larger formation stops sooner.
+
+        Raises:
+            InputError: the shape does not exist for that number, or it does not fit.
+        """
+        return self if places == self.n_places else _resized(self, places)
+
+    def change(self, **fields: Any) -> Mission:
+        """A changed mission, validated as a whole. New points make the shape `points`, a new shape drops the points.
+
+        Raises:
+            InputError: naming the first offending field, its value, and what is allowed.
+        """
+        changed = {**self.model_dump(), **fields}
+        if fields.get("points") is not None:
+            changed["shape"] = fields.get("shape", "points")
+            changed["places"] = fields.get("places")
+        elif "shape" in fields and fields["shape"] != self.shape:
+            changed["points"] = None
+        return build_mission(**changed)
+
+    def refuses(self, new: Mission) -> str | None:
+        """Why a mission that came over the radio may not replace this one, or None.
+
+        Shape, places, centre, spacing and velocity are the operator's to change; a robot's limits and surroundings
+        are its own.
+        """
+        if new.dim != self.dim:
+            return f"it has {new.dim} dimensions, not {self.dim}"
+        for field in SAFETY_FIELDS:
+            if getattr(new, field) != getattr(self, field):
+                return f"it changes {field}, which is not up to a mission"
+        return None
 
     def check_sensing(self) -> None:
         """Raise InputError unless the safety shield's proof holds: no robot may appear out of nowhere in one round.
@@ -205,6 +316,23 @@ class Mission(BaseModel):
                 f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on "
                 "(raise sense_range or comm_range, lower max_step, or switch the shield off)",
             )
+
+
+@lru_cache(maxsize=256)
+def _at(mission: Mission, round_: int) -> Mission:
+    """`Mission.at`, without validation: what was valid stays so on the way, and nothing cached is taken on."""
+    center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
+    stopped = round_ - mission.since >= mission.travel_rounds
+    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
+    fields.update(center=center, since=max(round_, mission.since))
+    if stopped:
+        fields.update(velocity=None, since=0)
+    return Mission.model_construct(**fields)
+
+
+@lru_cache(maxsize=256)
+def _resized(mission: Mission, places: int) -> Mission:
+    return mission.change(places=None if places == mission.n_robots else places)
 
 
 def build_mission(**fields: Any) -> Mission:

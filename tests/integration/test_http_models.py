@@ -178,17 +178,18 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
             model = pool.model("openai-compatible:stand-in", robot=robot, rng=np.random.default_rng(robot))
             planner = LanguagePlanner(
                 robot,
-                mission,
                 Limited(model, limits),
                 PromptSet.load(None, json=False),
                 max_retries=8,
                 on_attempt=attempts.append,
             )
             here = (10.0 * robot, 20.0)
-            plan = await planner.plan(PlanQuestion(robot=robot, round=0, position=here, neighbors=()))
+            plan = await planner.plan(PlanQuestion(mission=mission, robot=robot, round=0, position=here, neighbors=()))
             assert isinstance(plan, PlanAnswer)
             step = await planner.step(
-                StepQuestion(robot=robot, round=1, position=here, neighbors=(), plan=plan.plan, slot=plan.slot)
+                StepQuestion(
+                    mission=mission, robot=robot, round=1, position=here, neighbors=(), plan=plan.plan, slot=plan.slot
+                )
             )
             return plan, step
 

@@ -37,9 +37,9 @@ def test_no_step_exceeds_the_limit_and_a_goal_in_reach_is_met_exactly(
         points=(target,), center=(0.0,) * dim, arena=((-100.0,) * dim, (100.0,) * dim), max_step=max_step
     )
     plan = Plan.of([target])
-    question = StepQuestion(robot=0, round=1, position=position, neighbors=(), plan=plan, slot=0)
+    question = StepQuestion(mission=mission, robot=0, round=1, position=position, neighbors=(), plan=plan, slot=0)
     model = Responder(parse_profile(profile), np.random.default_rng(0))
-    text = model.answer([("system", PROMPTS.system(mission)), ("user", PROMPTS.step(mission, question))])
+    text = model.answer([("system", PROMPTS.system(mission)), ("user", PROMPTS.step(question))])
     waypoint = parse_step(text, dim)
     step, distance = math.dist(position, waypoint), math.dist(position, plan.points[0])
     assert step <= max_step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 from llm_flock.llm.fallback import FallbackPlanner
 from llm_flock.llm.geometry import GeometryPlanner
@@ -12,8 +13,8 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 
 MISSION = Mission(shape="triangle", n_robots=3)
 PLAN = Plan.of(MISSION.ideal or ())
-ASK_PLAN = PlanQuestion(robot=0, round=1, position=(20.0, 20.0), neighbors=())
-ASK_STEP = StepQuestion(robot=0, round=1, position=(20.0, 20.0), neighbors=(), plan=PLAN, slot=0)
+ASK_PLAN = PlanQuestion(mission=MISSION, robot=0, round=1, position=(20.0, 20.0), neighbors=())
+ASK_STEP = StepQuestion(mission=MISSION, robot=0, round=1, position=(20.0, 20.0), neighbors=(), plan=PLAN, slot=0)
 
 
 class Always:
@@ -32,8 +33,8 @@ class Always:
 def asked(
     plan: PlanAnswer | NoAnswer, step: StepAnswer | NoAnswer, mission: Mission = MISSION
 ) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:
-    planner = FallbackPlanner(mission, Always(plan, step), GeometryPlanner(0, mission), shield_on=True)
-    return asyncio.run(planner.plan(ASK_PLAN)), asyncio.run(planner.step(ASK_STEP))
+    planner = FallbackPlanner(Always(plan, step), GeometryPlanner(0), shield_on=True)
+    return asyncio.run(planner.plan(replace(ASK_PLAN, mission=mission))), asyncio.run(planner.step(ASK_STEP))
 
 
 def test_a_model_that_answers_is_left_alone() -> None:
@@ -57,5 +58,5 @@ def test_where_both_fail_the_models_failure_counts() -> None:
     failure = NoAnswer(cause="server", reason="500")
     words = Mission(shape="text:a cloud", n_robots=3)
     assert asked(failure, failure, words)[0] == failure
-    planner = FallbackPlanner(words, Always(failure, failure), Always(failure, failure), shield_on=True)
+    planner = FallbackPlanner(Always(failure, failure), Always(failure, failure), shield_on=True)
     assert asyncio.run(planner.step(ASK_STEP)) == failure

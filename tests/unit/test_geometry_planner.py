@@ -16,37 +16,41 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 CIRCLE = build_mission(shape="circle", n_robots=10)
 
 
-def plan_of(planner: GeometryPlanner, position: tuple[float, ...] = (0.0, 0.0)) -> PlanAnswer:
-    answer = asyncio.run(planner.plan(PlanQuestion(robot=3, round=1, position=position, neighbors=())))
+def plan_of(planner: GeometryPlanner, mission: Mission = CIRCLE) -> PlanAnswer:
+    question = PlanQuestion(mission=mission, robot=3, round=1, position=(0.0, 0.0), neighbors=())
+    answer = asyncio.run(planner.plan(question))
     assert isinstance(answer, PlanAnswer)
     return answer
 
 
 def step_of(mission: Mission, position: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, ...]:
-    question = StepQuestion(robot=3, round=1, position=position, neighbors=(), plan=Plan.of([goal]), slot=0)
-    answer = asyncio.run(GeometryPlanner(3, mission).step(question))
+    question = StepQuestion(
+        mission=mission, robot=3, round=1, position=position, neighbors=(), plan=Plan.of([goal]), slot=0
+    )
+    answer = asyncio.run(GeometryPlanner(3).step(question))
     assert isinstance(answer, StepAnswer)
     return answer.waypoint
 
 
 def test_without_chance_the_plan_is_the_reference_orientation() -> None:
-    answer = plan_of(GeometryPlanner(3, CIRCLE))
+    answer = plan_of(GeometryPlanner(3))
     assert answer.slot == 3
     np.testing.assert_allclose(answer.plan.array, np.array(CIRCLE.ideal), atol=1e-6)
 
 
 def test_chance_turns_the_plan_about_the_centre_and_the_seed_repeats_it() -> None:
-    plans = [plan_of(GeometryPlanner(3, CIRCLE, np.random.default_rng(seed))).plan for seed in (1, 1, 2)]
+    plans = [plan_of(GeometryPlanner(3, np.random.default_rng(seed))).plan for seed in (1, 1, 2)]
     assert plans[0] == plans[1] != plans[2]
     radii = np.linalg.norm(plans[2].array - CIRCLE.center, axis=1)
     np.testing.assert_allclose(radii, radii[0], atol=1e-5)
-    planner = GeometryPlanner(3, CIRCLE, np.random.default_rng(1))
+    planner = GeometryPlanner(3, np.random.default_rng(1))
     assert plan_of(planner) == plan_of(planner)
 
 
 def test_nobody_knows_the_points_of_a_shape_in_words() -> None:
-    planner = GeometryPlanner(0, build_mission(shape="text:a cloud", n_robots=4))
-    answer = asyncio.run(planner.plan(PlanQuestion(robot=0, round=1, position=(0.0, 0.0), neighbors=())))
+    words = build_mission(shape="text:a cloud", n_robots=4)
+    question = PlanQuestion(mission=words, robot=0, round=1, position=(0.0, 0.0), neighbors=())
+    answer = asyncio.run(GeometryPlanner(0).plan(question))
     assert isinstance(answer, NoAnswer) and "a cloud" in answer.reason
 
 
@@ -62,7 +66,15 @@ def test_in_space_a_formation_turns_about_the_third_axis() -> None:
     np.testing.assert_allclose(turned(points, (5, 5, 5), math.pi / 2), [[5, 6, 2], [5, 4, 8]], atol=1e-12)
     assert points[0, 0] == 6.0
     mission = build_mission(points=points.tolist(), center=(5, 5, 5), arena=((0, 0, 0), (20, 20, 20)), spacing=4)
-    plan = plan_of(GeometryPlanner(1, mission, np.random.default_rng(0))).plan
+    plan = plan_of(GeometryPlanner(1, np.random.default_rng(0)), mission).plan
     assert math.isclose(math.dist(*plan.points), math.sqrt(40), abs_tol=1e-5)
     waypoint = step_of(mission, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0))
     assert waypoint == pytest.approx((0, 0, 6))
+
+
+def test_the_question_says_how_many_places_and_where_and_spares_count_on() -> None:
+    planner = GeometryPlanner(9)
+    spares = plan_of(planner, CIRCLE.change(places=8, center=(40, 45)))
+    assert len(spares.plan) == 8 and spares.slot == 1
+    np.testing.assert_allclose(spares.plan.array.mean(axis=0), (40, 45), atol=1e-6)
+    assert len(plan_of(planner, CIRCLE.change(places=12)).plan) == 12

@@ -46,7 +46,14 @@ from llm_flock.mission import Mission, build_mission
         ({"shape": "points"}, "points", "shape 'points'"),
         ({"points": ((0, 0), (1, 1)), "n_robots": 2}, "shape", "at least safe_distance = 3"),
         ({"points": ((0, 0, 0), (9, 9, 9)), "n_robots": 2}, "points", "2 coordinates in each row"),
-        ({"points": ((0, 0), (9, 9)), "n_robots": 3}, "n_robots", "2"),
+        ({"points": ((0, 0), (9, 9)), "n_robots": 3, "places": 4}, "places", "2"),
+        ({"places": 0}, "places", "greater than or equal to 1"),
+        ({"shape": "triangle", "n_robots": 3, "places": 4}, "places", "divisible by 3"),
+        ({"shape": "circle", "n_robots": 3, "places": 60}, "arena", "of 60 places"),
+        ({"velocity": (1, 2, 3)}, "velocity", "2 numbers"),
+        ({"velocity": (3, 0.1)}, "velocity", "at most max_step / 2 = 3 a round"),
+        ({"velocity": (math.nan, 0)}, "velocity.0", "finite"),
+        ({"since": -1}, "since", "greater than or equal to 0"),
         ({"colour": "red"}, "colour", "not permitted"),
     ],
 )
@@ -96,3 +103,87 @@ def test_three_dimensions_are_taken_with_given_points() -> None:
         points=((0, 0, 0), (10, 0, 0), (0, 10, 5)), center=(50, 50, 50), arena=((0, 0, 0), (100, 100, 100))
     )
     assert mission.dim == 3 and mission.ideal is not None and len(mission.ideal[0]) == 3
+
+
+def test_the_shape_goes_by_places_and_the_team_by_robots() -> None:
+    spares, gaps = Mission(n_robots=5, places=3), Mission(n_robots=3, places=5)
+    assert (Mission().n_places, spares.n_places, gaps.n_places) == (10, 3, 5)
+    for mission in (spares, gaps):
+        assert mission.ideal is not None and len(mission.ideal) == mission.n_places
+    three = build_mission(points=((0, 0), (10, 0), (5, 9)), n_robots=5)
+    assert (three.n_robots, three.n_places) == (5, 3)
+    assert build_mission(points=((0, 0), (10, 0), (5, 9)), places=3).n_robots == 3
+
+
+def test_a_moving_centre_is_where_it_is_at_the_end_of_a_round() -> None:
+    mission = Mission(shape="line", n_robots=3, velocity=(2, -1), since=5)
+    assert mission.ideal is not None and mission.digest
+    assert mission.drift(0) == mission.drift(5) == (0, 0)
+    assert mission.drift(9) == (8, -4)
+    later = mission.at(9)
+    assert later.center == (58, 46) and (later.velocity, later.since) == ((2, -1), 9)
+    assert later.digest != mission.digest and later == Mission(**later.model_dump()) and later.at(9) == later
+    assert later.ideal is not None and later.ideal[1] == (58, 46)
+    assert later.at(11).center == mission.at(11).center == (62, 44)
+    assert mission.at(3) == mission
+    still = Mission()
+    assert still.at(100) is still and still.drift(100) == (0, 0)
+
+
+def test_a_formation_stops_as_a_whole_where_it_would_touch_a_wall() -> None:
+    mission = Mission(shape="line", n_robots=3, velocity=(2, 0))  # reaches 10 to both sides
+    assert mission.drift(19) == (38, 0) and mission.drift(20) == mission.drift(1000) == (40, 0)
+    assert mission.at(1000).center == (90, 50)
+    assert mission.at(1000) == mission.at(20) and mission.at(20).velocity is None
+    assert Mission(shape="line", n_robots=3, velocity=(2, -2.2)).drift(1000) == pytest.approx((40 / 1.1, -40))
+    words = Mission(shape="text:a heap", n_robots=3, velocity=(0, -2.5))
+    assert words.at(1000).center == (50, 0)
+    assert Mission(velocity=(0, 0)).at(7).center == (50, 50)
+
+
+def test_a_mission_is_resized_where_the_shape_allows_it() -> None:
+    mission = Mission(shape="square", n_robots=8)
+    four = mission.resized(4)
+    assert (four.n_robots, four.n_places) == (8, 4) and mission.resized(8) is mission
+    assert four.resized(8) == mission and four.resized(8).digest == mission.digest
+    with pytest.raises(InputError, match=r"places = 6.*divisible by 4"):
+        mission.resized(6)
+
+
+def test_a_changed_mission_is_validated_as_a_whole() -> None:
+    mission = Mission(n_robots=4)
+    assert mission.change(shape="square", center=(60, 50)) == Mission(shape="square", n_robots=4, center=(60, 50))
+    custom = mission.change(points=((0, 0), (10, 0)))
+    assert (custom.shape, custom.n_robots, custom.n_places) == ("points", 4, 2)
+    assert custom.change(points=((0, 0), (10, 0), (20, 0), (30, 0))).places is None
+    assert custom.change(shape="circle").points is None
+    with pytest.raises(InputError, match="divisible by 3"):
+        mission.change(shape="triangle")
+    with pytest.raises(InputError, match="center"):
+        mission.change(center=(99, 50))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"n_robots": 5},
+        {"safe_distance": 2},
+        {"max_step": 7},
+        {"comm_range": 20},
+        {"sense_range": 20},
+        {"arena": ((0, 0), (200, 200))},
+        {"obstacles": ({"center": (0, 0), "radius": 1},)},
+    ],
+)
+def test_what_is_a_robots_own_is_not_changed_by_a_mission(fields: dict[str, Any]) -> None:
+    mission = Mission(n_robots=4)
+    assert next(iter(fields)) in (mission.refuses(mission.change(**fields)) or "")
+
+
+def test_what_is_the_operators_may_change() -> None:
+    mission = Mission(n_robots=4)
+    new = mission.change(shape="line", places=3, center=(40, 40), spacing=8, velocity=(1, 1), since=9)
+    assert mission.refuses(new) is None and mission.refuses(mission) is None
+    points = ((0, 0, 0), (9, 0, 0), (0, 9, 0), (0, 0, 9))
+    space = build_mission(points=points, center=(50, 50, 50), arena=((0, 0, 0), (100, 100, 100)))
+    assert "3 dimensions" in (mission.refuses(space) or "")

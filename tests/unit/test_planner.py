@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,15 +46,17 @@ class Scripted:
 def planner(model: Any, robot: int = 0, **options: Any) -> tuple[LanguagePlanner, list[Attempt]]:
     heard: list[Attempt] = []
     prompts = PromptSet.load(json=True) if options.get("answers") == "json" else PROMPTS
-    return LanguagePlanner(robot, MISSION, model, prompts, on_attempt=heard.append, **options), heard
+    return LanguagePlanner(robot, model, prompts, on_attempt=heard.append, **options), heard
 
 
 def plan_question(round_: int = 1, robot: int = 0) -> PlanQuestion:
-    return PlanQuestion(robot=robot, round=round_, position=(1.0, 2.0), neighbors=())
+    return PlanQuestion(mission=MISSION, robot=robot, round=round_, position=(1.0, 2.0), neighbors=())
 
 
 def step_question(round_: int = 1, robot: int = 0, x: float = 1.0) -> StepQuestion:
-    return StepQuestion(robot=robot, round=round_, position=(x, 2.0), neighbors=(), plan=Plan.of(POINTS), slot=2)
+    return StepQuestion(
+        mission=MISSION, robot=robot, round=round_, position=(x, 2.0), neighbors=(), plan=Plan.of(POINTS), slot=2
+    )
 
 
 def roles(call: Call) -> str:
@@ -173,9 +176,9 @@ def test_json_answers_come_with_a_schema() -> None:
 
 def test_prompts_for_another_form_are_refused() -> None:
     with pytest.raises(InputError, match="'text', as the prompts ask for"):
-        LanguagePlanner(0, MISSION, Scripted(), PROMPTS, answers="json")
+        LanguagePlanner(0, Scripted(), PROMPTS, answers="json")
     with pytest.raises(InputError, match="max_retries"):
-        LanguagePlanner(0, MISSION, Scripted(), PROMPTS, max_retries=-1)
+        LanguagePlanner(0, Scripted(), PROMPTS, max_retries=-1)
 
 
 def test_checks_can_object_in_words_for_the_model() -> None:
@@ -231,10 +234,39 @@ def test_a_recorded_conversation_replays_call_for_call(tmp_path: Path) -> None:
     first: list[Attempt] = []
     with CassetteWriter(tmp_path / "c.jsonl") as cassette:
         record: Callable[[Attempt], None] = lambda attempt: (first.append(attempt), cassette(attempt))[0]  # noqa: E731
-        told = asyncio.run(talk(LanguagePlanner(0, MISSION, Scripted(*script), PROMPTS, on_attempt=record)))
+        told = asyncio.run(talk(LanguagePlanner(0, Scripted(*script), PROMPTS, on_attempt=record)))
     with ReplayModel(tmp_path / "c.jsonl") as replay:
         again, heard = planner(replay)
         assert asyncio.run(talk(again)) == told
     assert [(a.call, a.parsed, a.rejected, a.error, a.faults) for a in heard] == [
         (a.call, a.parsed, a.rejected, a.error, a.faults) for a in first
     ]
+
+
+def test_the_question_says_how_many_places_a_plan_has() -> None:
+    question = replace(plan_question(), mission=MISSION.change(shape="line", places=2))
+    two = "Plan: [[1, 2], [3, 4]]\nmy plan: 0"
+    model = Scripted(PLAN_TEXT, two)
+    answer = asyncio.run(planner(model)[0].plan(question))
+    assert isinstance(answer, PlanAnswer) and len(answer.plan) == 2
+    assert "the plan holds 3 points, 2 are required" in model.calls[1].messages[-1].text
+    assert "Places: 2 for 3 robots" in model.calls[0].messages[0].text
+    model = Scripted(two)
+    asyncio.run(planner(model, answers="json")[0].plan(question))
+    schema = model.calls[0].schema
+    assert schema is not None and schema["properties"]["plan"]["maxItems"] == 2
+
+
+def test_another_mission_begins_another_conversation_and_a_centre_that_travels_does_not() -> None:
+    moving = MISSION.change(velocity=(1, 0))
+    missions = [MISSION, MISSION, moving, moving.at(3), moving.at(4), moving.change(velocity=(1, 1)), MISSION]
+    model = Scripted(*["Position: [1, 2]"] * len(missions))
+    thinker, _ = planner(model, history=History(exchanges=None))
+
+    async def talk() -> None:
+        for mission in missions:
+            await thinker.step(replace(step_question(), mission=mission))
+
+    asyncio.run(talk())
+    assert [len(call.messages) // 2 - 1 for call in model.calls] == [0, 1, 0, 1, 2, 0, 0]
+    assert "[54, 50]" in model.calls[4].messages[0].text

@@ -22,13 +22,21 @@ PLAN = Plan.of([[41.5, 58.350853], [36, 48.824573], [47, 48.824573]])
 SEEN = ((1.0, 2.0), (-3.14159, 4.00004))
 
 
+ASKED: dict[str, Any] = {
+    "mission": MISSION,
+    "robot": 2,
+    "round": 4,
+    "position": (12.3456, 7.0),
+    "neighbors": SEEN,
+}
+
+
 def plan_question(**changes: Any) -> PlanQuestion:
-    return PlanQuestion(**{"robot": 2, "round": 4, "position": (12.3456, 7.0), "neighbors": SEEN} | changes)
+    return PlanQuestion(**ASKED | changes)
 
 
 def step_question(**changes: Any) -> StepQuestion:
-    fields = {"robot": 2, "round": 4, "position": (12.3456, 7.0), "neighbors": SEEN, "plan": PLAN, "slot": 1}
-    return StepQuestion(**fields | changes)
+    return StepQuestion(**ASKED | {"plan": PLAN, "slot": 1} | changes)
 
 
 def test_the_system_message_holds_every_field_of_the_paper() -> None:
@@ -46,24 +54,24 @@ def test_the_system_message_holds_every_field_of_the_paper() -> None:
 
 
 def test_the_plan_message_gives_id_centre_and_form() -> None:
-    text = PromptSet.load().plan(MISSION, plan_question())
+    text = PromptSet.load().plan(plan_question())
     assert "You are robot 2." in text and "[41.5, 52]" in text and "exactly 3 places" in text
     assert text.endswith("Plan: [[x, y], [x, y], ...]\nmy plan: a")
 
 
 def test_the_step_message_gives_position_neighbours_plan_goal_and_form() -> None:
-    text = PromptSet.load().step(MISSION, step_question())
+    text = PromptSet.load().step(step_question())
     assert "Your position: [12.346, 7.000]\n" in text
     assert "[[1.000, 2.000], [-3.142, 4.000]]\n" in text
     assert "[[41.5, 58.350853], [36.0, 48.824573], [47.0, 48.824573]]\n" in text
     assert "place 1 of the plan: [36.0, 48.824573]\n" in text
     assert text.endswith("Position: [x, y]")
-    assert ": none\n" in PromptSet.load().step(MISSION, step_question(neighbors=()))
+    assert ": none\n" in PromptSet.load().step(step_question(neighbors=()))
 
 
 def test_json_prompts_ask_for_objects_only() -> None:
     prompts = PromptSet.load(json=True)
-    plan, step = prompts.plan(MISSION, plan_question()), prompts.step(MISSION, step_question())
+    plan, step = prompts.plan(plan_question()), prompts.step(step_question())
     assert '{"plan": [[x, y], [x, y], ...], "my_plan": a}' in plan and "my plan:" not in plan
     assert step.endswith('{"position": [x, y]}')
     assert "JSON" in prompts.retry("it is empty.", "step") and "JSON" not in PromptSet.load().retry(
@@ -82,9 +90,11 @@ def test_nothing_assumes_a_plane() -> None:
     mission = build_mission(points=points, center=(20, 20, 20), arena=((0, 0, 0), (40, 40, 40)))
     prompts = PromptSet.load()
     assert "three-dimensional" in prompts.system(mission) and "[20, 20, 20]" in prompts.system(mission)
-    question = plan_question(position=(1.0, 2.0, 3.0), neighbors=((4.0, 5.0, 6.0),))
-    assert "Plan: [[x, y, z], [x, y, z], ...]" in prompts.plan(mission, question)
-    step = prompts.step(mission, step_question(position=(1, 2, 3), neighbors=((4, 5, 6),), plan=Plan.of(points)))
+    question = plan_question(mission=mission, position=(1.0, 2.0, 3.0), neighbors=((4.0, 5.0, 6.0),))
+    assert "Plan: [[x, y, z], [x, y, z], ...]" in prompts.plan(question)
+    step = prompts.step(
+        step_question(mission=mission, position=(1, 2, 3), neighbors=((4, 5, 6),), plan=Plan.of(points))
+    )
     assert "[[4.000, 5.000, 6.000]]" in step and step.endswith("Position: [x, y, z]")
 
 
@@ -97,7 +107,7 @@ def test_a_custom_shape_is_told_by_its_points_and_a_text_shape_by_its_words() ->
 
 def test_a_team_of_one_is_asked_for_one_place() -> None:
     mission = build_mission(shape="circle", n_robots=1)
-    assert "Plan: [[x, y]]\n" in PromptSet.load().plan(mission, plan_question(robot=0))
+    assert "Plan: [[x, y]]\n" in PromptSet.load().plan(plan_question(mission=mission, robot=0))
 
 
 @pytest.mark.parametrize(("value", "text"), [(10.0, "10"), (2.5, "2.5"), (0.1 + 0.2, "0.3"), (1e6, "1000000")])
@@ -124,8 +134,8 @@ def test_files_of_the_operator_replace_packaged_ones(tmp_path: Path) -> None:
     )
     (tmp_path / "head.j2").write_text("I, robot", encoding="utf-8")
     prompts = PromptSet.load(tmp_path)
-    assert prompts.step(MISSION, step_question()) == "I, robot 2 4 3"
-    assert prompts.plan(MISSION, plan_question()) == PromptSet.load().plan(MISSION, plan_question())
+    assert prompts.step(step_question()) == "I, robot 2 4 3"
+    assert prompts.plan(plan_question()) == PromptSet.load().plan(plan_question())
 
 
 @pytest.mark.parametrize(
@@ -189,3 +199,45 @@ def test_obstacles_are_told_where_there_are_any_and_change_nothing_else() -> Non
         obstacles=[{"center": (9, 9, 9), "radius": 5}],
     )
     assert "a ball of radius 5 around [9, 9, 9]" in prompts.system(ball)
+
+
+def test_places_are_told_only_where_there_is_not_one_for_each_robot() -> None:
+    prompts = PromptSet.load()
+    team = build_mission(shape="circle", n_robots=10)
+    for mission in (team, team.change(places=10)):
+        assert "Places" not in prompts.system(mission)
+        assert "the 10 robots" in prompts.plan(plan_question(mission=mission))
+    spares, gaps = team.change(places=8), team.change(places=12)
+    assert "- Places: 8 for 10 robots, so 2 of the robots wait aside\n- Centre" in prompts.system(spares)
+    assert "- Places: 12 for 10 robots, so 2 of the places stay empty\n- Centre" in prompts.system(gaps)
+    told = prompts.plan(plan_question(mission=spares))
+    assert "exactly 8 places for the team of 10 robots," in told and "from 0 to 9" in told
+    assert "lists all 8 places" in PromptSet.load(json=True).plan(plan_question(mission=spares))
+
+
+def test_a_travelling_formation_is_told_of_its_velocity() -> None:
+    prompts = PromptSet.load()
+    mission = MISSION.change(velocity=(1, -0.5), since=2)
+    line = (
+        "- Velocity of the centre: [1.0, -0.5] in a round; the whole formation travels, and centre, places and goals "
+        "are given for the end of this round\n"
+    )
+    assert prompts.system(mission).replace(line, "") == prompts.system(MISSION) != prompts.system(mission)
+    assert "- Centre of the shape: [43.5, 51]\n" + line in prompts.system(mission.at(4))
+
+
+def test_the_written_out_missions_of_a_long_way_are_forgotten() -> None:
+    prompts = PromptSet.load()
+    mission = MISSION.change(velocity=(0.01, 0))
+    first = prompts.system(mission.at(1))
+    for round_ in range(2, 200):
+        assert prompts.plan(plan_question(mission=mission.at(round_)))
+    assert prompts.system(mission.at(1)) == first
+    assert len(prompts._missions) <= 64
+
+
+def test_a_spare_is_told_where_it_waits() -> None:
+    text = PromptSet.load().step(step_question(slot=None, target=(1.0, 2.0)))
+    assert "Your goal, where you wait, out of the others' way: [1.0, 2.0]\n" in text
+    with pytest.raises(AssertionError, match="where to wait"):
+        assert step_question(slot=None).goal

@@ -26,6 +26,7 @@ from llm_flock.metrics import procrustes
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification import check_plan
 
 ROOT = Path(__file__).parents[2]
 TEXT, JSON = PromptSet.load(), PromptSet.load(json=True)
@@ -36,8 +37,8 @@ Conversation = list[tuple[str, str]]
 
 
 def plan_talk(mission: Mission = CIRCLE, robot: int = 3, prompts: PromptSet = TEXT) -> Conversation:
-    question = PlanQuestion(robot=robot, round=1, position=mission.center, neighbors=())
-    return [("system", prompts.system(mission)), ("user", prompts.plan(mission, question))]
+    question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
+    return [("system", prompts.system(mission)), ("user", prompts.plan(question))]
 
 
 def step_talk(
@@ -48,8 +49,10 @@ def step_talk(
     plan: Plan = PLAN,
     prompts: PromptSet = TEXT,
 ) -> Conversation:
-    question = StepQuestion(robot=3, round=1, position=position, neighbors=neighbors, plan=plan, slot=slot)
-    return [("system", prompts.system(mission)), ("user", prompts.step(mission, question))]
+    question = StepQuestion(
+        mission=mission, robot=3, round=1, position=position, neighbors=neighbors, plan=plan, slot=slot
+    )
+    return [("system", prompts.system(mission)), ("user", prompts.step(question))]
 
 
 def responder(profile: str = "ideal", seed: int = 0) -> Responder:
@@ -277,8 +280,8 @@ def test_slow_models_take_about_a_second() -> None:
 def test_a_planner_with_other_prompts_gets_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "step.j2").write_text("Where to?", encoding="utf-8")
     model = PydanticModel(simulated_model(Profile(), 0, np.random.default_rng(0)), name="simulated:ideal")
-    planner = LanguagePlanner(0, CIRCLE, model, PromptSet.load(tmp_path))
-    question = StepQuestion(robot=0, round=1, position=(1.0, 2.0), neighbors=(), plan=PLAN, slot=0)
+    planner = LanguagePlanner(0, model, PromptSet.load(tmp_path))
+    question = StepQuestion(mission=CIRCLE, robot=0, round=1, position=(1.0, 2.0), neighbors=(), plan=PLAN, slot=0)
     with pytest.raises(InputError, match="the only ones understood"):
         asyncio.run(planner.step(question))
 
@@ -289,12 +292,14 @@ def test_a_planner_and_a_malformed_model_get_along() -> None:
     )
     tries: list[int] = []
     planner = LanguagePlanner(
-        0, CIRCLE, model, TEXT, max_retries=30, on_attempt=lambda attempt: tries.append(attempt.call.attempt)
+        0, model, TEXT, max_retries=30, on_attempt=lambda attempt: tries.append(attempt.call.attempt)
     )
 
     async def walk() -> None:
         for round_ in range(10):
-            question = StepQuestion(robot=0, round=round_, position=(20.0, 20.0), neighbors=(), plan=PLAN, slot=0)
+            question = StepQuestion(
+                mission=CIRCLE, robot=0, round=round_, position=(20.0, 20.0), neighbors=(), plan=PLAN, slot=0
+            )
             assert isinstance(await planner.step(question), StepAnswer)
 
     asyncio.run(walk())
@@ -339,3 +344,10 @@ def test_turning_keeps_the_reference_unchanged() -> None:
     ideal = np.array(CIRCLE.ideal)
     turned(ideal, (50, 50), 1.0)
     np.testing.assert_array_equal(ideal, np.array(CIRCLE.ideal))
+
+
+@pytest.mark.parametrize("places", [8, 12])
+def test_a_stand_in_plans_for_as_many_places_as_it_is_told(places: int) -> None:
+    mission = CIRCLE.change(places=places)
+    plan, slot = parse_plan(responder().answer(plan_talk(mission, robot=9)), places, 2)
+    assert len(plan) == places and slot == 9 % places and check_plan(mission, plan) is None

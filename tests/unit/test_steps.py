@@ -17,7 +17,7 @@ MISSION = Mission(shape="triangle", n_robots=3)
 
 def ask(position: Point, goal: Point, *neighbors: Point) -> StepQuestion:
     plan = Plan.of([goal, (90.0, 90.0), (80.0, 80.0)])
-    return StepQuestion(robot=0, round=1, position=position, neighbors=neighbors, plan=plan, slot=0)
+    return StepQuestion(mission=MISSION, robot=0, round=1, position=position, neighbors=neighbors, plan=plan, slot=0)
 
 
 def kinds(question: StepQuestion, waypoint: Point) -> list[Fault]:

@@ -128,3 +128,10 @@ def test_a_hundred_robots_are_judged_quickly_however_they_are_numbered(shape: st
     mission = Mission(shape=shape, n_robots=100, center=(300, 300), arena=((0, 0), (600, 600)))
     points = np.random.default_rng(1).permutation(formations.rotated(mission.ideal or (), (300, 300), 1.0)).round(2)
     assert plan_class(mission, plan(points)) is PlanClass.EXACT
+
+
+def test_a_plan_has_as_many_places_as_the_mission_asks_for() -> None:
+    mission = Mission(shape="square", n_robots=6, places=4)
+    assert mission.ideal is not None
+    assert check_plan(mission, Plan.of(mission.ideal)) is None
+    assert "4 are required" in (check_plan(mission, Plan.of(SQUARE.ideal or ())) or "")

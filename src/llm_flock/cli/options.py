@@ -113,8 +113,9 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         InputError: a list of numbers cannot be read.
     """
     values = {field: value for field, value in flags.items() if value is not None}
-    if "center" in values:
-        values["center"] = _numbers("center", values["center"])
+    for field in ("center", "velocity"):
+        if field in values:
+            values[field] = _numbers(field, values[field])
     if "arena" in values:
         corner = _numbers("arena", values["arena"])
         half = len(corner) // 2

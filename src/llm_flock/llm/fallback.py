@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import mended
 
@@ -15,14 +14,12 @@ class FallbackPlanner:
     A rejected waypoint that the shield can mend comes first: it is closer to what the model wanted.
 
     Args:
-        mission: what the team is asked to do.
         first: who is asked.
         second: who answers when `first` does not.
         shield_on: whether the robot has a safety shield.
     """
 
-    def __init__(self, mission: Mission, first: Planner, second: Planner, *, shield_on: bool) -> None:
-        self._mission = mission
+    def __init__(self, first: Planner, second: Planner, *, shield_on: bool) -> None:
         self._first = first
         self._second = second
         self._shield_on = shield_on
@@ -41,7 +38,7 @@ class FallbackPlanner:
         if isinstance(answer, StepAnswer):
             return answer
         unfit = answer.waypoint
-        if unfit is not None and mended(self._mission, question, unfit, shield_on=self._shield_on) is not None:
+        if unfit is not None and mended(question.mission, question, unfit, shield_on=self._shield_on) is not None:
             return answer
         second = await self._second.step(question)
         return replace(second, instead_of=answer) if isinstance(second, StepAnswer) else answer

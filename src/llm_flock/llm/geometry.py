@@ -8,7 +8,6 @@ import numpy as np
 
 from llm_flock import formations
 from llm_flock.arrays import Points
-from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
@@ -25,33 +24,31 @@ class GeometryPlanner:
 
     Args:
         robot: whose planner this is.
-        mission: what the team is asked to do.
         rng: draws the orientation, as independent models would choose theirs; without it, the reference orientation.
     """
 
-    def __init__(self, robot: int, mission: Mission, rng: np.random.Generator | None = None) -> None:
+    def __init__(self, robot: int, rng: np.random.Generator | None = None) -> None:
         self._robot = robot
-        self._mission = mission
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """The ideal points, the same ones every time, and the place of the robot's own number.
+        """The ideal points, the same ones every time, and the place of the robot's own number (of spares: counted on).
 
         No answer for a shape in words, whose points nobody knows.
         """
-        mission = self._mission
+        mission = question.mission
         if mission.ideal is None:
             return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
         plan = Plan.of(turned(np.array(mission.ideal), mission.center, self._angle_rad).tolist())
-        return PlanAnswer(plan=plan, slot=self._robot)
+        return PlanAnswer(plan=plan, slot=self._robot % len(plan))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Straight towards the goal, as far as the step limit allows."""
-        distance = math.dist(question.position, question.goal)
-        if distance <= self._mission.max_step:
+        distance, max_step = math.dist(question.position, question.goal), question.mission.max_step
+        if distance <= max_step:
             return StepAnswer(waypoint=question.goal)
         # A hair short of the limit, so that rounding cannot exceed it.
-        share = self._mission.max_step * (1 - 1e-12) / distance
+        share = max_step * (1 - 1e-12) / distance
         return StepAnswer(
             waypoint=tuple(x + share * (g - x) for x, g in zip(question.position, question.goal, strict=True))
         )

@@ -1,6 +1,7 @@
 """A robot's conversation with its language model: ask, read, ask again with the reason, give up after some tries.
 
-Each robot has a planner of its own, and a planner holds nothing but its own robot's conversation.
+Each robot has a planner of its own, and a planner holds nothing but its own robot's conversation. Every question brings
+its mission along, which may be another one than the last time.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from llm_flock.errors import AnswerError, InputError, ModelError
@@ -55,6 +57,20 @@ def parse_history(text: str) -> History:
     return History(exchanges=int(count))
 
 
+_plan_schema = lru_cache(maxsize=16)(read.plan_schema)
+_step_schema = lru_cache(maxsize=4)(read.step_schema)
+
+
+def _same_task(one: Mission, other: Mission) -> bool:
+    """Whether two missions are the same but for the way that a moving centre has come."""
+    if one.digest == other.digest:
+        return True
+    if one.velocity is None or one.velocity != other.velocity:
+        return False
+    way = {"center", "since"}
+    return one.model_dump(exclude=way) == other.model_dump(exclude=way)
+
+
 class LanguagePlanner:
     """A `Planner` that asks a language model.
 
@@ -63,7 +79,6 @@ class LanguagePlanner:
 
     Args:
         robot: whose planner this is.
-        mission: what the team is asked to do.
         model: who answers.
         prompts: how questions are put into words; loaded for the same form of answers.
         max_retries: how often a rejected answer is sent back before giving up.
@@ -81,7 +96,6 @@ class LanguagePlanner:
     def __init__(
         self,
         robot: int,
-        mission: Mission,
         model: LanguageModel,
         prompts: PromptSet,
         *,
@@ -98,7 +112,6 @@ class LanguagePlanner:
         if prompts.json != (answers == "json"):
             raise InputError("answers", answers, f"'{'json' if prompts.json else 'text'}', as the prompts ask for")
         self._robot = robot
-        self._mission = mission
         self._model = model
         self._prompts = prompts
         self._max_retries = max_retries
@@ -108,18 +121,14 @@ class LanguagePlanner:
         self._check_plan = check_plan
         self._check_step = check_step
         self._clock = clock
-        self._system = ChatMessage("system", prompts.system(mission))
         self._history: list[ChatMessage] = []
-        self._schemas: dict[Kind, dict[str, Any]] = {
-            "plan": read.plan_schema(mission.n_robots, mission.dim),
-            "step": read.step_schema(mission.dim),
-        }
+        self._about: Mission | None = None
         self._round = -1
         self._attempt = 0
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
         """Ask for a plan of the whole formation and the robot's own place in it."""
-        n, dim = self._mission.n_robots, self._mission.dim
+        n, dim = question.mission.n_places, question.mission.dim
 
         def parse(text: str) -> tuple[PlanAnswer, dict[str, Any]]:
             plan, slot = read.parse_plan_json(text, n, dim) if self._json else read.parse_plan(text, n, dim)
@@ -128,12 +137,12 @@ class LanguagePlanner:
         def objection(answer: PlanAnswer) -> str | None:
             return None if self._check_plan is None else self._check_plan(question, answer)
 
-        text = self._prompts.plan(self._mission, question)
-        return await self._converse("plan", question.round, text, parse, objection)
+        schema = _plan_schema(n, dim) if self._json else None
+        return await self._converse("plan", question, self._prompts.plan(question), schema, parse, objection)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask for the next waypoint."""
-        dim = self._mission.dim
+        dim = question.mission.dim
 
         def parse(text: str) -> tuple[StepAnswer, dict[str, Any]]:
             waypoint = read.parse_step_json(text, dim) if self._json else read.parse_step(text, dim)
@@ -142,23 +151,25 @@ class LanguagePlanner:
         def objection(answer: StepAnswer) -> str | None:
             return None if self._check_step is None else self._check_step(question, answer)
 
-        text = self._prompts.step(self._mission, question)
-        return await self._converse("step", question.round, text, parse, objection)
+        schema = _step_schema(dim) if self._json else None
+        return await self._converse("step", question, self._prompts.step(question), schema, parse, objection)
 
     async def _converse(
         self,
         kind: Kind,
-        round_: int,
+        asked: PlanQuestion | StepQuestion,
         text: str,
+        schema: dict[str, Any] | None,
         parse: Callable[[str], tuple[A, dict[str, Any]]],
         objection: Callable[[A], str | None],
     ) -> A | NoAnswer:
         """One question, and as many tries at it as are allowed."""
-        question = ChatMessage("user", text)
-        messages = (self._system, *self._history, question)
+        self._remember_only(asked.mission)
+        system, question = ChatMessage("system", self._prompts.system(asked.mission)), ChatMessage("user", text)
+        messages = (system, *self._history, question)
         reason, unfit = "", None
         for _ in range(1 + self._max_retries):
-            call = self._call(kind, round_, messages)
+            call = self._call(kind, asked.round, messages, schema)
             began = self._clock()
             try:
                 reply = await self._model.ask(call)
@@ -189,10 +200,16 @@ class LanguagePlanner:
             messages += (said, ChatMessage("user", self._prompts.retry(reason, kind)))
         tries = 1 + self._max_retries
         story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
-        logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
+        logger.info("robot %d, round %d, %s: %s", self._robot, asked.round, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
-    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...]) -> Call:
+    def _remember_only(self, mission: Mission) -> None:
+        """Forget the exchanges about another mission; a centre that travels does not make it another one."""
+        if self._about is None or not _same_task(self._about, mission):
+            self._history = []
+        self._about = mission
+
+    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> Call:
         """The next call of this robot; attempts are numbered through a round, over both kinds of questions."""
         if round_ != self._round:
             self._round, self._attempt = round_, 0
@@ -202,7 +219,7 @@ class LanguagePlanner:
             kind=kind,
             attempt=self._attempt,
             messages=messages,
-            schema=self._schemas[kind] if self._json else None,
+            schema=schema,
         )
         self._attempt += 1
         return call

@@ -32,15 +32,30 @@ logger = logging.getLogger(__name__)
 
 AXES = ("x", "y", "z")
 
+REMEMBERED = 64
+"""So many missions are kept written out."""
+
 TEAM = frozenset(
-    {"shape", "n_robots", "dim", "center", "spacing", "safe_distance", "max_step", "comm_range", "obstacles"}
+    {
+        "shape",
+        "n_robots",
+        "places",
+        "dim",
+        "center",
+        "velocity",
+        "spacing",
+        "safe_distance",
+        "max_step",
+        "comm_range",
+        "obstacles",
+    }
 )
 COMMON = TEAM | {"json", "point_format", "plan_format"}
 OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON | OBSERVED,
-    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching"},
+    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching", "waiting"},
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
 """The templates, and the variables that each may use."""
@@ -121,15 +136,17 @@ def mission_variables(mission: Mission) -> Mapping[str, Any]:
     return {
         "shape": shape_text(mission),
         "n_robots": mission.n_robots,
+        "places": mission.n_places,
         "dim": mission.dim,
         "center": "[" + ", ".join(map(number_text, mission.center)) + "]",
+        "velocity": "" if mission.velocity is None else place_text(mission.velocity),
         "spacing": number_text(mission.spacing),
         "safe_distance": number_text(mission.safe_distance),
         "max_step": number_text(mission.max_step),
         "comm_range": number_text(mission.comm_range),
         "obstacles": obstacles_text(mission),
         "point_format": f"[{axes}]",
-        "plan_format": f"[[{axes}], [{axes}], ...]" if mission.n_robots > 1 else f"[[{axes}]]",
+        "plan_format": f"[[{axes}], [{axes}], ...]" if mission.n_places > 1 else f"[[{axes}]]",
     }
 
 
@@ -147,6 +164,7 @@ class PromptSet:
     _missions: dict[str, Mapping[str, Any]] = field(
         default_factory=dict[str, Mapping[str, Any]], init=False, repr=False
     )
+    _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
 
     @classmethod
     def load(cls, directory: Path | None = None, *, json: bool = False) -> Self:
@@ -172,18 +190,22 @@ class PromptSet:
 
     def system(self, mission: Mission) -> str:
         """The system message: the same text for every robot of the team."""
-        return self._render("system.j2", self._common(mission))
+        known = self._systems.get(mission.digest)
+        if known is None:
+            known = self._systems[mission.digest] = self._render("system.j2", self._common(mission))
+        return known
 
-    def plan(self, mission: Mission, question: PlanQuestion) -> str:
+    def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
-        return self._render("plan.j2", self._observed(mission, question))
+        return self._render("plan.j2", self._observed(question))
 
-    def step(self, mission: Mission, question: StepQuestion) -> str:
+    def step(self, question: StepQuestion) -> str:
         """The position update message."""
-        variables = self._observed(mission, question)
+        variables = self._observed(question)
         variables["plan"] = plan_text(question.plan)
         variables["slot"] = question.slot
-        variables["searching"] = question.target is not None
+        variables["searching"] = question.target is not None and question.slot is not None
+        variables["waiting"] = question.slot is None
         variables["goal"] = place_text(question.goal)
         return self._render("step.j2", variables)
 
@@ -195,13 +217,17 @@ class PromptSet:
         """Written out once for each mission, because every message needs it."""
         known = self._missions.get(mission.digest)
         if known is None:
+            if len(self._missions) >= REMEMBERED:
+                # A centre that travels makes another mission of every round.
+                self._missions.clear()
+                self._systems.clear()
             known = self._missions[mission.digest] = {**mission_variables(mission), "json": self.json}
         return known
 
-    def _observed(self, mission: Mission, question: PlanQuestion | StepQuestion) -> dict[str, Any]:
-        decimals = position_decimals(mission.max_step)
+    def _observed(self, question: PlanQuestion | StepQuestion) -> dict[str, Any]:
+        decimals = position_decimals(question.mission.max_step)
         return {
-            **self._common(mission),
+            **self._common(question.mission),
             "robot": question.robot,
             "round": question.round,
             "position": position_text(question.position, decimals),
@@ -228,8 +254,8 @@ class PromptSet:
         here, there = (40.0, 40.0), ((45.0, 40.0),)
         plan = Plan.of(mission.ideal or ())
         self.system(mission)
-        self.plan(mission, PlanQuestion(robot=0, round=1, position=here, neighbors=there))
-        self.step(mission, StepQuestion(robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0))
+        self.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there))
+        self.step(StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0))
         for kind in ("plan", "step"):
             self.retry("the answer is an example.", kind)
 

@@ -19,6 +19,7 @@ from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 _FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
 _TEAM = re.compile(r"in a team of ([0-9]+)")
+_PLACES = re.compile(r"^- Places: ([0-9]+) ", re.MULTILINE)
 _LINE = re.compile(r"^- ([A-Z][a-z ]+): (.*)$", re.MULTILINE)
 _ROBOT = re.compile(r"You are robot ([0-9]+)")
 _POLYGON = re.compile(r"a regular polygon with ([0-9]+) sides")
@@ -37,14 +38,14 @@ class Task:
 
     Attributes:
         shape: the shape in words.
-        n_robots: number of robots.
+        n_places: number of places: one for each robot, where nothing else is said.
         center: centre of the shape [units].
         spacing: distance between neighbouring places [units].
         max_step: longest step [units].
     """
 
     shape: str
-    n_robots: int
+    n_places: int
     center: Point
     spacing: float
     max_step: float
@@ -99,12 +100,12 @@ def read_task(system: str) -> Task:
     Raises:
         InputError: for field `prompts`: it does not say the task in the packaged words.
     """
-    team, lines = _TEAM.search(system), dict(_LINE.findall(system))
+    team, lines = _PLACES.search(system) or _TEAM.search(system), dict(_LINE.findall(system))
     center = numbers(lines.get("Centre of the shape", ""))
     spacing, max_step = numbers(lines.get("Spacing", "")), numbers(lines.get("Step limit", ""))
     if team is None or "Shape" not in lines or not (center and spacing and max_step):
         raise _other_words("system.j2", system)
-    return Task(shape=lines["Shape"], n_robots=int(team[1]), center=center, spacing=spacing[0], max_step=max_step[0])
+    return Task(shape=lines["Shape"], n_places=int(team[1]), center=center, spacing=spacing[0], max_step=max_step[0])
 
 
 def read_plan(text: str) -> PlanPrompt:
@@ -146,9 +147,10 @@ def check_prompts(prompts: PromptSet, mission: Mission) -> None:
         InputError: for field `prompts`: a template is in words that simulated models do not understand.
     """
     read_task(prompts.system(mission))
-    here, plan = mission.center, Plan.of([mission.center] * mission.n_robots)
-    read_plan(prompts.plan(mission, PlanQuestion(robot=0, round=1, position=here, neighbors=())))
-    read_step(prompts.step(mission, StepQuestion(robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0)))
+    here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
+    read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))
+    step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0)
+    read_step(prompts.step(step))
 
 
 def _line_after(text: str, mark: str) -> str:
@@ -171,7 +173,7 @@ def formation(task: Task) -> Points:
 
     A shape that is only described in words becomes a circle: that is all a stand-in can imagine.
     """
-    center, n = task.center, task.n_robots
+    center, n = task.center, task.n_places
     if _GIVEN in task.shape:
         rows = np.array(numbers(task.shape.partition(_GIVEN)[2])).reshape(n, len(center))
         points = formations.ideal_points("points", n, center, task.spacing, rows.tolist())

@@ -109,7 +109,7 @@ class Responder:
             noise = self._rng.normal(0.0, 0.2 * task.spacing, points.shape)
             points = task.center + (points - task.center) * stretch + noise
         rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
-        index, cut = prompt.robot, False
+        index, cut = prompt.robot % task.n_places, False
         if "malformed" in failures:
             match int(self._rng.integers(5)):
                 case 0:
@@ -117,7 +117,7 @@ class Responder:
                 case 1:
                     rows = rows[:-1]
                 case 2:
-                    index = task.n_robots
+                    index = task.n_places
                 case 3:
                     rows[0][0] = math.nan
                 case _:
@@ -125,7 +125,7 @@ class Responder:
         said = json.dumps({"plan": rows, "my_plan": index}) if prompt.json else f"Plan: {rows}\nmy plan: {index}"
         if not prompt.json:
             said = (
-                f"The shape is {task.shape[:200]}. I put its {task.n_robots} places around the centre, "
+                f"The shape is {task.shape[:200]}. I put its {task.n_places} places around the centre, "
                 f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
                 f"and take the place with my own number.\n\n{said}"
             )

@@ -154,7 +154,13 @@ class Agent:
         self.neighbors = event.neighbors
         if self.plan is not None:
             return Phase.NEGOTIATING, []
-        question = PlanQuestion(robot=self.robot, round=event.round, position=event.position, neighbors=event.observed)
+        question = PlanQuestion(
+            mission=self.mission,
+            robot=self.robot,
+            round=event.round,
+            position=event.position,
+            neighbors=event.observed,
+        )
         return Phase.PLANNING, [AskPlan(question)]
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
@@ -277,6 +283,7 @@ class Agent:
             return Phase.MOVING, self._hold("no_goal", reason)
         effects = self._look_for_others(self.plan, self.claim.slot)
         question = StepQuestion(
+            mission=self.mission,
             robot=self.robot,
             round=self._round,
             position=self.position,

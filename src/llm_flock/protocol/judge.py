@@ -57,12 +57,12 @@ class Judge:
         asked = answer.waypoint
         if not self.verify:
             return answer.waypoint if isinstance(answer, StepAnswer) else answer
-        fit = None if asked is None else mended(self._mission, question, asked, shield_on=self._shield_on)
+        fit = None if asked is None else mended(question.mission, question, asked, shield_on=self._shield_on)
         if fit is not None:
             return fit
         if isinstance(answer, NoAnswer):
             return answer
-        return NoAnswer(cause="unverified", reason=check_step(self._mission, question, answer.waypoint) or "")
+        return NoAnswer(cause="unverified", reason=check_step(question.mission, question, answer.waypoint) or "")
 
 
 def fallback_notes(question: str, by: str, failure: NoAnswer | None) -> list[Note]:

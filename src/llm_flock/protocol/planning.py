@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 from llm_flock.arrays import Point
+from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 
 
@@ -14,12 +15,14 @@ class PlanQuestion:
     """Propose a whole formation and your own place in it.
 
     Attributes:
+        mission: what the question is about, as it is at the end of this round and for as many places as are asked for.
         robot: who asks (0-based id).
         round: motion round in which it asks.
         position: where the robot believes it is [units; world frame].
         neighbors: believed positions of the robots it observes, in ascending order of their ids.
     """
 
+    mission: Mission
     robot: int
     round: int
     position: Point
@@ -31,23 +34,27 @@ class StepQuestion:
     """Choose the next waypoint on the way to the goal; fields as in PlanQuestion, and the agreed plan.
 
     Attributes:
-        plan: the plan that is followed.
-        slot: own place in it.
+        plan: the plan that is followed, as it stands at the end of this round.
+        slot: own place in it; None for a spare robot, which goes to wait at `target`.
         target: where to go instead of the own place (a search is under way), None otherwise [units; world frame].
     """
 
+    mission: Mission
     robot: int
     round: int
     position: Point
     neighbors: tuple[Point, ...]
     plan: Plan
-    slot: int
+    slot: int | None
     target: Point | None = None
 
     @property
     def goal(self) -> Point:
         """Where the robot is to go: its own place in the plan, or `target` [units; world frame]."""
-        return self.plan.points[self.slot] if self.target is None else self.target
+        if self.target is not None:
+            return self.target
+        assert self.slot is not None, "a robot without a place is told where to wait"
+        return self.plan.points[self.slot]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

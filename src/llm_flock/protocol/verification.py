@@ -103,7 +103,7 @@ def _verdict(mission: Mission, plan: Plan) -> _Verdict:
 
 @lru_cache(maxsize=16)
 def _expected(mission: Mission) -> _Expected:
-    if mission.ideal is None or mission.n_robots == 1:
+    if mission.ideal is None or mission.n_places == 1:
         points, distances = None, np.array([mission.spacing])
     else:
         points = np.array(mission.ideal)
@@ -127,8 +127,8 @@ def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
 
 
 def _fault_of_form(mission: Mission, plan: Plan) -> str | None:
-    if len(plan) != mission.n_robots:
-        return f"the plan holds {len(plan)} points, {mission.n_robots} are required."
+    if len(plan) != mission.n_places:
+        return f"the plan holds {len(plan)} points, {mission.n_places} are required."
     for i, point in enumerate(plan.points):
         if len(point) != mission.dim:
             return f"point {i} has {len(point)} numbers, {mission.dim} are required."

@@ -16,12 +16,11 @@ from llm_flock.llm.models import (
     parse_models,
     parse_settings,
 )
-from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
+from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
-from llm_flock.mission import Mission
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import check_step
 from llm_flock.protocol.verification import check_plan
@@ -65,14 +64,14 @@ class Thinkers:
         if any(parse_model(name).kind == "simulated" for name in self.names):
             check_prompts(prompts, config.mission)
         history = parse_history(model.history)
-        plan_check, step_check = _checks(config.mission) if config.protocol.verify else (None, None)
+        plan_check, step_check = (_check_plan, _check_step) if config.protocol.verify else (None, None)
         planners: list[Planner] = []
         for robot, text in enumerate(self.names):
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
             thinker: LanguageModel
             if name.kind == "geometry":
-                planners.append(GeometryPlanner(robot, config.mission, rng))
+                planners.append(GeometryPlanner(robot, rng))
                 continue
             if name.kind == "replay":
                 if text not in self._replays:
@@ -83,7 +82,6 @@ class Thinkers:
                 thinker = Limited(asked, self._limits)
             planner: Planner = LanguagePlanner(
                 robot,
-                config.mission,
                 thinker,
                 prompts,
                 max_retries=model.max_retries,
@@ -95,8 +93,8 @@ class Thinkers:
             )
             if config.protocol.fallback == "geometry":
                 # In the reference orientation: robots whose models fail propose one and the same plan.
-                geometry = GeometryPlanner(robot, config.mission)
-                planner = FallbackPlanner(config.mission, planner, geometry, shield_on=bool(config.protocol.shield))
+                geometry = GeometryPlanner(robot)
+                planner = FallbackPlanner(planner, geometry, shield_on=bool(config.protocol.shield))
             planners.append(planner)
         self.planners: Sequence[Planner] = planners
 
@@ -127,13 +125,11 @@ class Thinkers:
             replay.close()
 
 
-def _checks(mission: Mission) -> tuple[CheckPlan, CheckStep]:
-    """What a language model's answers must pass, in the form in which its planner asks."""
+def _check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+    """What a language model's plan must pass, in the form in which its planner asks."""
+    return check_plan(question.mission, answer.plan)
 
-    def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-        return check_plan(mission, answer.plan)
 
-    def step(question: StepQuestion, answer: StepAnswer) -> str | None:
-        return check_step(mission, question, answer.waypoint)
-
-    return plan, step
+def _check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
+    """What a language model's waypoint must pass."""
+    return check_step(question.mission, question, answer.waypoint)
