@@ -326,9 +326,11 @@ def _at(mission: Mission, round_: int) -> Mission:
     """`Mission.at`, without validation: what was valid stays so on the way, and nothing cached is taken on."""
     center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
     stopped = round_ - mission.since >= mission.travel_rounds
-    fields = {name: getattr(mission, name) for name in Mission.model_fields}
-    moved = {"center": center} | ({"velocity": None, "since": 0} if stopped else {"since": max(round_, mission.since)})
-    return Mission.model_construct(**(fields | moved))
+    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
+    fields.update(center=center, since=max(round_, mission.since))
+    if stopped:
+        fields.update(velocity=None, since=0)
+    return Mission.model_construct(**fields)
 
 
 @lru_cache(maxsize=256)

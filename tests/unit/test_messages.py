@@ -38,10 +38,23 @@ FULL = Message(
     offer=Offer(to=0, give=0, take=1, give_version=0, take_version=3, bid=-2.5),
     beats=(7, 3),
 )
-FIELDS = (
-    "sender sequence neighbors mission mission_digest mission_text pedigree places plan_digest plan slot table_digest "
-    "claims offer beats"
-).split()
+FIELDS = [
+    "sender",
+    "sequence",
+    "neighbors",
+    "mission",
+    "mission_digest",
+    "mission_text",
+    "pedigree",
+    "places",
+    "plan_digest",
+    "plan",
+    "slot",
+    "table_digest",
+    "claims",
+    "offer",
+    "beats",
+]
 PEDIGREE = ("epoch", "neighbors", "proposer", "sequence")
 OFFER = [0, 0, 1, 0, 3, -2.5]
 

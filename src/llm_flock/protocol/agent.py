@@ -151,6 +151,8 @@ class Agent:
         allowed = TRANSITIONS.get((self.phase, type(event)))
         if allowed is None:
             raise IllegalEvent(f"{type(event).__name__} in phase {self.phase}")
+        phase: Phase
+        effects: list[Effect]
         match event:
             case Received():
                 phase, effects = self.phase, [*self._talks.receive(event.payload)]

@@ -113,7 +113,16 @@ class Stopped:
 
 
 Event: TypeAlias = (
-    RoundBegan | MissionGiven | Planned | TickBegan | Received | TickEnded | NegotiationEnded | Decided | Arrived | Stopped
+    RoundBegan
+    | MissionGiven
+    | Planned
+    | TickBegan
+    | Received
+    | TickEnded
+    | NegotiationEnded
+    | Decided
+    | Arrived
+    | Stopped
 )
 
 # Effects: what the robot wants done.

@@ -1,9 +1,9 @@
 """Who is alive: heartbeats that everybody passes on, so that out of range is not dead.
 
-A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware 1998).
-Every robot counts its own rounds; counters travel with the messages and meet by the element-wise maximum. A robot whose
-counter has stood still for longer than the time-out is taken for silent: dead, or cut off together with all who hear it.
-That is a suspicion and no more. Whoever was suspected wrongly is heard of again and is alive again.
+A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware
+1998). Every robot counts its own rounds; counters travel with the messages and meet by the element-wise maximum. A
+robot whose counter has stood still for longer than the time-out is taken for silent: dead, or cut off together with all
+who hear it. That is a suspicion and no more: whoever was suspected wrongly is heard of again, and alive again.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 TIME_OUT = 10
-"""Rounds that a heartbeat may take: more than a team of a hundred needs to pass it on, and a short flight out of range."""
+"""Rounds without a heartbeat, by whatever way, after which a robot is taken for dead: some flights lead out of everybody's
+range for a while."""
 
 
 class Liveness:
@@ -66,8 +67,8 @@ class Liveness:
     def hear(self, heard: Sequence[Sequence[int]]) -> None:
         """Take the counters of a tick's messages, each of N numbers.
 
-        Who was dead, or restarted, and hears of its own former life, counts on from there: otherwise nobody would notice
-        its new heartbeats.
+        Who was restarted, and hears of its own former life, counts on from there: otherwise nobody would notice its
+        new heartbeats.
         """
         if not heard:
             return

@@ -1,8 +1,8 @@
 """What robots say to each other: one kind of message, versioned, size-limited, validated on receipt.
 
-A message carries the sender's whole public standing: its mission, its influence, its plan with that plan's pedigree, the
-slot it claims and, for the auction, its claims on all slots. What is long is named by a digest, and said in full only
-where a neighbour may lack it (`llm_flock.protocol.speech`). Positions are not in it: they are sensed.
+A message carries the sender's whole public standing: its mission, its influence, its plan with that plan's pedigree,
+the slot it claims and, for the auction, its claims on all slots. What is long is named by a digest, and said in full
+only where a neighbour may lack it (`llm_flock.protocol.speech`). Positions are not in it: they are sensed.
 """
 
 from __future__ import annotations

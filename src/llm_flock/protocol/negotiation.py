@@ -10,7 +10,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 
 from msgspec.structs import replace
 
@@ -243,6 +243,8 @@ class Negotiation:
         except MessageError as error:
             return [self._reject(error)]
         notes = self._consider(message) if message.mission > self.stamp else []
+        if message.mission_text is not None and message.mission > self.stamp:
+            return notes  # refused: who pursues such a mission is not of this team
         self._speech.hear(message)
         if message.beats is not None:
             self._beats.append(message.beats)
@@ -318,9 +320,10 @@ def _mission_fields(text: str) -> dict[str, Any]:
         MessageError: it is not a JSON object of fields that may change.
     """
     try:
-        said = json.loads(text)
+        said: object = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise MessageError("malformed", f"the mission is not JSON ({error})") from None
-    if not isinstance(said, dict) or not said.keys() <= MISSION_FIELDS:
+    fields = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": said}
+    if not fields.keys() <= MISSION_FIELDS:
         raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
-    return said
+    return fields

@@ -17,6 +17,7 @@ from llm_flock.protocol.surroundings import static_half_spaces
 CLOSE = 1e-6
 """Pairs that keep the safe distance to within this count as apart [units]."""
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flight:
     """What is flown instead of a wish, who made it, and what the record is told."""

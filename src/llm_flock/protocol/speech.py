@@ -1,10 +1,10 @@
 """What is said in full: long things are named by a digest, and spelled out where a neighbour may lack them.
 
 Everything in a message may be merged in parts and in any order, so what to leave out is a matter of cost and never of
-right. Whoever hears a digest that differs from its own spells out its side, until it hears its own digest back; so a lost
-message is repeated as long as it matters, and robots that agree exchange a few dozen bytes. Large tables are spelled out
-once a round at most, and otherwise by what changed (delta states: Almeida, Shoker, Baquero: Delta state replicated data
-types, 2018).
+right. Whoever hears a digest that differs from its own spells out its side, until it hears its own digest back; so a
+lost message is repeated as long as it matters, and robots that agree exchange a few dozen bytes. Large tables are
+spelled out once a round at most, and otherwise by what changed (delta states: Almeida, Shoker, Baquero: Delta state
+replicated data types, 2018).
 """
 
 from __future__ import annotations

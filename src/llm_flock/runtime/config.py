@@ -49,7 +49,7 @@ class ProtocolConfig(Section):
     ticks: Count | None = Field(default=None, description="Message exchanges per motion round [preset's]")
     gaps: Literal["report", "remake"] = Field(
         default="report",
-        description="When fewer robots are alive than the plan has places: report the gaps, or remake the plan for them",
+        description="When fewer robots are alive than the plan has places: report the gaps, or remake the plan",
     )
     time_out: Count = Field(
         default=TIME_OUT, description="Rounds without a heartbeat, by whatever way, after which a robot counts as dead"
