@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 TIME_OUT = 10
-"""Rounds without a heartbeat, by whatever way, after which a robot is taken for dead: some flights lead out of everybody's
-range for a while."""
+"""Rounds without a heartbeat, by whatever way, after which a robot is taken for dead; some flights lead out of
+everybody's range for a while."""
 
 
 class Liveness:
