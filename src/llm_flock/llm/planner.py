@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm import answers as read
+from llm_flock.llm import schemas
 from llm_flock.llm.port import Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
@@ -71,7 +72,7 @@ class LanguagePlanner:
         answers: the paper's text forms, or JSON objects with a schema.
         on_attempt: told of every call and what came of it.
         check_plan: an objection to a plan that can be read, or None.
-        check_step: an objection to a waypoint that can be read, or None.
+        check_step: an objection to a waypoint or path that can be read, or None.
         clock: seconds, only differences matter.
 
     Raises:
@@ -110,10 +111,6 @@ class LanguagePlanner:
         self._clock = clock
         self._system = ChatMessage("system", prompts.system(mission))
         self._history: list[ChatMessage] = []
-        self._schemas: dict[Kind, dict[str, Any]] = {
-            "plan": read.plan_schema(mission.n_robots, mission.dim),
-            "step": read.step_schema(mission.dim),
-        }
         self._round = -1
         self._attempt = 0
 
@@ -129,13 +126,19 @@ class LanguagePlanner:
             return None if self._check_plan is None else self._check_plan(question, answer)
 
         text = self._prompts.plan(self._mission, question)
-        return await self._converse("plan", question.round, text, parse, objection)
+        schema = schemas.plan_schema(n, dim) if self._json else None
+        return await self._converse("plan", question.round, text, schema, parse, objection)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Ask for the next waypoint."""
-        dim = self._mission.dim
+        """Ask for the next waypoint, or for a path."""
+        dim, horizon = self._mission.dim, question.horizon
 
         def parse(text: str) -> tuple[StepAnswer, dict[str, Any]]:
+            if horizon > 1:
+                reader = read.parse_path_json if self._json else read.parse_path
+                waypoint, *path = reader(text, horizon, dim)
+                parsed = {"waypoint": list(waypoint), "path": [list(point) for point in path]}
+                return StepAnswer(waypoint=waypoint, path=tuple(path)), parsed
             waypoint = read.parse_step_json(text, dim) if self._json else read.parse_step(text, dim)
             return StepAnswer(waypoint=waypoint), {"waypoint": list(waypoint)}
 
@@ -143,13 +146,17 @@ class LanguagePlanner:
             return None if self._check_step is None else self._check_step(question, answer)
 
         text = self._prompts.step(self._mission, question)
-        return await self._converse("step", question.round, text, parse, objection)
+        schema = None
+        if self._json:
+            schema = schemas.step_schema(dim) if horizon == 1 else schemas.path_schema(horizon, dim)
+        return await self._converse("step", question.round, text, schema, parse, objection)
 
     async def _converse(
         self,
         kind: Kind,
         round_: int,
         text: str,
+        schema: dict[str, Any] | None,
         parse: Callable[[str], tuple[A, dict[str, Any]]],
         objection: Callable[[A], str | None],
     ) -> A | NoAnswer:
@@ -158,7 +165,7 @@ class LanguagePlanner:
         messages = (self._system, *self._history, question)
         reason, unfit = "", None
         for _ in range(1 + self._max_retries):
-            call = self._call(kind, round_, messages)
+            call = self._call(kind, round_, messages, schema)
             began = self._clock()
             try:
                 reply = await self._model.ask(call)
@@ -192,7 +199,7 @@ class LanguagePlanner:
         logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
-    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...]) -> Call:
+    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> Call:
         """The next call of this robot; attempts are numbered through a round, over both kinds of questions."""
         if round_ != self._round:
             self._round, self._attempt = round_, 0
@@ -202,7 +209,7 @@ class LanguagePlanner:
             kind=kind,
             attempt=self._attempt,
             messages=messages,
-            schema=self._schemas[kind] if self._json else None,
+            schema=schema,
         )
         self._attempt += 1
         return call

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -40,7 +40,7 @@ OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON | OBSERVED,
-    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching"},
+    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching", "horizon"},
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
 """The templates, and the variables that each may use."""
@@ -185,6 +185,7 @@ class PromptSet:
         variables["slot"] = question.slot
         variables["searching"] = question.target is not None
         variables["goal"] = place_text(question.goal)
+        variables["horizon"] = question.horizon
         return self._render("step.j2", variables)
 
     def retry(self, reason: str, kind: Kind) -> str:
@@ -229,7 +230,9 @@ class PromptSet:
         plan = Plan.of(mission.ideal or ())
         self.system(mission)
         self.plan(mission, PlanQuestion(robot=0, round=1, position=here, neighbors=there))
-        self.step(mission, StepQuestion(robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0))
+        step = StepQuestion(robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0)
+        for question in (step, replace(step, horizon=2)):
+            self.step(mission, question)
         for kind in ("plan", "step"):
             self.retry("the answer is an example.", kind)
 

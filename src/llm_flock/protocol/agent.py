@@ -39,6 +39,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
+from llm_flock.protocol.foresight import HORIZON, Foresight, Reason
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.messages import Message, Pedigree, decode, encode
 from llm_flock.protocol.plan import Plan
@@ -62,6 +63,7 @@ class Agent:
         shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
+        on_event: let the planner give a path, and ask it again only when something unforeseen happens.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Agent:
         shield_on: bool,
         noise_bound: float = 0.0,
         verify: bool = False,
+        on_event: bool = False,
     ) -> None:
         self.robot = robot
         self.mission = mission
@@ -88,6 +91,9 @@ class Agent:
         self._safety = Safety(robot, mission, noise_bound) if shield_on else None
         self._judge = Judge(mission, verify=verify, shield_on=shield_on)
         self._question: StepQuestion | None = None
+        self._horizon = HORIZON if on_event else 1
+        self._foresight: Foresight | None = None
+        self.on_path = False  # whether this round's step was foreseen, and nobody asked for it
         self._no_plan: NoAnswer | None = None
         self._proposals = 0
         self._own_slot: int | None = None
@@ -135,7 +141,7 @@ class Agent:
             case NegotiationEnded():
                 phase, effects = self._ask_step()
             case Decided():
-                phase, effects = Phase.MOVING, self._move(event.answer)
+                phase, effects = Phase.MOVING, self._take_step(event.answer)
             case Arrived():
                 phase, effects = Phase.IDLE, []
             case Stopped():
@@ -274,6 +280,7 @@ class Agent:
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
         if self.plan is None or self.claim.slot is None:
             reason = "no plan yet" if self.plan is None else "every slot is claimed by others"
+            self._foresight, self.on_path = None, False
             return Phase.MOVING, self._hold("no_goal", reason)
         effects = self._look_for_others(self.plan, self.claim.slot)
         question = StepQuestion(
@@ -284,9 +291,30 @@ class Agent:
             plan=self.plan,
             slot=self.claim.slot,
             target=self._search.target,
+            horizon=self._horizon,
         )
         self._question = question
+        surprise = None if self._foresight is None else self._surprise(self._foresight, question)
+        self.on_path = self._foresight is not None and surprise is None
+        if self._foresight is not None and surprise is None:
+            return Phase.MOVING, [*effects, *self._move(self._foresight.answer)]
+        if surprise is not None:
+            effects.append(Note("asked_again", {"reason": surprise.value}))
         return Phase.DECIDING, [*effects, AskStep(question)]
+
+    def _surprise(self, foresight: Foresight, question: StepQuestion) -> Reason | None:
+        """Why the planner must be asked again; a step that does not pass the checks any more is a reason as well."""
+        found = foresight.surprise(self.mission, question, self._sensed)
+        if found is None and isinstance(self._judge.waypoint(question, foresight.answer), NoAnswer):
+            return Reason.UNFIT
+        return found
+
+    def _take_step(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
+        """An answer of the planner; where it may be a path, the robot remembers it."""
+        assert self._question is not None, "only a robot that asked is answered"
+        if self._question.horizon > 1:
+            self._foresight = Foresight.of(self.mission, self._question, answer, self._sensed)
+        return self._move(answer)
 
     def _look_for_others(self, plan: Plan, slot: int) -> list[Effect]:
         """Begin, continue or end the search for robots that hold the slots known as vacant."""
@@ -327,6 +355,8 @@ class Agent:
             origin = Origin.SHIELD
         if failure is not None and origin is not Origin.DETOUR:
             origin = Origin.FALLBACK
+        if self._foresight is not None:
+            self._foresight = self._foresight.flown(self.mission, self.position, flown)
         return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
 
     def _hold(self, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:

@@ -23,7 +23,7 @@ from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import check_step
+from llm_flock.protocol.steps import check_answer
 from llm_flock.protocol.verification import check_plan
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
@@ -65,7 +65,9 @@ class Thinkers:
         if any(parse_model(name).kind == "simulated" for name in self.names):
             check_prompts(prompts, config.mission)
         history = parse_history(model.history)
-        plan_check, step_check = _checks(config.mission) if config.protocol.verify else (None, None)
+        shield_on = bool(config.protocol.shield)
+        checks = _checks(config.mission, shield_on=shield_on)
+        plan_check, step_check = checks if config.protocol.verify else (None, None)
         planners: list[Planner] = []
         for robot, text in enumerate(self.names):
             rng = stream(seed, Stream.MODEL, robot)
@@ -96,7 +98,7 @@ class Thinkers:
             if config.protocol.fallback == "geometry":
                 # In the reference orientation: robots whose models fail propose one and the same plan.
                 geometry = GeometryPlanner(robot, config.mission)
-                planner = FallbackPlanner(config.mission, planner, geometry, shield_on=bool(config.protocol.shield))
+                planner = FallbackPlanner(config.mission, planner, geometry, shield_on=shield_on)
             planners.append(planner)
         self.planners: Sequence[Planner] = planners
 
@@ -127,13 +129,13 @@ class Thinkers:
             replay.close()
 
 
-def _checks(mission: Mission) -> tuple[CheckPlan, CheckStep]:
+def _checks(mission: Mission, *, shield_on: bool) -> tuple[CheckPlan, CheckStep]:
     """What a language model's answers must pass, in the form in which its planner asks."""
 
     def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
         return check_plan(mission, answer.plan)
 
     def step(question: StepQuestion, answer: StepAnswer) -> str | None:
-        return check_step(mission, question, answer.waypoint)
+        return check_answer(mission, question, answer, shield_on=shield_on)
 
     return plan, step
