@@ -17,7 +17,7 @@ SEEDS = range(20)
 
 
 def fly(seed: int = 0, **options: Any) -> Summary:
-    return run(config=build_config(seed=seed, **{"decide": "on-event"} | options)).summary
+    return run(config=build_config({}, seed=seed, **{"decide": "on-event"} | options)).summary
 
 
 def slowness(summary: Summary) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -131,6 +132,7 @@ def test_in_every_round_by_default() -> None:
         agent.handle(Decided(StepAnswer(waypoint=START)))
 
 
+PROJECT = shield.project
 coordinate = st.floats(-15.0, 15.0)
 place = st.tuples(coordinate, coordinate).map(lambda x: (GOAL[0] + x[0], GOAL[1] + x[1]))
 
@@ -149,11 +151,8 @@ def test_no_step_is_flown_unverified_or_unshielded(
     for sensed in crowd:
         projected: list[Point] = []
 
-        def spied(
-            *args: object, real: object = shield.project, into: list[Point] = projected, **named: object
-        ) -> Point:
-            assert callable(real)
-            into.append(real(*args, **named))
+        def spied(*args: Any, into: list[Point] = projected, **named: Any) -> Point:
+            into.append(PROJECT(*args, **named))
             return into[-1]
 
         with patch.object(shield, "project", spied):

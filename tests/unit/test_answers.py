@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError
 from llm_flock.llm.answers import (
     MAX_CHARS,
