@@ -9,12 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.errors import AnswerError
-from llm_flock.llm.answers import MAX_COORDINATE, parse_plan, parse_plan_json, parse_step, parse_step_json
+from llm_flock.llm.answers import (
+    MAX_COORDINATE,
+    parse_path,
+    parse_path_json,
+    parse_plan,
+    parse_plan_json,
+    parse_step,
+    parse_step_json,
+)
 from llm_flock.protocol.plan import DECIMALS
 
 PIECES = [
-    "Plan: ", "plan", "my plan: ", "my_plan", "My Plan", "Position: ", "position", "New position", "is", "```", "json",
-    "[", "]", "[[", "]]", "(", ")", "{", "}", ",", ", ", ";", ":", "=", "\n", " ", "**", "*", "_", "`", "$", '"', "'",
+    "Path: ", "Plan: ", "plan", "my plan: ", "my_plan", "My Plan", "Position: ", "position", "New position", "is",
+    "```", "json", "[", "]", "[[", "]]", "(", ")", "{", "}", ",", ", ", ";", ":", "=", "\n", " ", "**", "*", "_", "`",
+    "$", '"', "'",
     "\\boxed{", "\\text{", "\\left[", "\\right]", "\\ ", "\\,", "\\[", "\\]", "\\_", "\\n", "\\frac", "\\",
     "1", "2.5", "-3", "+.5", "1e3", "1e999", "1e", "nan", "-inf", "Infinity", "x", "y=", "\u2212", "\u2013", "\uff1a",
     "\ud800", "\u0661", "\U0001f600", "null", "true", "0", "99999999999999999999",
@@ -39,6 +48,17 @@ def test_a_plan_is_read_or_refused(text: str, n: int, dim: int) -> None:
             continue
         assert len(plan) == n and 0 <= slot < n
         assert all(len(p) == dim and all(abs(x) <= MAX_COORDINATE for x in p) for p in plan.points)
+
+
+@given(answers, st.integers(1, 4), st.integers(2, 3))
+def test_a_path_is_read_or_refused(text: str, horizon: int, dim: int) -> None:
+    for parse in (parse_path, parse_path_json):
+        try:
+            path = parse(text, horizon, dim)
+        except AnswerError:
+            continue
+        assert 1 <= len(path) <= horizon
+        assert all(len(p) == dim and all(math.isfinite(x) for x in p) for p in path)
 
 
 @given(answers, st.integers(2, 3))

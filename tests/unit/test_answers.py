@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 
 import pytest
 
+from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError
 from llm_flock.llm.answers import (
     MAX_CHARS,
+    parse_path,
+    parse_path_json,
     parse_plan,
     parse_plan_json,
     parse_step,
     parse_step_json,
-    plan_schema,
-    step_schema,
 )
+from llm_flock.llm.schemas import path_schema, plan_schema, step_schema
 from llm_flock.protocol.plan import Plan
 
 POINTS = [[55.77, 50.0], [47.11, 55.0], [47.11, 45.0]]
@@ -189,7 +192,7 @@ def test_schemas_fix_every_length() -> None:
     assert plan["my_plan"] == {"type": "integer", "minimum": 0, "maximum": 2}
     position = step_schema(3)["properties"]["position"]
     assert (position["minItems"], position["maxItems"]) == (3, 3)
-    for schema in (plan_schema(3, 2), step_schema(3)):
+    for schema in (plan_schema(3, 2), step_schema(3), path_schema(4, 2)):
         assert schema["required"] == list(schema["properties"]) and schema["additionalProperties"] is False
 
 
@@ -231,7 +234,7 @@ HOSTILE = [
 
 
 def all_readings_s(text: str) -> float:
-    """Time for all four ways of reading a text that holds no answer [s]."""
+    """Time for all six ways of reading a text that holds no answer [s]."""
     began = time.perf_counter()
     for read in (parse_plan, parse_plan_json):
         with pytest.raises(AnswerError) as caught:
@@ -240,6 +243,9 @@ def all_readings_s(text: str) -> float:
     for read in (parse_step, parse_step_json):
         with pytest.raises(AnswerError):
             read(text, 2)
+    for read in (parse_path, parse_path_json):
+        with pytest.raises(AnswerError):
+            read(text, 20, 2)
     return time.perf_counter() - began
 
 
@@ -253,9 +259,46 @@ def test_hostile_answers_are_refused_in_linear_time(unit: str) -> None:
 
 @pytest.mark.parametrize("unit", ["[[", "position: [", "\U0001f600", "Plan: [[1,1],"], ids=ascii)
 def test_a_hostile_megabyte_is_refused_within_a_second_a_reading(unit: str) -> None:
-    assert all_readings_s(unit * (MAX_CHARS // len(unit))) < 4.0
+    assert all_readings_s(unit * (MAX_CHARS // len(unit))) < 6.0
 
 
 def test_the_last_of_many_thousand_candidates_wins() -> None:
     text = "Position: [1,1] " * (MAX_CHARS // 20) + "Position: [2,2]"
     assert parse_step(text, 2) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        ("Path: [[1, 2], [3, 4]]", ((1, 2), (3, 4))),
+        ("I go round it.\n**Path:** [(1, 2), (3.5, 4)].", ((1, 2), (3.5, 4))),
+        ("Path: [[9, 9], [8, 8]]\nNo, better: Path: [[1, 2]]", ((1, 2),)),
+        ("The plan is [[7, 7], [8, 8]].\nPosition: [1, 2]", ((1, 2),)),
+        ("[[1, 2], [3, 4]]", ((1, 2), (3, 4))),
+        ("[1, 2]", ((1, 2),)),
+        ('```json\n{"path": [[1, 2], [3, 4]]}\n```', ((1, 2), (3, 4))),
+        ('{"position": [1, 2]}', ((1, 2),)),
+    ],
+)
+def test_a_path_is_read_from_words_and_from_json(text: str, path: tuple[Point, ...]) -> None:
+    assert parse_path_json(text, 4, 2) == path
+    if "position" not in text:
+        assert parse_path(text, 4, 2) == path
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("I stay.", "no complete path; a line `Path: [[...], ...]` with 1 to 2 positions of 2 numbers"),
+        ("Path: [[1, 2], [3, 4], [5, 6]]", "the path holds 3 positions, 1 to 2 are required"),
+        ("Path: [[1, 2], [3, 4, 5]]", "position 2 of the path has 3 numbers"),
+        ("Path: [[1, nan]]", "position 1 of the path holds nan"),
+        ('{"path": []}', "the path holds 0 positions"),
+        ('{"path": 3}', '"path" is not a list; a list of 1 to 2 positions'),
+        ('{"path": [3]}', "the path is not a list of numbers"),
+        ('{"way": [[1, 2]]}', 'no "path"; a list of 1 to 2 positions'),
+    ],
+)
+def test_a_path_that_cannot_be_used_says_why(text: str, reason: str) -> None:
+    with pytest.raises(AnswerError, match=re.escape(reason)):
+        parse_path_json(text, 2, 2)

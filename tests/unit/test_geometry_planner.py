@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,6 +60,23 @@ def test_steps_go_straight_and_end_at_the_goal() -> None:
     waypoint = step_of(CIRCLE, (10.0, 20.0), (40.0, 60.0))
     np.testing.assert_allclose(waypoint, (13.6, 24.8), atol=1e-9)
     assert math.dist(waypoint, (10.0, 20.0)) <= CIRCLE.max_step
+
+
+def test_a_path_goes_straight_on_until_the_goal_or_the_horizon() -> None:
+    mission = build_mission(shape="triangle", n_robots=3)
+    plan = Plan.of([(20.0, 0.0), (90.0, 90.0), (80.0, 80.0)])
+    here = (0.0, 0.0)
+    question = StepQuestion(
+        mission=mission, robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0, horizon=9
+    )
+    answer = asyncio.run(GeometryPlanner(0).step(question))
+    assert isinstance(answer, StepAnswer)
+    assert [answer.waypoint, *answer.path] == [
+        pytest.approx(x) for x in ((6.0, 0.0), (12.0, 0.0), (18.0, 0.0), (20.0, 0.0))
+    ]
+    assert answer.path[-1] == plan.points[0]
+    short = asyncio.run(GeometryPlanner(0).step(replace(question, horizon=2)))
+    assert isinstance(short, StepAnswer) and len(short.path) == 1
 
 
 def test_in_space_a_formation_turns_about_the_third_axis() -> None:

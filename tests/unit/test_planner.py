@@ -174,6 +174,20 @@ def test_json_answers_come_with_a_schema() -> None:
         assert call.schema is not None and field in call.schema["properties"]
 
 
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_where_several_waypoints_may_be_given_a_path_is_read(form: str) -> None:
+    said = '{"path": [[1, 2], [3, 4]]}' if form == "json" else "Path: [[1, 2], [3, 4]]"
+    model = Scripted("Path: [[1, 2], [3, 4], [5, 6]]", said)
+    thinker, heard = planner(model, answers=form)
+    question = replace(step_question(), horizon=2)
+    assert asyncio.run(thinker.step(question)) == StepAnswer(waypoint=(1.0, 2.0), path=((3.0, 4.0),))
+    assert heard[0].rejected == "the path holds 3 positions, 1 to 2 are required."
+    assert heard[1].parsed == {"waypoint": [1.0, 2.0], "path": [[3.0, 4.0]]}
+    assert all((call.schema is None) == (form == "text") for call in model.calls)
+    if form == "json":
+        assert (model.calls[0].schema or {})["properties"]["path"]["maxItems"] == 2
+
+
 def test_prompts_for_another_form_are_refused() -> None:
     with pytest.raises(InputError, match="'text', as the prompts ask for"):
         LanguagePlanner(0, Scripted(), PROMPTS, answers="json")

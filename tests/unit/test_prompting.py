@@ -69,11 +69,38 @@ def test_the_step_message_gives_position_neighbours_plan_goal_and_form() -> None
     assert ": none\n" in PromptSet.load().step(step_question(neighbors=()))
 
 
+BEFORE = """Your position: [12.346, 7.000]
+Robots near you, moving as well: [[1.000, 2.000], [-3.142, 4.000]]
+Plan of the team: [[41.5, 58.350853], [36.0, 48.824573], [47.0, 48.824573]]
+Your goal, place 1 of the plan: [36.0, 48.824573]
+
+"""
+ONE = """Where do you go in this round? Head for your goal, at most 7 from your position, \
+and stay 2.5 or more away from every other robot. If the goal is within 7, go to it exactly and not beyond.
+
+Give your reason in a sentence or two, and finish with this line, numbers only:
+Position: [x, y]"""
+SEVERAL = """Which way do you go from here? Give a path of at most 9 positions, one for each round, this one first. \
+Head for your goal with each of them, at most 7 from the position before it (the first: from where you are), \
+and stay 2.5 or more away from every other robot. As soon as the goal is within 7, go to it exactly and not beyond: \
+the path ends there. \
+You will be asked again before the path is over only if something comes up that it does not allow for.
+
+Give your reason in a sentence or two, and finish with this line, numbers only:
+Path: [[x, y], [x, y], ...]"""
+
+
+@pytest.mark.parametrize(("horizon", "text"), [(1, ONE), (9, SEVERAL)])
+def test_the_step_message_word_for_word(horizon: int, text: str) -> None:
+    assert PromptSet.load().step(step_question(horizon=horizon)) == BEFORE + text
+
+
 def test_json_prompts_ask_for_objects_only() -> None:
     prompts = PromptSet.load(json=True)
     plan, step = prompts.plan(plan_question()), prompts.step(step_question())
     assert '{"plan": [[x, y], [x, y], ...], "my_plan": a}' in plan and "my plan:" not in plan
     assert step.endswith('{"position": [x, y]}')
+    assert prompts.step(step_question(horizon=2)).endswith('{"path": [[x, y], [x, y], ...]}')
     assert "JSON" in prompts.retry("it is empty.", "step") and "JSON" not in PromptSet.load().retry(
         "it is empty.", "step"
     )

@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from llm_flock.protocol import agent
+from llm_flock.protocol import agent, events
 from llm_flock.record import scene
 from llm_flock.record.schema import (
     CHANNELS,
@@ -79,7 +79,7 @@ def test_every_kind_of_event_is_explained() -> None:
 
 
 def test_origins_are_those_of_the_agent() -> None:
-    assert set(re.findall(r"`(\w+)`", table("/state")["origins"][1])) == {origin.value for origin in agent.Origin}
+    assert set(re.findall(r"`(\w+)`", table("/state")["origins"][1])) == {origin.value for origin in events.Origin}
 
 
 def test_entities_of_the_scene_are_explained() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError, ModelError
-from llm_flock.llm.answers import parse_plan, parse_plan_json, parse_step, parse_step_json
+from llm_flock.llm.answers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 from llm_flock.llm.client import PydanticModel
 from llm_flock.llm.geometry import turned
 from llm_flock.llm.planner import LanguagePlanner
@@ -48,9 +48,17 @@ def step_talk(
     mission: Mission = CIRCLE,
     plan: Plan = PLAN,
     prompts: PromptSet = TEXT,
+    horizon: int = 1,
 ) -> Conversation:
     question = StepQuestion(
-        mission=mission, robot=3, round=1, position=position, neighbors=neighbors, plan=plan, slot=slot
+        mission=mission,
+        robot=3,
+        round=1,
+        position=position,
+        neighbors=neighbors,
+        plan=plan,
+        slot=slot,
+        horizon=horizon,
     )
     return [("system", prompts.system(mission)), ("user", prompts.step(question))]
 
@@ -128,6 +136,28 @@ def test_steps_are_full_and_straight_until_the_goal_is_reached_exactly() -> None
     assert parse_step(responder().answer(step_talk(goal, slot=4)), 2) == goal
 
 
+@pytest.mark.parametrize("prompts", [TEXT, JSON], ids=["text", "json"])
+def test_a_path_is_the_steps_that_would_be_given_one_by_one(prompts: PromptSet) -> None:
+    read = parse_path_json if prompts.json else parse_path
+    path = read(responder().answer(step_talk(slot=4, prompts=prompts, horizon=20)), 20, 2)
+    position = (20.0, 20.0)
+    for waypoint in path:
+        assert parse_step(responder().answer(step_talk(position, slot=4)), 2) == waypoint
+        position = waypoint
+    assert position == PLAN.points[4]
+    assert read(responder().answer(step_talk(slot=4, prompts=prompts, horizon=2)), 2, 2) == path[:2]
+
+
+def test_failures_befall_whole_paths() -> None:
+    goal = PLAN.points[0]
+    position = (goal[0] - 15.0, goal[1])
+    path = parse_path(responder("overshoot").answer(step_talk(position, horizon=20)), 20, 2)
+    assert len(path) == 3 and path[-1][0] > goal[0] + 2
+    talk = step_talk((20.0, 20.0), neighbors=((60.0, 20.0),), horizon=20)
+    path = parse_path(responder("collapse").answer(talk), 20, 2)
+    assert len(path) > 3 and path[-1][0] > 50.0
+
+
 def test_json_is_spoken_when_asked_for() -> None:
     text = responder().answer(plan_talk(prompts=JSON))
     assert text.startswith("{") and parse_plan_json(text, 10, 2)[1] == 3
@@ -199,6 +229,8 @@ def test_malformed_answers_are_never_usable_and_fail_in_many_ways(mission: Missi
     read_plan, read_step = (parse_plan_json, parse_step_json) if prompts.json else (parse_plan, parse_step)
     plan_question = plan_talk(mission, robot=0, prompts=prompts)
     step_question = step_talk((50.0, 50.0), mission=mission, plan=plan, prompts=prompts)
+    path_question = step_talk((30.0, 30.0), mission=mission, plan=plan, prompts=prompts, horizon=9)
+    read_path = parse_path_json if prompts.json else parse_path
     for _ in range(40):
         text = thinker.answer(plan_question)
         with pytest.raises(AnswerError) as caught:
@@ -208,8 +240,13 @@ def test_malformed_answers_are_never_usable_and_fail_in_many_ways(mission: Missi
         with pytest.raises(AnswerError) as caught:
             read_step(text, 2)
         reasons["step" + re.sub(r"[-0-9.]+", "#", str(caught.value))] += 1
+        text = thinker.answer(path_question)
+        with pytest.raises(AnswerError) as caught:
+            read_path(text, 9, 2)
+        reasons["path" + re.sub(r"[-0-9.]+", "#", str(caught.value))] += 1
     assert sum(reason.startswith("plan") for reason in reasons) >= 3
     assert sum(reason.startswith("step") for reason in reasons) >= 3
+    assert sum(reason.startswith("path") for reason in reasons) >= 3
 
 
 @pytest.mark.parametrize("failure", FAILURES)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import StepQuestion
-from llm_flock.protocol.steps import Fault, blocked, check_step, mended, step_faults
+from llm_flock.protocol.planning import StepAnswer, StepQuestion
+from llm_flock.protocol.steps import Fault, blocked, check_answer, check_step, mended, step_faults
 
 MISSION = Mission(shape="triangle", n_robots=3)
 
@@ -111,3 +112,36 @@ def test_a_want_of_separation_is_left_to_the_shield_if_there_is_one() -> None:
     question = ask((50.0, 50.0), (80.0, 50.0), (58.0, 50.5))
     assert mended(MISSION, question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
     assert mended(MISSION, question, (56.0, 50.0), shield_on=False) is None
+
+
+def path_fault(question: StepQuestion, *way: Point, shield_on: bool = True) -> str | None:
+    answer = StepAnswer(waypoint=way[0], path=way[1:])
+    return check_answer(MISSION, replace(question, horizon=5), answer, shield_on=shield_on)
+
+
+def test_each_waypoint_of_a_path_is_a_step_from_the_one_before() -> None:
+    assert path_fault(FAR, (56.0, 50.0), (62.0, 50.0), (68.0, 50.0)) is None
+    assert path_fault(FAR, (58.0, 50.0), (70.0, 50.0)) == "position 1 of the path: " + (
+        "the position is 8 from yours, 6 is the step limit."
+    )
+    assert path_fault(FAR, (56.0, 50.0), (62.0, 50.0), (70.0, 50.0), (90.0, 50.0)) == (
+        "position 3 of the path, counted from position 2 as yours: the position is 8 from yours, 6 is the step limit."
+    )
+    assert "no nearer than you are now" in (path_fault(FAR, (56.0, 50.0), (55.0, 50.0)) or "")
+
+
+def test_where_others_will_be_later_is_not_judged() -> None:
+    question = ask((50.0, 50.0), (80.0, 50.0), (63.0, 50.0))
+    assert path_fault(question, (56.0, 50.0), (62.0, 50.0), shield_on=False) is None
+    near = ask((50.0, 50.0), (80.0, 50.0), (57.0, 50.0))
+    assert "position 1 of the path: the position is 1 from the robot" in (
+        path_fault(near, (56.0, 50.0), shield_on=False) or ""
+    )
+    assert path_fault(near, (56.0, 50.0)) is None
+
+
+def test_without_a_path_the_answer_is_checked_as_a_step() -> None:
+    near = ask((50.0, 50.0), (80.0, 50.0), (57.0, 50.0))
+    answer = StepAnswer(waypoint=(56.0, 50.0))
+    said = check_answer(MISSION, near, answer, shield_on=True)
+    assert said is not None and said == check_step(MISSION, near, answer.waypoint)

@@ -1,8 +1,9 @@
 r"""From a model's answer to values: tolerant of how it is written, strict about what it says.
 
 Read are the paper's forms `Plan: [[x, y], ...]` with `my plan: a` or `my_plan: a` (lines 118 and 391) and
-`Position: [x, y]` (line 110), among prose, markdown, code fences and LaTeX (`\boxed{\text{Position: } [x,\ y]}`, line
-739). The last complete candidate counts. A list holds plain numbers: what would have to be worked out is no answer.
+`Position: [x, y]` (line 110), and our own `Path: [[x, y], ...]`, among prose, markdown, code fences and LaTeX
+(`\boxed{\text{Position: } [x,\ y]}`, line 739). The last complete candidate counts. A list holds plain numbers: what
+would have to be worked out is no answer.
 
 All patterns are possessive where they repeat, and start at a label or a bracket: the time is linear in the length of
 the answer, whatever it holds.
@@ -67,6 +68,10 @@ _PLAN = re.compile(
     rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
     re.IGNORECASE,
 )
+_PATH = re.compile(
+    rf"(?:(?<![A-Za-z])path(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
+    re.IGNORECASE,
+)
 _BARE_PLAN = re.compile(rf"(?P<list>{_LISTS})", re.IGNORECASE)
 _BARE_POSITION = re.compile(rf"[{_MARKUP}]*+{_LANGUAGE}(?P<list>{_LIST})[{_MARKUP}.]*+", re.IGNORECASE)
 _INDEX = re.compile(
@@ -113,36 +118,40 @@ def parse_step(text: str, dim: int) -> Point:
     Raises:
         AnswerError: with a reason that the model can act on; never anything else.
     """
-    text = _plain(text)
-    row: str | None = None
-    for match in _POSITION.finditer(text):
-        if match["certain"] is not None or _stands_alone(text, match):
-            row = match["list"]
-    if row is None:
-        bare = _BARE_POSITION.fullmatch(text)
-        row = None if bare is None else bare["list"]
+    row = _position_row(_plain(text))
     if row is None:
         raise AnswerError(f"it holds no complete position; a line `Position: [...]` with {dim} numbers is required.")
     return _point("the position", _numbers("the position", row), dim)
 
 
-def plan_schema(n: int, dim: int) -> dict[str, Any]:
-    """JSON schema of an answer to the plan question."""
-    points = {"type": "array", "items": _point_schema(dim), "minItems": n, "maxItems": n}
-    return _object_schema({"plan": points, "my_plan": {"type": "integer", "minimum": 0, "maximum": n - 1}})
+def _position_row(plain: str) -> str | None:
+    """The last labelled position, or the only thing that is said."""
+    row: str | None = None
+    for match in _POSITION.finditer(plain):
+        if match["certain"] is not None or _stands_alone(plain, match):
+            row = match["list"]
+    if row is None:
+        bare = _BARE_POSITION.fullmatch(plain)
+        row = None if bare is None else bare["list"]
+    return row
 
 
-def step_schema(dim: int) -> dict[str, Any]:
-    """JSON schema of an answer to the step question."""
-    return _object_schema({"position": _point_schema(dim)})
+def parse_path(text: str, horizon: int, dim: int) -> tuple[Point, ...]:
+    """The waypoints from an answer in words, 1 to `horizon` of them; a single position is a path of one.
 
-
-def _point_schema(dim: int) -> dict[str, Any]:
-    return {"type": "array", "items": {"type": "number"}, "minItems": dim, "maxItems": dim}
-
-
-def _object_schema(properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+    Raises:
+        AnswerError: with a reason that the model can act on; never anything else.
+    """
+    plain = _plain(text)
+    found = _last(_PATH, plain)
+    if found is None and (row := _position_row(plain)) is not None:
+        return (_point("the position", _numbers("the position", row), dim),)
+    found = found or _last(_BARE_PLAN, plain)
+    if found is None:
+        required = f"a line `Path: [[...], ...]` with 1 to {horizon} positions of {dim} numbers is required."
+        raise AnswerError(f"it holds no complete path; {required}")
+    rows = [_numbers("the path", row) for row in _EACH_LIST.findall(found["list"])]
+    return _path(rows, horizon, dim)
 
 
 def parse_plan_json(text: str, n: int, dim: int) -> tuple[Plan, int]:
@@ -177,6 +186,29 @@ def parse_step_json(text: str, dim: int) -> Point:
         return parse_step(text, dim)
     position = _field(answer, "position", f"a list of {dim} numbers")
     return _point("the position", _row("the position", position), dim)
+
+
+def parse_path_json(text: str, horizon: int, dim: int) -> tuple[Point, ...]:
+    """As `parse_path`, from the JSON object `{"path": [[x, y], ...]}`, also inside prose or a code fence.
+
+    Raises:
+        AnswerError: with a reason that the model can act on; never anything else.
+    """
+    answer = _json_object(text)
+    if answer is None:
+        return parse_path(text, horizon, dim)
+    if "path" not in answer and "position" in answer:
+        return (parse_step_json(text, dim),)
+    rows = _field(answer, "path", f"a list of 1 to {horizon} positions")
+    if not isinstance(rows, list):
+        raise AnswerError(f'"path" is not a list; a list of 1 to {horizon} positions is required.')
+    return _path([_row("the path", row) for row in cast(list[Any], rows)], horizon, dim)
+
+
+def _path(rows: Sequence[Sequence[float]], horizon: int, dim: int) -> tuple[Point, ...]:
+    if not 1 <= len(rows) <= horizon:
+        raise AnswerError(f"the path holds {len(rows)} positions, 1 to {horizon} are required.")
+    return tuple(_point(f"position {k} of the path", row, dim) for k, row in enumerate(rows, start=1))
 
 
 def _plain(text: str) -> str:

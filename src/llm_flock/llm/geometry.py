@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from llm_flock import formations
-from llm_flock.arrays import Points
+from llm_flock.arrays import Point, Points
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
@@ -43,12 +43,17 @@ class GeometryPlanner:
         return PlanAnswer(plan=plan, slot=self._robot % len(plan))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Straight towards the goal, as far as the step limit allows."""
-        distance, max_step = math.dist(question.position, question.goal), question.mission.max_step
+        """Straight towards the goal, as far as the step limit allows, and on from there if more may be given."""
+        path = [self._towards(question.position, question)]
+        while len(path) < question.horizon and path[-1] != question.goal:
+            path.append(self._towards(path[-1], question))
+        return StepAnswer(waypoint=path[0], path=tuple(path[1:]))
+
+    def _towards(self, position: Point, question: StepQuestion) -> Point:
+        goal, max_step = question.goal, question.mission.max_step
+        distance = math.dist(position, goal)
         if distance <= max_step:
-            return StepAnswer(waypoint=question.goal)
+            return goal
         # A hair short of the limit, so that rounding cannot exceed it.
         share = max_step * (1 - 1e-12) / distance
-        return StepAnswer(
-            waypoint=tuple(x + share * (g - x) for x, g in zip(question.position, question.goal, strict=True))
-        )
+        return tuple(x + share * (g - x) for x, g in zip(position, goal, strict=True))

@@ -10,11 +10,11 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm import answers as read
+from llm_flock.llm import schemas
 from llm_flock.llm.port import Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
@@ -57,10 +57,6 @@ def parse_history(text: str) -> History:
     return History(exchanges=int(count))
 
 
-_plan_schema = lru_cache(maxsize=16)(read.plan_schema)
-_step_schema = lru_cache(maxsize=4)(read.step_schema)
-
-
 def _same_task(one: Mission, other: Mission) -> bool:
     """Whether two missions are the same but for the way that a moving centre has come."""
     if one.digest == other.digest:
@@ -86,7 +82,7 @@ class LanguagePlanner:
         answers: the paper's text forms, or JSON objects with a schema.
         on_attempt: told of every call and what came of it.
         check_plan: an objection to a plan that can be read, or None.
-        check_step: an objection to a waypoint that can be read, or None.
+        check_step: an objection to a waypoint or path that can be read, or None.
         clock: seconds, only differences matter.
 
     Raises:
@@ -137,21 +133,28 @@ class LanguagePlanner:
         def objection(answer: PlanAnswer) -> str | None:
             return None if self._check_plan is None else self._check_plan(question, answer)
 
-        schema = _plan_schema(n, dim) if self._json else None
+        schema = schemas.plan_schema(n, dim) if self._json else None
         return await self._converse("plan", question, self._prompts.plan(question), schema, parse, objection)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Ask for the next waypoint."""
-        dim = question.mission.dim
+        """Ask for the next waypoint, or for a path."""
+        dim, horizon = question.mission.dim, question.horizon
 
         def parse(text: str) -> tuple[StepAnswer, dict[str, Any]]:
+            if horizon > 1:
+                reader = read.parse_path_json if self._json else read.parse_path
+                waypoint, *path = reader(text, horizon, dim)
+                parsed = {"waypoint": list(waypoint), "path": [list(point) for point in path]}
+                return StepAnswer(waypoint=waypoint, path=tuple(path)), parsed
             waypoint = read.parse_step_json(text, dim) if self._json else read.parse_step(text, dim)
             return StepAnswer(waypoint=waypoint), {"waypoint": list(waypoint)}
 
         def objection(answer: StepAnswer) -> str | None:
             return None if self._check_step is None else self._check_step(question, answer)
 
-        schema = _step_schema(dim) if self._json else None
+        schema = None
+        if self._json:
+            schema = schemas.step_schema(dim) if horizon == 1 else schemas.path_schema(horizon, dim)
         return await self._converse("step", question, self._prompts.step(question), schema, parse, objection)
 
     async def _converse(

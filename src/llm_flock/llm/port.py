@@ -114,7 +114,8 @@ class Attempt:
     Attributes:
         call: what was asked.
         reply: what came back, None when the provider gave no answer.
-        parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`), None when rejected.
+        parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, for a path
+            with what follows as `"path"`), None when rejected.
         rejected: why the answer was not accepted, in the words that went back to the model.
         error: kind and detail of the ModelError, None when there was a reply.
         faults: transport faults met on the way, answered or not.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -55,7 +55,7 @@ OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON | OBSERVED,
-    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching", "waiting"},
+    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching", "waiting", "horizon"},
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
 """The templates, and the variables that each may use."""
@@ -207,6 +207,7 @@ class PromptSet:
         variables["searching"] = question.target is not None and question.slot is not None
         variables["waiting"] = question.slot is None
         variables["goal"] = place_text(question.goal)
+        variables["horizon"] = question.horizon
         return self._render("step.j2", variables)
 
     def retry(self, reason: str, kind: Kind) -> str:
@@ -255,7 +256,9 @@ class PromptSet:
         plan = Plan.of(mission.ideal or ())
         self.system(mission)
         self.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there))
-        self.step(StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0))
+        step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0)
+        for question in (step, replace(step, horizon=2)):
+            self.step(question)
         for kind in ("plan", "step"):
             self.retry("the answer is an example.", kind)
 

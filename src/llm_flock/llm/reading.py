@@ -30,6 +30,7 @@ STEP_MARK = "Your position: "
 _NEIGHBORS_MARK = "\nRobots near you, moving as well: "
 _GOAL_MARK = "\nYour goal, "
 _JSON_MARK = "JSON object"
+_HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +69,7 @@ class StepPrompt:
         goal: own goal [units].
         goal_text: the goal as it was written.
         neighbors: where the other robots are said to be, not yet read.
+        horizon: so many positions may be given; with 1 no path is asked for.
         json: whether the answer is to be JSON.
     """
 
@@ -75,6 +77,7 @@ class StepPrompt:
     goal: Point
     goal_text: str
     neighbors: str
+    horizon: int
     json: bool
 
     def seen(self) -> list[Point]:
@@ -131,11 +134,13 @@ def read_step(text: str) -> StepPrompt:
     goal = numbers(goal_text)
     if not position or len(goal) != len(position):
         raise _other_words("step.j2", text)
+    horizon = _HORIZON.search(text)
     return StepPrompt(
         position=position,
         goal=goal,
         goal_text=goal_text,
         neighbors=_line_after(text, _NEIGHBORS_MARK),
+        horizon=1 if horizon is None else int(horizon[1]),
         json=_JSON_MARK in text,
     )
 

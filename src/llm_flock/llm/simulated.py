@@ -10,6 +10,7 @@ import asyncio
 import json
 import math
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from pydantic_ai import exceptions as pai
@@ -28,6 +29,7 @@ from llm_flock.llm.reading import (
     StepPrompt,
     Task,
     formation,
+    numbers,
     read_plan,
     read_step,
     read_task,
@@ -132,18 +134,28 @@ class Responder:
         return said[: len(said) * 2 // 3] if cut else said
 
     def _step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> str:
-        if failures:
-            waypoint, reason = self._faulty_step(task, prompt, failures)
-        elif math.dist(prompt.position, prompt.goal) <= _reach(task):
-            waypoint, reason = prompt.goal_text, "I reach my goal within one step, so I go exactly there."
-        else:
-            waypoint = repr(list(_towards(prompt.goal, task, prompt)))
-            reason = "My goal is farther away than one step, so I take a full step straight towards it."
+        waypoint, reason, last = self._waypoint(task, prompt, failures)
+        way = [waypoint]
+        while not last and len(way) < prompt.horizon:
+            there = replace(prompt, position=numbers(way[-1]))
+            waypoint, _, last = self._waypoint(task, there, failures)
+            way.append(waypoint)
+        if len(way) > 1:
+            reason += f" In the same way I go on, {len(way)} positions in all."
         if "malformed" in failures:
-            return self._malformed_step(prompt, waypoint)
-        return f'{{"position": {waypoint}}}' if prompt.json else f"{reason}\n\nPosition: {waypoint}"
+            return self._malformed_step(prompt, way)
+        return _stated(prompt, way) if prompt.json else f"{reason}\n\n{_stated(prompt, way)}"
 
-    def _faulty_step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str]:
+    def _waypoint(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
+        """The next waypoint, the reason for it, and whether it is where the robot wants to end."""
+        if failures:
+            return self._faulty_step(task, prompt, failures)
+        if math.dist(prompt.position, prompt.goal) <= _reach(task):
+            return prompt.goal_text, "I reach my goal within one step, so I go exactly there.", True
+        waypoint = repr(list(_towards(prompt.goal, task, prompt)))
+        return waypoint, "My goal is farther away than one step, so I take a full step straight towards it.", False
+
+    def _faulty_step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
         """A step with a wrong target, of a wrong length, or both."""
         target, reason = prompt.goal, "I head for my goal"
         if "collapse" in failures:
@@ -160,22 +172,30 @@ class Responder:
         elif distance <= _reach(task):
             places = sensible_decimals(task.max_step)
             exact = prompt.goal_text if target == prompt.goal else repr([round(x, places) for x in target])
-            return exact, reason + "."
-        return repr(list(_towards(target, task, prompt))), reason + "."
+            return exact, reason + ".", True
+        return repr(list(_towards(target, task, prompt))), reason + ".", distance <= _reach(task)
 
-    def _malformed_step(self, prompt: StepPrompt, waypoint: str) -> str:
-        form = '{{"position": {}}}' if prompt.json else "Position: {}"
+    def _malformed_step(self, prompt: StepPrompt, way: list[str]) -> str:
+        *before, waypoint = way
         match int(self._rng.integers(5)):
             case 0:
                 return "It depends on what the others are going to do; I will wait and see."
             case 1:
-                return form.format(waypoint[:-1] + ", 0.0, 1.0]")
+                return _stated(prompt, [*before, waypoint[:-1] + ", 0.0, 1.0]"])
             case 2:
-                return form.format("[NaN, " + waypoint.partition(", ")[2])
+                return _stated(prompt, [*before, "[NaN, " + waypoint.partition(", ")[2]])
             case 3:
-                return form.format(waypoint)[: len(waypoint)]
+                return _stated(prompt, way)[: len(waypoint)]
             case _:
-                return form.format(waypoint[:-1] + " + 0.5]")
+                return _stated(prompt, [*before, waypoint[:-1] + " + 0.5]"])
+
+
+def _stated(prompt: StepPrompt, way: Sequence[str]) -> str:
+    """Waypoints in the form that was asked for."""
+    if prompt.horizon == 1:
+        return f'{{"position": {way[0]}}}' if prompt.json else f"Position: {way[0]}"
+    rows = ", ".join(way)
+    return f'{{"path": [{rows}]}}' if prompt.json else f"Path: [{rows}]"
 
 
 def _reach(task: Task) -> float:

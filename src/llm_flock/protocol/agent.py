@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import assert_never
 
@@ -27,10 +26,8 @@ from llm_flock.protocol.events import (
     Effect,
     Event,
     MissionGiven,
-    MoveTo,
     NegotiationEnded,
     Note,
-    Origin,
     Phase,
     Planned,
     Received,
@@ -39,13 +36,13 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.judge import Judge, fallback_notes
+from llm_flock.protocol.judge import Judge
 from llm_flock.protocol.liveness import TIME_OUT, Liveness
 from llm_flock.protocol.messages import Pedigree
 from llm_flock.protocol.negotiation import Gaps, Negotiation
+from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.safety import Safety
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol.search import Search, advance
 from llm_flock.protocol.waiting import waiting_place
 
@@ -67,6 +64,7 @@ class Agent:
         verify: check every plan before it is followed, and every step before it is flown.
         time_out: rounds without a heartbeat after which a robot is taken for dead.
         gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
+        on_event: let the planner give a path, and ask it again only when something unforeseen happens.
     """
 
     def __init__(
@@ -81,24 +79,30 @@ class Agent:
         verify: bool = False,
         time_out: int = TIME_OUT,
         gaps: Gaps = "report",
+        on_event: bool = False,
     ) -> None:
         self.robot = robot
         self.phase = Phase.IDLE
-        self.position: Point = ()
         self._judge = Judge(mission, verify=verify, shield_on=shield_on, any_size=gaps == "remake")
         liveness = Liveness(robot, mission.n_robots, time_out)
         self._talks = Negotiation(robot, mission, consensus, assignment, self._judge, liveness, gaps=gaps)
-        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
-        self._question: StepQuestion | None = None
-        self._round = 0
-        self._listening = False
-        self._drift: Point = ()  # of the mission's frame now, and at the end of this round
-        self._ahead: Point = ()
-        self._aim: Point = ()
+        self._pilot = Pilot(
+            robot, mission, self._judge, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event
+        )
+        self._scene: Scene | None = None
+        self._began: RoundBegan | None = None
         self._places = mission.n_places
-        self._sensed: Mapping[int, Point] = {}
-        self._observed: tuple[Point, ...] = ()
         self._search = Search()
+
+    @property
+    def position(self) -> Point:
+        """Where it believes it is [units; world frame]; empty before the first round."""
+        return () if self._scene is None else self._scene.position
+
+    @property
+    def on_path(self) -> bool:
+        """Whether this round's step was foreseen, and nobody asked for it."""
+        return self._pilot.on_path
 
     @property
     def mission(self) -> Mission:
@@ -140,7 +144,8 @@ class Agent:
         """Position of the claimed slot at the end of this round [units; world frame]."""
         if self.plan is None or self.claim.slot is None:
             return None
-        return moved(self.plan.points[self.claim.slot], self._ahead)
+        ahead = () if self._scene is None else self._scene.ahead
+        return moved(self.plan.points[self.claim.slot], ahead)
 
     def handle(self, event: Event) -> list[Effect]:
         """Take one event; return what is to be done about it, in order.
@@ -155,7 +160,7 @@ class Agent:
         effects: list[Effect]
         match event:
             case Received():
-                phase, effects = self.phase, [*self._talks.receive(event.payload)]
+                phase, effects = self.phase, self._receive(event.payload)
             case TickBegan():
                 phase, effects = self.phase, [Broadcast(self._talks.broadcast())]
             case TickEnded():
@@ -168,9 +173,9 @@ class Agent:
             case Planned():
                 phase, effects = Phase.NEGOTIATING, self._take_plan(event.answer)
             case NegotiationEnded():
-                phase, effects = self._ask_step()
+                phase, effects = self._decide()
             case Decided():
-                phase, effects = Phase.MOVING, self._move(event.answer)
+                phase, effects = Phase.MOVING, self._pilot.take(event.answer)
             case Arrived():
                 phase, effects = Phase.IDLE, []
             case Stopped():
@@ -182,22 +187,15 @@ class Agent:
         return effects
 
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
-        self._listening = self._round == 0 and event.round > 1 and event.neighbors > 0
-        self._round = event.round
-        self.position = event.position
-        self._sensed = event.sensed
-        self._observed = event.observed
-        if self.mission.velocity:
-            self._drift, self._ahead = self.mission.drift(event.round - 1), self.mission.drift(event.round)
-        else:
-            self._drift = self._ahead = ()
-        talks, reach = self._talks, self.mission.comm_range
-        near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
-        sensed = {j: moved(x, self._drift, -1.0) for j, x in event.sensed.items()} if self._drift else event.sensed
-        talks.begin_round(event.round, moved(event.position, self._drift, -1.0), sensed, near, event.neighbors)
+        listening = self._scene is None and event.round > 1 and event.neighbors > 0
+        talks, mission = self._talks, self.mission
+        self._look(event)
+        near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= mission.comm_range)
+        talks.begin_round(event.round, near, event.neighbors)
         talks.watch_team(may_shrink=self._search.given_up)
-        places = self.mission.n_places if talks.plan is None else talks.remake
-        if places is None or self._listening:
+        places = mission.n_places if talks.plan is None else talks.remake
+        if places is None or listening:
+            # Who joins a team that is at work hears it out before it proposes a plan of its own.
             return Phase.NEGOTIATING, []
         self._places = places
         return Phase.PLANNING, [
@@ -207,69 +205,77 @@ class Agent:
                     round=event.round,
                     position=event.position,
                     neighbors=event.observed,
-                    mission=self.mission.at(event.round).resized(places),
+                    mission=mission.at(event.round).resized(places),
                 )
             )
         ]
 
+    def _look(self, event: RoundBegan) -> None:
+        """See the world of this round, and see it again from the frame of a mission that has come up since."""
+        mission, number = self.mission, event.round
+        moving = mission.velocity is not None
+        self._scene = scene = Scene(
+            round=number,
+            position=event.position,
+            sensed=event.sensed,
+            observed=event.observed,
+            drift=mission.drift(number - 1) if moving else (),
+            ahead=mission.drift(number) if moving else (),
+        )
+        self._began = event
+        sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
+        self._talks.look(scene.here, sensed)
+
+    def _receive(self, payload: bytes) -> list[Effect]:
+        before = self.mission
+        notes = self._talks.receive(payload)
+        if self.mission is not before and self._began is not None:
+            self._look(self._began)
+        return [*notes]
+
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
         """A proposal of one's own; what the planner sees in the world is kept in the frame of the mission."""
-        if isinstance(answer, PlanAnswer) and self._ahead:
-            answer = replace(answer, plan=Plan.of(moved(x, self._ahead, -1.0) for x in answer.plan.points))
+        ahead = () if self._scene is None else self._scene.ahead
+        if isinstance(answer, PlanAnswer) and ahead:
+            answer = replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
         return [*self._talks.propose(answer, self._places)]
 
-    def _ask_step(self) -> tuple[Phase, list[Effect]]:
-        plan, slot = self.plan, self.claim.slot
+    def _decide(self) -> tuple[Phase, list[Effect]]:
+        scene, plan, slot = self._scene, self.plan, self.claim.slot
+        assert scene is not None, "a round has begun"
+        effects, target, idle = list[Effect](), None, None
         if plan is None:
-            return Phase.MOVING, self._hold("no_goal", "no plan yet")
-        effects = list[Effect]()
-        if slot is None:
-            aim = self._waiting_place(plan)
-            if aim is None:
-                return Phase.MOVING, self._hold("no_goal", "every place is taken by others")
+            idle = "no plan yet"
+        elif slot is None:
+            # A place of its own has nobody to wait at; with a formation that travels a spare travels along.
+            others = [scene.seen(x) for x in scene.sensed.values()]
+            target = waiting_place(self.mission, scene.here, plan, others)
+            idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            effects.extend(self._look_for_others(plan, slot))
-            aim = self._search.target
-        self._aim = plan.points[slot or 0] if aim is None else aim
-        question = StepQuestion(
-            robot=self.robot,
-            round=self._round,
-            position=self.position,
-            neighbors=self._observed,
-            plan=Plan.of(moved(x, self._ahead) for x in plan.points) if self._ahead else plan,
-            slot=slot,
-            target=None if aim is None else moved(aim, self._ahead),
-            mission=self.mission.at(self._round).resized(len(plan)),
-        )
-        self._question = question
-        return Phase.DECIDING, [*effects, AskStep(question)]
+            effects.extend(self._look_for_others(scene, plan, slot))
+            target = self._search.target
+        if plan is None or idle is not None:
+            self._pilot.forget()
+            return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
+        told = self.mission.at(scene.round).resized(len(plan))
+        effects.extend(self._pilot.decide(scene, told, plan, slot, target))
+        return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects
 
-    def _waiting_place(self, plan: Plan) -> Point | None:
-        """Where a robot without a place goes to be out of the others' way; None where it may stay.
-
-        In the frame of the mission, as the result: with a formation that travels it travels along.
-        """
-        here = moved(self.position, self._drift, -1.0)
-        others = [moved(x, self._drift, -1.0) for x in self._sensed.values()]
-        place = waiting_place(self.mission, here, plan, others)
-        return None if place == here and not self._ahead else place
-
-    def _look_for_others(self, plan: Plan, slot: int) -> list[Note]:
+    def _look_for_others(self, scene: Scene, plan: Plan, slot: int) -> list[Note]:
         """Begin, continue or end the search for robots that hold the slots known as vacant; note what stays empty."""
         table, talks = self.claim.table, self._talks
         if table is None:
             return []
         before, spacing, live = self._search, self.mission.spacing, talks.liveness
-        here = moved(self.position, self._drift, -1.0)
         self._search = advance(
             before,
-            position=here,
+            position=scene.here,
             plan=plan,
             slot=slot,
             table=table,
             center=self.mission.center,
             spacing=spacing,
-            at_goal=math.dist(here, plan.points[slot]) <= AT_GOAL * spacing,
+            at_goal=math.dist(scene.here, plan.points[slot]) <= AT_GOAL * spacing,
             strangers=len(live.strangers),
             silent=len(live.silent),
         )
@@ -280,32 +286,3 @@ class Agent:
         if self._search.given_up and not before.given_up:
             notes.append(Note("gap", {"slots": list(vacant), "silent": sorted(live.silent | live.strangers)}))
         return notes
-
-    def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
-        question = self._question
-        assert question is not None, "only a robot that asked is answered"
-        fit = self._judge.waypoint(question, answer)
-        asked = answer.waypoint
-        if isinstance(fit, NoAnswer):
-            return self._hold(fit.cause, fit.reason, asked)
-        failure = answer.instead_of if isinstance(answer, StepAnswer) else None
-        notes = fallback_notes("step", "geometry", failure)
-        flown, origin = fit, Origin.MODEL
-        if self._safety is not None:
-            flight = self._safety.step(self.position, self._sensed, fit, self._aim, self._drift)
-            flown, origin = flight.waypoint, flight.origin
-            notes.extend(flight.notes)
-        if origin is Origin.MODEL and flown != asked:  # clipped to the goal or to the step limit
-            notes.append(Note("shielded", {"proposed": asked, "flown": flown}))
-            origin = Origin.SHIELD
-        if failure is not None and origin is not Origin.DETOUR:
-            origin = Origin.FALLBACK
-        return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
-
-    def _hold(self, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
-        """Nothing to do, and why."""
-        held = Note("held", {"cause": cause, "reason": reason})
-        if self._safety is None:
-            return [held, MoveTo(waypoint=self.position, proposed=asked, origin=Origin.HOLD)]
-        flight = self._safety.stay(self.position, self._sensed)
-        return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]

@@ -91,19 +91,24 @@ class Negotiation:
         self._sensed: Mapping[int, Point] = {}
         self._met_bodies = False
 
-    def begin_round(
-        self, round_number: int, position: Point, sensed: Mapping[int, Point], near: frozenset[int], neighbors: int
-    ) -> None:
+    def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """What the sensors say.
 
         Args:
-            round_number: number of the round.
             position: own believed position [units; frame of the mission].
             sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
-            near: those of them within radio range.
+        """
+        self._position, self._sensed = position, sensed
+
+    def begin_round(self, round_number: int, near: frozenset[int], neighbors: int) -> None:
+        """A new round, after a look.
+
+        Args:
+            round_number: number of the round.
+            near: robots that are sensed within radio range.
             neighbors: how many robots the radio counts within range, |N_i|.
         """
-        self._position, self._sensed, self.neighbors = position, sensed, neighbors
+        self.neighbors = neighbors
         self.liveness.begin_round(round_number, near)
         self._speech.begin_round(near, neighbors)
 

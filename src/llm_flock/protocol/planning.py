@@ -31,12 +31,13 @@ class PlanQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepQuestion:
-    """Choose the next waypoint on the way to the goal; fields as in PlanQuestion, and the agreed plan.
+    """Choose the next waypoint on the way to the goal, or several; fields as in PlanQuestion, and the agreed plan.
 
     Attributes:
         plan: the plan that is followed, as it stands at the end of this round.
         slot: own place in it; None for a spare robot, which goes to wait at `target`.
         target: where to go instead of the own place (a search is under way), None otherwise [units; world frame].
+        horizon: so many waypoints may be given, one for each round; with 1 it is the paper's question.
     """
 
     mission: Mission
@@ -47,6 +48,7 @@ class StepQuestion:
     plan: Plan
     slot: int | None
     target: Point | None = None
+    horizon: int = 1
 
     @property
     def goal(self) -> Point:
@@ -74,9 +76,16 @@ class PlanAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepAnswer:
-    """A usable waypoint [units; world frame]; `instead_of` as in PlanAnswer."""
+    """A usable waypoint.
+
+    Attributes:
+        waypoint: the next one [units; world frame].
+        path: those that follow it, one for each round after this.
+        instead_of: as in PlanAnswer.
+    """
 
     waypoint: Point
+    path: tuple[Point, ...] = ()
     instead_of: NoAnswer | None = None
 
 
@@ -107,5 +116,5 @@ class Planner(Protocol):
         ...
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Propose a waypoint."""
+        """Propose a waypoint, or `question.horizon` of them at most."""
         ...

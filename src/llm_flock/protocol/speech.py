@@ -20,8 +20,8 @@ from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import UNSAID, Message, Table, encode, table_digest
 
 SMALL = 64
-"""Plans and tables of up to so many places are spelled out once a round whoever is near, and tables in every exchange in
-which a digest differs."""
+"""Plans and tables of up to so many places are spelled out once a round whoever is near, and tables in every exchange
+in which a digest differs."""
 
 MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
 """What is said of a mission; all else is a robot's own, and no message changes it."""

@@ -7,12 +7,12 @@ advice, not safety: whatever passes here, the shield has the last word.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.planning import StepQuestion
+from llm_flock.protocol.planning import StepAnswer, StepQuestion
 from llm_flock.protocol.verification import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
 
 
@@ -58,6 +58,27 @@ def check_step(mission: Mission, question: StepQuestion, waypoint: Point) -> str
     """Why this waypoint will not do, as a sentence for the model, or None."""
     faults = step_faults(mission, question, waypoint)
     return "; ".join(fault.reason for fault in faults) + "." if faults else None
+
+
+def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
+    """As `check_step`; where a path may be given, the reason names the first waypoint that will not do, from 1.
+
+    Each waypoint of a path is judged as a step from the one before it. Only the first must keep the separation, and
+    with a shield not even that: where the others will be later nobody knows, and every step meets the shield anyway.
+    """
+    if question.horizon == 1:
+        return check_step(mission, question, answer.waypoint)
+    left_to_shield = {Fault.SEPARATION} if shield_on else set[Fault]()
+    seen = ""
+    for number, waypoint in enumerate((answer.waypoint, *answer.path), start=1):
+        faults = step_faults(mission, question, waypoint)
+        reasons = [fault.reason for fault in faults if fault.kind not in left_to_shield]
+        if reasons:
+            return f"position {number} of the path{seen}: {'; '.join(reasons)}."
+        question = replace(question, position=waypoint)
+        left_to_shield = {Fault.SEPARATION}
+        seen = f", counted from position {number} as yours"
+    return None
 
 
 def mended(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:

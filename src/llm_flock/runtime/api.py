@@ -84,6 +84,7 @@ async def run_async(
             assignment,
             shield_on=bool(protocol.shield),
             verify=bool(protocol.verify),
+            on_event=config.model.decide == "on-event",
             noise_bound=config.trial.noise,
             time_out=protocol.time_out,
             gaps=protocol.gaps,

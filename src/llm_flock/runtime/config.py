@@ -75,6 +75,10 @@ class ModelConfig(Section):
         default="text", description="Answer format: the paper's text, or a JSON schema"
     )
     history: str = Field(default="none", description="Conversation kept between questions: none, last:K or full")
+    decide: Literal["every-round", "on-event"] = Field(
+        default="every-round",
+        description="When a model is asked for its way: a step every round, or a path and again if something comes up",
+    )
     observe: Literal["in-range", "all"] = Field(
         default="in-range", description="Robots whose positions the model is told"
     )

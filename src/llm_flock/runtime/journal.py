@@ -121,7 +121,9 @@ class Journal:
         """Record where everybody is, what everybody follows, and the figures of this round."""
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
-        self.silent_rounds = self.silent_rounds + 1 if calls and calls == failed else 0
+        # A round in which somebody flew on along a path is not one in which no model is of any use.
+        silent = bool(calls) and calls == failed and not any(agent.on_path for agent in agents)
+        self.silent_rounds = self.silent_rounds + 1 if silent else 0
         positions = team.positions
         plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
         slots = [a.claim.slot for a in agents]

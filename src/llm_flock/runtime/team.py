@@ -16,13 +16,13 @@ from llm_flock.llm.models import (
     parse_models,
     parse_settings,
 )
-from llm_flock.llm.planner import LanguagePlanner, parse_history
+from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import check_step
+from llm_flock.protocol.steps import check_answer
 from llm_flock.protocol.verification import check_plan
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
@@ -64,7 +64,8 @@ class Thinkers:
         if any(parse_model(name).kind == "simulated" for name in self.names):
             check_prompts(prompts, config.mission)
         history = parse_history(model.history)
-        plan_check, step_check = (_check_plan, _check_step) if config.protocol.verify else (None, None)
+        shield_on = bool(config.protocol.shield)
+        plan_check, step_check = _checks(shield_on=shield_on) if config.protocol.verify else (None, None)
         planners: list[Planner] = []
         for robot, text in enumerate(self.names):
             rng = stream(seed, Stream.MODEL, robot)
@@ -94,7 +95,7 @@ class Thinkers:
             if config.protocol.fallback == "geometry":
                 # In the reference orientation: robots whose models fail propose one and the same plan.
                 geometry = GeometryPlanner(robot)
-                planner = FallbackPlanner(planner, geometry, shield_on=bool(config.protocol.shield))
+                planner = FallbackPlanner(planner, geometry, shield_on=shield_on)
             planners.append(planner)
         self.planners: Sequence[Planner] = planners
 
@@ -125,11 +126,13 @@ class Thinkers:
             replay.close()
 
 
-def _check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-    """What a language model's plan must pass, in the form in which its planner asks."""
-    return check_plan(question.mission, answer.plan)
+def _checks(*, shield_on: bool) -> tuple[CheckPlan, CheckStep]:
+    """What a language model's answers must pass, in the form in which its planner asks."""
 
+    def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+        return check_plan(question.mission, answer.plan)
 
-def _check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
-    """What a language model's waypoint must pass."""
-    return check_step(question.mission, question, answer.waypoint)
+    def step(question: StepQuestion, answer: StepAnswer) -> str | None:
+        return check_answer(question.mission, question, answer, shield_on=shield_on)
+
+    return plan, step

@@ -1,0 +1,173 @@
+"""A robot that is asked on events only: what it remembers, when it asks, and that no step escapes checks and shield."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol import shield
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.assignment import IndexAssignment
+from llm_flock.protocol.consensus import NoConsensus
+from llm_flock.protocol.events import (
+    Arrived,
+    AskStep,
+    Decided,
+    Effect,
+    MoveTo,
+    NegotiationEnded,
+    Note,
+    Origin,
+    Phase,
+    Planned,
+    RoundBegan,
+)
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
+from llm_flock.protocol.steps import mended
+
+MISSION = Mission(shape="triangle", n_robots=3)
+PLAN = Plan.of(MISSION.ideal or ())
+GOAL = PLAN.points[0]
+START = (GOAL[0], GOAL[1] + 18.0)
+WAY = tuple((GOAL[0], GOAL[1] + left) for left in (12.0, 6.0, 0.0))
+
+
+def make(*, verify: bool = True, shield_on: bool = True) -> Agent:
+    return Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=shield_on, verify=verify, on_event=True)
+
+
+def begin(agent: Agent, position: Point, sensed: dict[int, Point] | None = None) -> list[Effect]:
+    """One round up to the step: the effects of the end of the negotiation."""
+    if agent.phase is Phase.MOVING:
+        agent.handle(Arrived())
+    others = sensed or {}
+    agent.handle(
+        RoundBegan(round=1, position=position, neighbors=len(others), sensed=others, observed=tuple(others.values()))
+    )
+    if agent.phase is Phase.PLANNING:
+        agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
+    return agent.handle(NegotiationEnded())
+
+
+def move(effects: list[Effect]) -> MoveTo:
+    assert isinstance(effects[-1], MoveTo)
+    return effects[-1]
+
+
+def given_way(agent: Agent, way: tuple[Point, ...] = WAY) -> Agent:
+    """The agent at START, answered with a path whose first step it has flown."""
+    (ask,) = begin(agent, START)
+    assert isinstance(ask, AskStep) and ask.question.horizon == 20
+    effects = agent.handle(Decided(StepAnswer(waypoint=way[0], path=way[1:])))
+    assert move(effects) == MoveTo(waypoint=way[0], proposed=way[0], origin=Origin.MODEL)
+    assert not agent.on_path
+    return agent
+
+
+@pytest.mark.parametrize("verify", [True, False])
+@pytest.mark.parametrize("shield_on", [True, False])
+def test_a_path_is_flown_to_the_goal_and_held_there_without_a_question(verify: bool, shield_on: bool) -> None:
+    agent = given_way(make(verify=verify, shield_on=shield_on))
+    here = WAY[0]
+    for waypoint in (*WAY[1:], GOAL, GOAL):
+        assert move(begin(agent, here)) == MoveTo(waypoint=waypoint, proposed=waypoint, origin=Origin.MODEL)
+        assert agent.on_path
+        here = waypoint
+
+
+def test_a_surprise_is_noted_and_asked_about() -> None:
+    agent = given_way(make())
+    note, ask = begin(agent, WAY[0], {1: (WAY[1][0] + 2.0, WAY[1][1])})
+    assert note == Note("asked_again", {"reason": "neighbour"})
+    assert isinstance(ask, AskStep) and ask.question.position == WAY[0] and not agent.on_path
+
+
+def test_what_the_shield_made_of_a_step_is_remembered() -> None:
+    agent = make()
+    begin(agent, START, {1: (START[0] + 0.1, START[1] - 4.0)})
+    flown = move(agent.handle(Decided(StepAnswer(waypoint=WAY[0], path=WAY[1:]))))
+    assert flown.origin is Origin.SHIELD
+    note, _ = begin(agent, flown.waypoint)
+    assert note == Note("asked_again", {"reason": "altered"})
+
+
+def test_a_failed_question_is_asked_again_in_the_next_round() -> None:
+    agent = make()
+    begin(agent, START)
+    agent.handle(Decided(NoAnswer(cause="timeout", reason="late")))
+    note, ask = begin(agent, START)
+    assert note == Note("asked_again", {"reason": "no_answer"}) and isinstance(ask, AskStep)
+
+
+def test_a_waypoint_that_does_not_pass_any_more_is_asked_about() -> None:
+    agent = given_way(make(), (WAY[0], (WAY[0][0] + 6.0, WAY[0][1])))
+    note, _ = begin(agent, WAY[0])
+    assert note == Note("asked_again", {"reason": "unfit"})
+    careless = given_way(make(verify=False), (WAY[0], (WAY[0][0] + 6.0, WAY[0][1])))
+    assert move(begin(careless, WAY[0])).waypoint == (WAY[0][0] + 6.0, WAY[0][1])
+
+
+def test_a_robot_that_lost_its_goal_starts_afresh() -> None:
+    agent = given_way(make())
+    agent._talks.claim = type(agent.claim)(slot=None)
+    assert move(begin(agent, WAY[0])).origin is Origin.HOLD
+    agent._talks.claim = type(agent.claim)(slot=0)
+    (ask,) = begin(agent, WAY[0])
+    assert isinstance(ask, AskStep)
+
+
+def test_in_every_round_by_default() -> None:
+    agent = Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=True)
+    for _ in range(3):
+        (ask,) = begin(agent, START)
+        assert isinstance(ask, AskStep) and ask.question.horizon == 1
+        agent.handle(Decided(StepAnswer(waypoint=START)))
+
+
+PROJECT = shield.project
+coordinate = st.floats(-15.0, 15.0)
+place = st.tuples(coordinate, coordinate).map(lambda x: (GOAL[0] + x[0], GOAL[1] + x[1]))
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    way=st.lists(place, min_size=1, max_size=6),
+    crowd=st.lists(st.dictionaries(st.integers(1, 2), place, max_size=2), min_size=1, max_size=8),
+    start=place,
+)
+def test_no_step_is_flown_unverified_or_unshielded(
+    way: list[Point], crowd: list[dict[int, Point]], start: Point
+) -> None:
+    """Whatever path is given and whoever comes along: a step is a fit wish that went through the shield, or a hold."""
+    agent, here = make(), start
+    for sensed in crowd:
+        projected: list[Point] = []
+
+        def spied(*args: Any, into: list[Point] = projected, **named: Any) -> Point:
+            into.append(PROJECT(*args, **named))
+            return into[-1]
+
+        with patch.object(shield, "project", spied):
+            effects = begin(agent, here, sensed)
+            if isinstance(effects[-1], AskStep):
+                effects = agent.handle(Decided(StepAnswer(waypoint=way[0], path=tuple(way[1:]))))
+        step = move(effects)
+        assert math.dist(here, step.waypoint) <= MISSION.max_step * (1 + 1e-9)
+        if step.origin is Origin.HOLD:
+            assert step.waypoint == here
+        else:
+            assert step.waypoint in projected
+        if step.proposed is not None and step.origin is Origin.MODEL:
+            question = StepQuestion(
+                robot=0, round=1, position=here, neighbors=tuple(sensed.values()), plan=PLAN, slot=0
+            )
+            assert mended(MISSION, question, step.proposed, shield_on=True) == step.waypoint
+        here = step.waypoint

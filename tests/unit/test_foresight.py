@@ -1,0 +1,148 @@
+"""What a robot foresees of its way, and every reason to ask again."""
+
+from __future__ import annotations
+
+import pytest
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.protocol.foresight import Foresight, Reason
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
+
+MISSION = Mission(shape="triangle", n_robots=3)
+GOAL = (60.0, 50.0)
+PLAN = Plan.of([GOAL, (90.0, 90.0), (50.0, 90.0)])
+START = (42.0, 50.0)
+WAY = ((48.0, 50.0), (54.0, 50.0), GOAL)
+FAR = {1: (44.0, 70.0)}
+
+
+def asked(position: Point = START, **changes: object) -> StepQuestion:
+    fields = {
+        "mission": MISSION,
+        "robot": 0,
+        "round": 1,
+        "position": position,
+        "neighbors": (),
+        "plan": PLAN,
+        "slot": 0,
+        "horizon": 20,
+    }
+    return StepQuestion(**fields | changes)  # pyright: ignore[reportArgumentType]
+
+
+def foresee(*way: Point, failure: NoAnswer | None = None, mission: Mission = MISSION) -> Foresight:
+    answer = StepAnswer(waypoint=way[0], path=way[1:], instead_of=failure)
+    return Foresight.of(asked(mission=mission), answer, FAR)
+
+
+def flown(foresight: Foresight, *places: Point) -> Foresight:
+    """The robot was at START and flew to these places, one a round."""
+    here = START
+    for place in places:
+        foresight, here = foresight.flown(here, place), place
+    return foresight
+
+
+def test_a_path_flown_as_foreseen_needs_no_question_and_holds_at_the_goal() -> None:
+    foresight = foresee(*WAY)
+    here = START
+    for k, waypoint in enumerate(WAY):
+        assert foresight.answer == StepAnswer(waypoint=waypoint, path=WAY[k + 1 :])
+        foresight = foresight.flown(here, waypoint)
+        here = waypoint
+        assert foresight.surprise(asked(here), FAR) is None
+    for _ in range(3):
+        assert foresight.answer == StepAnswer(waypoint=GOAL)
+        foresight = foresight.flown(GOAL, GOAL)
+        assert foresight.surprise(asked(GOAL), {**FAR, 2: (62.0, 50.0)}) is None, "whoever comes near"
+
+
+FAILURE = NoAnswer(cause="answer", reason="none")
+
+
+def test_a_failed_question_is_asked_again_even_at_the_goal() -> None:
+    for foresight in (Foresight.of(asked(), FAILURE, FAR), foresee(*WAY, failure=FAILURE)):
+        assert foresight.flown(START, WAY[0]).surprise(asked(GOAL), FAR) is Reason.NO_ANSWER
+
+
+@pytest.mark.parametrize(
+    ("question", "reason"),
+    [
+        (asked(WAY[0], slot=1), Reason.NEW_GOAL),
+        (asked(WAY[0], target=(20.0, 50.0)), Reason.NEW_GOAL),
+        (asked(WAY[0], plan=Plan.of([(50.0, 80.0), GOAL, START])), Reason.NEW_PLAN),
+        (asked(WAY[0], plan=Plan.of([GOAL, (90.0, 80.0), START])), None),
+        (asked(WAY[0], plan=Plan.of([(80.0, 51.0), (90.0, 80.0), START])), None),
+        (asked(WAY[0], target=(80.0, 55.0)), None),
+        (asked(WAY[0], target=(57.0, 50.0)), None),
+        (asked(WAY[0], target=(50.0, 50.0)), Reason.NEW_GOAL),
+    ],
+)
+def test_another_goal_is_a_reason_unless_it_lies_the_same_way(question: StepQuestion, reason: Reason | None) -> None:
+    assert flown(foresee(*WAY), WAY[0]).surprise(question, FAR) is reason
+
+
+def test_a_goal_that_lies_farther_the_same_way_is_asked_about_where_the_path_ends() -> None:
+    foresight = flown(foresee(*WAY), *WAY)
+    assert foresight.surprise(asked(GOAL, target=(80.0, 50.0)), FAR) is Reason.NEW_GOAL
+    over = flown(foresee(WAY[0]), WAY[0])
+    assert over.surprise(asked(WAY[0], target=(80.0, 50.0)), FAR) is Reason.NEW_GOAL
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ((48.0, 50.0), None),
+        ((48.0, 51.4), None),
+        ((44.0, 50.0), None),
+        ((48.0, 51.6), Reason.ALTERED),
+        ((42.0, 50.0), Reason.ALTERED),
+        ((43.0, 50.0), Reason.ALTERED),
+    ],
+)
+def test_a_step_flown_otherwise_is_a_reason_if_it_differs_by_more_than_a_little(
+    place: Point, reason: Reason | None
+) -> None:
+    foresight = flown(foresee(*WAY), place)
+    assert foresight.surprise(asked(place), FAR) is reason
+    if reason is not None:
+        after = foresight.flown(place, WAY[1])
+        assert after.surprise(asked(WAY[1]), FAR) is None, "the last step counts, not an earlier one"
+
+
+def test_a_path_that_is_over_short_of_the_goal_is_a_reason() -> None:
+    assert flown(foresee(WAY[0]), WAY[0]).surprise(asked(WAY[0]), FAR) is Reason.USED_UP
+
+
+def test_only_a_new_obstacle_in_the_way_that_is_left_is_a_reason() -> None:
+    def with_disc(*center: float) -> Mission:
+        return MISSION.model_copy(update={"obstacles": (Obstacle(center=center, radius=1.0),)})
+
+    def meets(foresight: Foresight, *center: float) -> Reason | None:
+        return foresight.surprise(asked(WAY[0], mission=with_disc(*center)), FAR)
+
+    foresight = flown(foresee(*WAY), WAY[0])
+    assert meets(foresight, 54.0, 52.0) is Reason.OBSTACLE
+    assert meets(foresight, 54.0, 52.6) is None
+    assert meets(foresight, 44.0, 50.0) is None
+    knowing = flown(foresee(*WAY, mission=with_disc(54.0, 52.0)), WAY[0])
+    assert meets(knowing, 54.0, 52.0) is None
+
+
+@pytest.mark.parametrize(
+    ("robot", "place", "reason"),
+    [
+        (2, (54.0, 52.9), Reason.NEIGHBOUR),
+        (2, (54.0, 53.1), None),
+        (2, (44.0, 50.0), None),
+        (1, (54.0, 52.9), None),
+    ],
+)
+def test_a_robot_that_was_not_in_sight_and_comes_near_the_way_is_a_reason(
+    robot: int, place: Point, reason: Reason | None
+) -> None:
+    foresight = flown(foresee(*WAY), WAY[0])
+    assert foresight.surprise(asked(WAY[0]), {robot: place}) is reason
