@@ -27,6 +27,7 @@ from llm_flock.protocol.events import (
     Decided,
     Effect,
     Event,
+    MissionGiven,
     MoveTo,
     NegotiationEnded,
     Note,
@@ -128,6 +129,10 @@ class Agent:
                 phase, effects = self.phase, self._broadcast()
             case TickEnded():
                 phase, effects = self.phase, self._settle_tick()
+            case MissionGiven():
+                self.mission, self.plan, self.pedigree = event.mission, None, None
+                self.claim = Claim(slot=None)
+                phase, effects = self.phase, []
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():

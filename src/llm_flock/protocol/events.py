@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from llm_flock.arrays import Point
+from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 
@@ -56,6 +57,13 @@ class RoundBegan:
     neighbors: int
     sensed: Mapping[int, Point]
     observed: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionGiven:
+    """The operator gives this robot another mission; the others hear of it from this robot."""
+
+    mission: Mission
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +113,16 @@ class Stopped:
 
 
 Event: TypeAlias = (
-    RoundBegan | Planned | TickBegan | Received | TickEnded | NegotiationEnded | Decided | Arrived | Stopped
+    RoundBegan
+    | MissionGiven
+    | Planned
+    | TickBegan
+    | Received
+    | TickEnded
+    | NegotiationEnded
+    | Decided
+    | Arrived
+    | Stopped
 )
 
 # Effects: what the robot wants done.
@@ -152,6 +169,7 @@ class Note:
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
+    (Phase.IDLE, MissionGiven): frozenset({Phase.IDLE}),
     (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.NEGOTIATING}),
     (Phase.PLANNING, Planned): frozenset({Phase.NEGOTIATING}),
     (Phase.NEGOTIATING, TickBegan): frozenset({Phase.NEGOTIATING}),
