@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from llm_flock.protocol.agent import Agent
+from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.robots.simulated import SimulatedTeam
-
-DEAD, ASLEEP = "dead", "asleep"
-"""Stand in a record for the phase of a robot that is not awake: after it died, and before it began."""
 
 
 class Roster:
