@@ -26,3 +26,8 @@ Point: TypeAlias = tuple[float, ...]
 
 MAX_COORDINATE = 1e6
 """Largest absolute coordinate of a mission, and of what models answer [units]; doubles keep it to 1e-10."""
+
+
+def moved(point: Point, by: Point, share: float = 1.0) -> Point:
+    """A point moved by a displacement, or by a share of it [units]; the point itself where `by` is empty."""
+    return tuple(x + share * d for x, d in zip(point, by, strict=True)) if by else point

@@ -213,6 +213,9 @@ class Mission(BaseModel):
     def __hash__(self) -> int:
         return hash(self.digest)
 
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Mission) and self.digest == other.digest)
+
     @property
     def dim(self) -> int:
         """Dimension d of space."""

@@ -1,5 +1,7 @@
 """The state machine: legal events, refused messages, notes, and the table that the docs draw."""
 
+import math
+
 import pytest
 
 from llm_flock.mission import Mission
@@ -29,7 +31,7 @@ from llm_flock.protocol.events import (
     TickEnded,
 )
 from llm_flock.protocol.judge import REMEMBERED, Judge
-from llm_flock.protocol.messages import Message, Pedigree, encode
+from llm_flock.protocol.messages import Message, Pedigree, Stamp, decode, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -57,8 +59,20 @@ def origin(proposer: int, digest: str = MISSION.digest) -> Pedigree:
     return Pedigree(mission=0, mission_digest=digest, epoch=0, neighbors=2, proposer=proposer, sequence=0)
 
 
-def foreign(sender: int, plan: Plan | None, pedigree: Pedigree | None, sequence: int = 0) -> bytes:
-    return encode(Message(sender=sender, sequence=sequence, neighbors=2, plan=plan, pedigree=pedigree))
+def foreign(
+    sender: int, plan: Plan | None, pedigree: Pedigree | None, sequence: int = 0, mission_text: str | None = None
+) -> bytes:
+    """A message; one that says a mission claims a stamp that is higher than any and stands for something else."""
+    message = Message(
+        sender=sender,
+        sequence=sequence,
+        neighbors=2,
+        plan=plan,
+        pedigree=pedigree,
+        mission=Stamp(0 if mission_text is None else 7, "0" * 16),
+        mission_text=mission_text,
+    )
+    return encode(message)
 
 
 def planned(agent: Agent) -> list[Effect]:
@@ -93,6 +107,7 @@ def test_a_whole_round() -> None:
 def test_equal_standing_is_equal_bytes() -> None:
     agent = make()
     planned(agent)
+    agent.handle(TickBegan())  # the first of a round carries the heartbeats
     first, second = agent.handle(TickBegan()), agent.handle(TickBegan())
     assert first == second
     agent.handle(Received(foreign(1, BETTER, origin(1))))
@@ -103,14 +118,18 @@ def test_equal_standing_is_equal_bytes() -> None:
 @pytest.mark.parametrize(
     ("payload", "reason"),
     [
-        (b"noise", "malformed"),
+        (b"noise", "version"),
         (foreign(0, None, None), "own_id"),
-        (foreign(1, PLAN, origin(1, "f" * 16)), "other_mission"),
+        (foreign(1, None, None, mission_text='{"spacing": 12}'), "other_mission"),
+        (foreign(1, None, None, mission_text='{"spacing": -1}'), "other_mission"),
+        (foreign(1, None, None, mission_text='{"max_step": 9}'), "malformed"),
+        (foreign(1, None, None, mission_text="circle"), "malformed"),
     ],
 )
 def test_a_refused_message_is_counted_and_changes_nothing(payload: bytes, reason: str) -> None:
     agent = make()
     planned(agent)
+    agent.handle(TickBegan())
     before = agent.handle(TickBegan())
     (note,) = agent.handle(Received(payload))
     assert isinstance(note, Note) and note.kind == "rejected_message" and note.detail["reason"] == reason
@@ -210,7 +229,7 @@ def test_a_lost_auction_is_noted() -> None:
     assert note == Note("claimed", {"slot": 2, "before": 0})
 
 
-def test_with_every_slot_lost_the_robot_holds() -> None:
+def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     agent = make(2)
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
@@ -218,8 +237,15 @@ def test_with_every_slot_lost_the_robot_holds() -> None:
         Received(encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, pedigree=origin(1), slot=0, table=won)))
     )
     agent.handle(TickEnded())
+    assert agent.claim.slot is None
+    (ask,) = agent.handle(NegotiationEnded())
+    assert isinstance(ask, AskStep) and ask.question.slot is None, "it stands where another one has to go"
+    assert min(math.dist(ask.question.goal, x) for x in PLAN.points) >= 2 * MISSION.safe_distance
+    agent.handle(Decided(StepAnswer(waypoint=ask.question.goal)))
+    agent.handle(Arrived())
+    agent.handle(RoundBegan(round=2, position=ask.question.goal, neighbors=0, sensed={}, observed=()))
     note, _ = agent.handle(NegotiationEnded())
-    assert isinstance(note, Note) and "claimed by others" in note.detail["reason"]
+    assert isinstance(note, Note) and "taken by others" in note.detail["reason"]
 
 
 def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:
@@ -291,7 +317,7 @@ def test_a_received_plan_that_fails_dies_with_its_author() -> None:
     agent = checking()
     agent.handle(began())
     agent.handle(Planned(PlanAnswer(plan=IDEAL, slot=0)))
-    before = agent.handle(TickBegan())
+    agent.handle(TickBegan())
     for k in range(3):
         effects = agent.handle(Received(foreign(1, PLAN, origin(2), sequence=k)))
         if k == 0:
@@ -301,7 +327,9 @@ def test_a_received_plan_that_fails_dies_with_its_author() -> None:
         else:
             assert effects == [], "noted once"
         assert agent.handle(TickEnded()) == []
-    assert agent.handle(TickBegan()) == before and agent.plan == IDEAL
+        (said,) = agent.handle(TickBegan())
+        assert isinstance(said, Broadcast) and decode(said.payload, 3, 2).plan_digest == IDEAL.digest
+    assert agent.plan == IDEAL
     assert agent.rejected == {"unverified_plan": 3}
 
 

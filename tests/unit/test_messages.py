@@ -1,74 +1,157 @@
 """Everything that may come over the radio: accepted exactly, or refused with a stable word."""
 
-import json
 import math
+from typing import Any
 
+import msgspec
 import pytest
 
 from llm_flock.errors import MessageError
-from llm_flock.protocol.messages import Message, Offer, Pedigree, decode, encode, max_payload_bytes
+from llm_flock.protocol.messages import (
+    BLOCKED,
+    UNSAID,
+    WIRE_VERSION,
+    Message,
+    Offer,
+    Pedigree,
+    Stamp,
+    decode,
+    encode,
+    max_payload_bytes,
+    table_digest,
+)
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
 ORIGIN = Pedigree(mission=0, mission_digest="ab" * 8, epoch=0, neighbors=1, proposer=1, sequence=0)
-OFFER = {"to": 0, "give": 0, "take": 1, "give_version": 0, "take_version": 3, "bid": -2.5}
+TABLE = ((0, -1.5, 1), UNSAID)
 FULL = Message(
     sender=1,
     sequence=3,
     neighbors=1,
+    mission_text='{"shape": "circle"}',
     plan=PLAN,
     pedigree=ORIGIN,
     slot=0,
-    table=((0, -1.5, 1), (0, 0.0, -1)),
+    table=TABLE,
+    table_digest=table_digest(TABLE),
     offer=Offer(to=0, give=0, take=1, give_version=0, take_version=3, bid=-2.5),
+    beats=(7, 3),
 )
+FIELDS = [
+    "sender",
+    "sequence",
+    "neighbors",
+    "mission",
+    "mission_digest",
+    "mission_text",
+    "pedigree",
+    "places",
+    "plan_digest",
+    "plan",
+    "slot",
+    "table_digest",
+    "claims",
+    "offer",
+    "beats",
+]
+PEDIGREE = ("epoch", "neighbors", "proposer", "sequence")
+OFFER = [0, 0, 1, 0, 3, -2.5]
 
 
-def spoiled(**changes: object) -> bytes:
+def spoiled(version: int = WIRE_VERSION, **changes: Any) -> bytes:
     """The full message with some fields replaced, as an enemy would send it."""
-    return json.dumps({**json.loads(encode(FULL)), **changes}).encode()
+    wire = dict(zip(FIELDS, msgspec.msgpack.decode(encode(FULL)[1:]), strict=True))
+    return bytes([version]) + msgspec.msgpack.encode(list((wire | changes).values()))
 
 
-@pytest.mark.parametrize("message", [FULL, Message(sender=0, sequence=0, neighbors=0)])
+def pedigree(**changes: Any) -> list[Any]:
+    return list((dict(zip(PEDIGREE, (0, 1, 1, 0), strict=True)) | changes).values())
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        FULL,
+        Message(sender=0, sequence=0, neighbors=0),
+        Message(sender=0, sequence=0, neighbors=0, mission=Stamp(4, "cd" * 8)),
+        Message(sender=0, sequence=1, neighbors=1, plan_digest=PLAN.digest, places=2, pedigree=ORIGIN, slot=1),
+        Message(
+            sender=0,
+            sequence=1,
+            neighbors=1,
+            plan=PLAN,
+            pedigree=ORIGIN,
+            table=(UNSAID, (3, 0.0, BLOCKED)),
+            table_digest="0f" * 8,
+        ),
+    ],
+)
 def test_what_is_said_is_heard(message: Message) -> None:
     assert decode(encode(message), 2, 2) == message
+
+
+def test_slots_left_out_cost_nothing() -> None:
+    table = ((1, -2.0, 0), *(UNSAID for _ in range(99)))
+    plan = Plan.of([[float(k), 0.0] for k in range(100)])
+    said = Message(sender=0, sequence=0, neighbors=0, plan=plan, pedigree=ORIGIN, table=table, table_digest="00" * 8)
+    named = Message(
+        sender=0,
+        sequence=0,
+        neighbors=0,
+        plan_digest=plan.digest,
+        places=100,
+        pedigree=ORIGIN,
+        table=table,
+        table_digest="00" * 8,
+    )
+    assert len(encode(named)) < 100 < len(encode(said))
+    assert decode(encode(named), 2, 2).table == table
 
 
 @pytest.mark.parametrize(
     ("payload", "reason"),
     [
-        (b"", "malformed"),
-        (b"\xff\x00", "malformed"),
-        (b"[1, 2]", "malformed"),
+        (b"", "version"),
+        (bytes([WIRE_VERSION]), "malformed"),
+        (bytes([WIRE_VERSION, 0xFF, 0]), "malformed"),
+        (bytes([WIRE_VERSION]) + msgspec.msgpack.encode([1, 2]), "malformed"),
+        (bytes([WIRE_VERSION]) + msgspec.msgpack.encode({"sender": 1}), "malformed"),
         (b"x" * (max_payload_bytes(2) + 1), "oversized"),
-        (spoiled(v=2), "version"),
-        (spoiled(v="1"), "version"),
-        (spoiled(v=True), "version"),
-        (spoiled(v=1.5), "version"),
-        (spoiled(table=[[2**40, -1.0, 1], [0, 0.0, -1]]), "malformed"),
+        (spoiled(WIRE_VERSION + 1), "version"),
+        (b'{"v":1}', "version"),
+        (spoiled(claims=[[0, 2**40, -1.0, 1]]), "malformed"),
         (spoiled(extra=1), "malformed"),
         (spoiled(sender="1"), "malformed"),
+        (spoiled(sender=-1), "malformed"),
         (spoiled(sequence=-1), "malformed"),
         (spoiled(sequence=2**60), "malformed"),
+        (spoiled(mission_digest=b"short"), "malformed"),
+        (spoiled(mission_text=b"\xff\xff"), "malformed"),
         (spoiled(sender=2), "unknown_id"),
         (spoiled(neighbors=2), "unknown_id"),
-        (spoiled(table=[[0, -1.0, 7], [0, 0.0, -1]]), "unknown_id"),
-        (spoiled(table=[[0, -1.0, -2], [0, 0.0, -1]]), "unknown_id"),
-        (spoiled(pedigree={**json.loads(encode(FULL))["pedigree"], "proposer": 9}), "unknown_id"),
-        (spoiled(pedigree={**json.loads(encode(FULL))["pedigree"], "mission_digest": "no"}), "malformed"),
+        (spoiled(claims=[[0, 0, -1.0, 7]]), "unknown_id"),
+        (spoiled(claims=[[0, 0, -1.0, -3]]), "malformed"),
+        (spoiled(pedigree=pedigree(proposer=9)), "unknown_id"),
+        (spoiled(pedigree=pedigree(neighbors=2)), "unknown_id"),
         (spoiled(pedigree=None), "malformed"),
-        (spoiled(plan=None, pedigree=None), "malformed"),
+        (spoiled(plan=None, plan_digest=None, pedigree=None), "malformed"),
+        (spoiled(plan_digest=None), "malformed"),
+        (spoiled(table_digest=None), "malformed"),
+        (spoiled(places=0, plan=None), "wrong_length"),
+        (spoiled(places=10**6), "malformed"),
         (spoiled(plan=[[1.0, 2.0]]), "wrong_length"),
         (spoiled(plan=[[1.0, 2.0], [1.0, 2.0, 3.0]]), "wrong_length"),
         (spoiled(slot=2), "wrong_length"),
-        (spoiled(offer={**OFFER, "give": 2}), "wrong_length"),
-        (spoiled(offer={**OFFER, "to": 2}), "unknown_id"),
-        (spoiled(offer={**OFFER, "bid": math.inf}), "not_finite"),
-        (spoiled(table=[[0, -1.0, 1]]), "wrong_length"),
-        (spoiled(plan=[[math.nan, 2.0], [1.0, 2.0]]), "not_finite"),
-        (spoiled(plan=[[math.inf, 2.0], [1.0, 2.0]]), "not_finite"),
+        (spoiled(beats=[1]), "wrong_length"),
+        (spoiled(claims=[[2, 0, -1.0, 1]]), "wrong_length"),
+        (spoiled(offer=[0, 2, *OFFER[2:]]), "wrong_length"),
+        (spoiled(offer=[2, *OFFER[1:]]), "unknown_id"),
+        (spoiled(offer=[*OFFER[:5], math.inf]), "malformed"),
+        (spoiled(plan=[[math.nan, 2.0], [1.0, 2.0]]), "malformed"),
+        (spoiled(plan=[[math.inf, 2.0], [1.0, 2.0]]), "malformed"),
         (spoiled(plan=[[1e300, 2.0], [1.0, 2.0]]), "malformed"),
-        (spoiled(table=[[0, math.nan, 1], [0, 0.0, -1]]), "not_finite"),
+        (spoiled(claims=[[0, 0, math.nan, 1]]), "malformed"),
     ],
 )
 def test_unacceptable_messages_are_refused_by_name(payload: bytes, reason: str) -> None:
@@ -77,11 +160,26 @@ def test_unacceptable_messages_are_refused_by_name(payload: bytes, reason: str) 
     assert caught.value.reason == reason
 
 
+def test_the_digest_of_a_plan_said_in_full_is_not_believed_but_computed() -> None:
+    assert decode(spoiled(plan_digest=b"\0" * 8), 2, 2).plan_digest == PLAN.digest
+
+
 def test_a_full_table_of_a_large_team_fits() -> None:
     n = 1000
     plan = Plan.of([[12345.678901 + k, -98765.432109 - k] for k in range(n)])
     table = tuple((2**39, -123456.123456789, k) for k in range(n))
-    message = Message(sender=0, sequence=0, neighbors=n - 1, plan=plan, pedigree=ORIGIN, slot=0, table=table)
+    message = Message(
+        sender=0,
+        sequence=0,
+        neighbors=n - 1,
+        mission_text=str(plan.points),
+        plan=plan,
+        pedigree=ORIGIN,
+        slot=0,
+        table=table,
+        table_digest=table_digest(table),
+        beats=(2**32,) * n,
+    )
     assert decode(encode(message), n, 2) == message
 
 

@@ -12,7 +12,9 @@ def table(*owners: int) -> Table:
     return tuple((0, -1.0 if owner != NO_OWNER else 0.0, owner) for owner in owners)
 
 
-def step(search: Search, x: float, slot: int, owners: Table, *, at_goal: bool = True) -> Search:
+def step(
+    search: Search, x: float, slot: int, owners: Table, *, at_goal: bool = True, strangers: int = 1, silent: int = 0
+) -> Search:
     return advance(
         search,
         position=(x, 0.0),
@@ -22,6 +24,8 @@ def step(search: Search, x: float, slot: int, owners: Table, *, at_goal: bool = 
         center=CENTER,
         spacing=10.0,
         at_goal=at_goal,
+        strangers=strangers,
+        silent=silent,
     )
 
 
@@ -86,3 +90,29 @@ def test_tours_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then
     assert search.tours == MAX_TOURS == len(ways)
     assert waits[:MAX_TOURS] == sorted(waits[:MAX_TOURS])
     assert ways[0] == ((30.0, 0.0),) and ways[-1] == ((30.0, 0.0), CENTER)
+
+
+def test_with_everybody_in_touch_nobody_searches() -> None:
+    search = Search()
+    for _ in range(50):
+        search = step(search, 20.0, 2, table(0, 1, 2, NO_OWNER), strangers=0)
+    assert search.target is None and not search.given_up
+
+
+def test_the_tour_ends_when_the_last_stranger_is_heard_of() -> None:
+    owners, search = table(0, 1, 2, NO_OWNER), Search()
+    while search.target is None:
+        search = step(search, 20.0, 2, owners)
+    assert step(search, 25.0, 2, owners, at_goal=False, strangers=0).target is None
+
+
+def test_for_the_silent_only_their_neighbour_has_a_look_and_only_once() -> None:
+    owners = table(0, 1, 2, NO_OWNER)
+    far = step(step(Search(), 0.0, 0, owners, strangers=0, silent=1), 0.0, 0, owners, strangers=0, silent=1)
+    assert far.given_up and far.target is None
+    search, tours = Search(), 0
+    for _ in range(50):
+        before = search.target
+        search = step(search, 20.0 if before is None else before[0], 2, owners, strangers=0, silent=1)
+        tours += before is None and search.target is not None
+    assert tours == 1 and search.given_up

@@ -12,12 +12,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import assert_never
 
-from llm_flock.arrays import Point
-from llm_flock.errors import MessageError
+from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
-from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
-from llm_flock.protocol.consensus import ConsensusRule, Standing
+from llm_flock.protocol.assignment import AssignmentRule, Claim
+from llm_flock.protocol.consensus import ConsensusRule
 from llm_flock.protocol.events import (
     TRANSITIONS,
     Arrived,
@@ -41,11 +40,14 @@ from llm_flock.protocol.events import (
     TickEnded,
 )
 from llm_flock.protocol.judge import Judge, fallback_notes
-from llm_flock.protocol.messages import Message, Pedigree, decode, encode
+from llm_flock.protocol.liveness import TIME_OUT, Liveness
+from llm_flock.protocol.messages import Pedigree
+from llm_flock.protocol.negotiation import Gaps, Negotiation
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.safety import Safety
 from llm_flock.protocol.search import Search, advance
+from llm_flock.protocol.waiting import waiting_place
 
 
 class IllegalEvent(AssertionError):
@@ -63,6 +65,8 @@ class Agent:
         shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
+        time_out: rounds without a heartbeat after which a robot is taken for dead.
+        gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
     """
 
     def __init__(
@@ -75,31 +79,56 @@ class Agent:
         shield_on: bool,
         noise_bound: float = 0.0,
         verify: bool = False,
+        time_out: int = TIME_OUT,
+        gaps: Gaps = "report",
     ) -> None:
         self.robot = robot
-        self.mission = mission
         self.phase = Phase.IDLE
-        self.plan: Plan | None = None
-        self.pedigree: Pedigree | None = None
-        self.claim = Claim(slot=None)
-        self.neighbors = 0
-        self.rejected: Counter[str] = Counter()
-        self._consensus = consensus
-        self._assignment = assignment
-        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
-        self._judge = Judge(mission, verify=verify, shield_on=shield_on)
-        self._question: StepQuestion | None = None
-        self._no_plan: NoAnswer | None = None
-        self._proposals = 0
-        self._own_slot: int | None = None
-        self._round = 0
         self.position: Point = ()
+        self._judge = Judge(mission, verify=verify, shield_on=shield_on, any_size=gaps == "remake")
+        liveness = Liveness(robot, mission.n_robots, time_out)
+        self._talks = Negotiation(robot, mission, consensus, assignment, self._judge, liveness, gaps=gaps)
+        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
+        self._question: StepQuestion | None = None
+        self._round = 0
+        self._listening = False
+        self._drift: Point = ()  # of the mission's frame now, and at the end of this round
+        self._ahead: Point = ()
+        self._aim: Point = ()
+        self._places = mission.n_places
         self._sensed: Mapping[int, Point] = {}
         self._observed: tuple[Point, ...] = ()
         self._search = Search()
-        self._inbox: dict[int, Message] = {}
-        self._said: Message | None = None
-        self._payload = b""
+
+    @property
+    def mission(self) -> Mission:
+        """The mission in force, as this robot knows it."""
+        return self._talks.mission
+
+    @property
+    def plan(self) -> Plan | None:
+        """The plan it follows, in the frame of the mission: where its places are when the centre is at `center`."""
+        return self._talks.plan
+
+    @property
+    def pedigree(self) -> Pedigree | None:
+        """Origin of that plan."""
+        return self._talks.pedigree
+
+    @property
+    def claim(self) -> Claim:
+        """The place it claims in the plan, and all that goes with it."""
+        return self._talks.claim
+
+    @property
+    def neighbors(self) -> int:
+        """Robots within its radio range, |N_i|."""
+        return self._talks.neighbors
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Messages refused on receipt, by reason."""
+        return self._talks.rejected
 
     @property
     def influence(self) -> float:
@@ -108,10 +137,10 @@ class Agent:
 
     @property
     def goal(self) -> Point | None:
-        """Position of the claimed slot [units; world frame]."""
+        """Position of the claimed slot at the end of this round [units; world frame]."""
         if self.plan is None or self.claim.slot is None:
             return None
-        return self.plan.points[self.claim.slot]
+        return moved(self.plan.points[self.claim.slot], self._ahead)
 
     def handle(self, event: Event) -> list[Effect]:
         """Take one event; return what is to be done about it, in order.
@@ -122,17 +151,18 @@ class Agent:
         allowed = TRANSITIONS.get((self.phase, type(event)))
         if allowed is None:
             raise IllegalEvent(f"{type(event).__name__} in phase {self.phase}")
+        phase: Phase
+        effects: list[Effect]
         match event:
             case Received():
-                phase, effects = self.phase, self._receive(event.payload)
+                phase, effects = self.phase, [*self._talks.receive(event.payload)]
             case TickBegan():
-                phase, effects = self.phase, self._broadcast()
+                phase, effects = self.phase, [Broadcast(self._talks.broadcast())]
             case TickEnded():
-                phase, effects = self.phase, self._settle_tick()
+                phase, effects = self.phase, [*self._talks.settle()]
             case MissionGiven():
-                self.mission, self.plan, self.pedigree = event.mission, None, None
-                self.claim = Claim(slot=None)
-                phase, effects = self.phase, []
+                counter = self._talks.stamp.counter + 1
+                phase, effects = self.phase, [self._talks.take_mission(event.mission, counter)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -152,173 +182,104 @@ class Agent:
         return effects
 
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
+        self._listening = self._round == 0 and event.round > 1 and event.neighbors > 0
         self._round = event.round
         self.position = event.position
         self._sensed = event.sensed
         self._observed = event.observed
-        self.neighbors = event.neighbors
-        if self.plan is not None:
+        if self.mission.velocity:
+            self._drift, self._ahead = self.mission.drift(event.round - 1), self.mission.drift(event.round)
+        else:
+            self._drift = self._ahead = ()
+        talks, reach = self._talks, self.mission.comm_range
+        near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
+        sensed = {j: moved(x, self._drift, -1.0) for j, x in event.sensed.items()} if self._drift else event.sensed
+        talks.begin_round(event.round, moved(event.position, self._drift, -1.0), sensed, near, event.neighbors)
+        talks.watch_team(may_shrink=self._search.given_up)
+        places = self.mission.n_places if talks.plan is None else talks.remake
+        if places is None or self._listening:
             return Phase.NEGOTIATING, []
-        question = PlanQuestion(
-            mission=self.mission,
-            robot=self.robot,
-            round=event.round,
-            position=event.position,
-            neighbors=event.observed,
-        )
-        return Phase.PLANNING, [AskPlan(question)]
+        self._places = places
+        return Phase.PLANNING, [
+            AskPlan(
+                PlanQuestion(
+                    robot=self.robot,
+                    round=event.round,
+                    position=event.position,
+                    neighbors=event.observed,
+                    mission=self.mission.at(event.round).resized(places),
+                )
+            )
+        ]
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
-        """A proposal of one's own: it gets the influence of this moment as its pedigree."""
-        answer = self._judge.plan(answer)
-        if isinstance(answer, NoAnswer):
-            self._no_plan = answer if self._judge.verify else None
-            return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
-        origin = Pedigree(
-            mission=0,
-            mission_digest=self.mission.digest,
-            epoch=0,
-            neighbors=self.neighbors,
-            proposer=self.robot,
-            sequence=self._proposals,
-        )
-        self._proposals += 1
-        self._own_slot = answer.slot
-        self._follow(answer.plan, origin, adopted=False, heard=[])
-        proposed = Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})
-        return [*fallback_notes("plan", "geometry", answer.instead_of), proposed]
-
-    def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
-        self.plan, self.pedigree = plan, origin
-        self.claim = self._assignment.take(self._moment(adopted=adopted, heard=heard))
-
-    def _moment(self, *, adopted: bool, heard: list[Message]) -> Moment:
-        """What the assignment rule may know."""
-        assert self.plan is not None
-        return Moment(
-            robot=self.robot,
-            position=self.position,
-            plan=self.plan,
-            spacing=self.mission.spacing,
-            chosen=self._own_slot,
-            adopted=adopted,
-            heard=[m for m in heard if m.plan == self.plan],
-            sensed=self._sensed,
-        )
-
-    def _broadcast(self) -> list[Effect]:
-        """The own standing; bytes are made anew only when it changed, so that equal content is equal bytes."""
-        said = self._said
-        if (
-            said is None
-            or said.neighbors != self.neighbors
-            or said.plan is not self.plan
-            or said.pedigree is not self.pedigree
-            or said.slot != self.claim.slot
-            or said.table is not self.claim.table
-            or said.offer is not self.claim.offer
-        ):
-            self._said = Message(
-                sender=self.robot,
-                sequence=0 if said is None else said.sequence + 1,
-                neighbors=self.neighbors,
-                plan=self.plan,
-                pedigree=self.pedigree,
-                slot=self.claim.slot,
-                table=self.claim.table,
-                offer=self.claim.offer,
-            )
-            self._payload = encode(self._said)
-        return [Broadcast(self._payload)]
-
-    def _receive(self, payload: bytes) -> list[Effect]:
-        """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so."""
-        try:
-            message = decode(payload, self.mission.n_robots, self.mission.dim)
-            if message.sender == self.robot:
-                raise MessageError("own_id", f"a message from outside claims to come from robot {self.robot}")
-            if message.pedigree is not None and message.pedigree.mission_digest != self.mission.digest:
-                raise MessageError("other_mission", f"a plan for mission {message.pedigree.mission_digest}")
-        except MessageError as error:
-            self.rejected[error.reason] += 1
-            return [Note("rejected_message", {"reason": error.reason, "detail": error.detail})]
-        objection = self._judge.objection(message.plan)
-        if objection is not None and message.plan is not None:
-            self.rejected["unverified_plan"] += 1
-            detail = {"reason": "unverified_plan", "detail": objection}
-            return [Note("rejected_message", detail)] if self._judge.is_new(message.plan) else []
-        known = self._inbox.get(message.sender)
-        if known is None or message.sequence >= known.sequence:
-            self._inbox[message.sender] = replace(message, plan_class=self._judge.plan_class(message.plan))
-        return []
-
-    def _settle_tick(self) -> list[Effect]:
-        """Consensus first, then the claim, both on the same snapshot of what was heard."""
-        heard = [self._inbox[sender] for sender in sorted(self._inbox)]
-        self._inbox = {}
-        own = Standing(
-            plan=self.plan,
-            pedigree=self.pedigree,
-            neighbors=self.neighbors,
-            plan_class=self._judge.plan_class(self.plan),
-        )
-        slot_before = self.claim.slot
-        source = self._consensus.choose(own, heard)
-        effects = [] if source is None else self._adopt(source, heard)
-        if not effects and self.plan is not None:
-            self.claim = self._assignment.update(self.claim, self._moment(adopted=True, heard=heard))
-        if self.claim.slot != slot_before:
-            effects.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
-        return effects
-
-    def _adopt(self, source: Message, heard: list[Message]) -> list[Effect]:
-        """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
-        plan, origin = source.plan, source.pedigree
-        assert plan is not None and origin is not None, "a rule may only choose a message with a plan"
-        if plan == self.plan:
-            self.pedigree = origin
-            return []
-        notes = fallback_notes("plan", "neighbour", self._no_plan if self.plan is None else None)
-        self._follow(plan, origin, adopted=True, heard=heard)
-        return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
+        """A proposal of one's own; what the planner sees in the world is kept in the frame of the mission."""
+        if isinstance(answer, PlanAnswer) and self._ahead:
+            answer = replace(answer, plan=Plan.of(moved(x, self._ahead, -1.0) for x in answer.plan.points))
+        return [*self._talks.propose(answer, self._places)]
 
     def _ask_step(self) -> tuple[Phase, list[Effect]]:
-        if self.plan is None or self.claim.slot is None:
-            reason = "no plan yet" if self.plan is None else "every slot is claimed by others"
-            return Phase.MOVING, self._hold("no_goal", reason)
-        effects = self._look_for_others(self.plan, self.claim.slot)
+        plan, slot = self.plan, self.claim.slot
+        if plan is None:
+            return Phase.MOVING, self._hold("no_goal", "no plan yet")
+        effects = list[Effect]()
+        if slot is None:
+            aim = self._waiting_place(plan)
+            if aim is None:
+                return Phase.MOVING, self._hold("no_goal", "every place is taken by others")
+        else:
+            effects.extend(self._look_for_others(plan, slot))
+            aim = self._search.target
+        self._aim = plan.points[slot or 0] if aim is None else aim
         question = StepQuestion(
-            mission=self.mission,
             robot=self.robot,
             round=self._round,
             position=self.position,
             neighbors=self._observed,
-            plan=self.plan,
-            slot=self.claim.slot,
-            target=self._search.target,
+            plan=Plan.of(moved(x, self._ahead) for x in plan.points) if self._ahead else plan,
+            slot=slot,
+            target=None if aim is None else moved(aim, self._ahead),
+            mission=self.mission.at(self._round).resized(len(plan)),
         )
         self._question = question
         return Phase.DECIDING, [*effects, AskStep(question)]
 
-    def _look_for_others(self, plan: Plan, slot: int) -> list[Effect]:
-        """Begin, continue or end the search for robots that hold the slots known as vacant."""
-        if self.claim.table is None:
+    def _waiting_place(self, plan: Plan) -> Point | None:
+        """Where a robot without a place goes to be out of the others' way; None where it may stay.
+
+        In the frame of the mission, as the result: with a formation that travels it travels along.
+        """
+        here = moved(self.position, self._drift, -1.0)
+        others = [moved(x, self._drift, -1.0) for x in self._sensed.values()]
+        place = waiting_place(self.mission, here, plan, others)
+        return None if place == here and not self._ahead else place
+
+    def _look_for_others(self, plan: Plan, slot: int) -> list[Note]:
+        """Begin, continue or end the search for robots that hold the slots known as vacant; note what stays empty."""
+        table, talks = self.claim.table, self._talks
+        if table is None:
             return []
-        before = self._search
-        spacing = self.mission.spacing
+        before, spacing, live = self._search, self.mission.spacing, talks.liveness
+        here = moved(self.position, self._drift, -1.0)
         self._search = advance(
             before,
-            position=self.position,
+            position=here,
             plan=plan,
             slot=slot,
-            table=self.claim.table,
+            table=table,
             center=self.mission.center,
             spacing=spacing,
-            at_goal=math.dist(self.position, plan.points[slot]) <= AT_GOAL * spacing,
+            at_goal=math.dist(here, plan.points[slot]) <= AT_GOAL * spacing,
+            strangers=len(live.strangers),
+            silent=len(live.silent),
         )
-        if bool(before.way) == bool(self._search.way):
-            return []
-        return [Note("search", {"begun": bool(self._search.way), "vacant": list(self._search.known[1])})]
+        notes = list[Note]()
+        vacant = self._search.known[1]
+        if bool(before.way) != bool(self._search.way):
+            notes.append(Note("search", {"begun": bool(self._search.way), "vacant": list(vacant)}))
+        if self._search.given_up and not before.given_up:
+            notes.append(Note("gap", {"slots": list(vacant), "silent": sorted(live.silent | live.strangers)}))
+        return notes
 
     def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         question = self._question
@@ -331,7 +292,7 @@ class Agent:
         notes = fallback_notes("step", "geometry", failure)
         flown, origin = fit, Origin.MODEL
         if self._safety is not None:
-            flight = self._safety.step(self.position, self._sensed, fit, question.goal)
+            flight = self._safety.step(self.position, self._sensed, fit, self._aim, self._drift)
             flown, origin = flight.waypoint, flight.origin
             notes.extend(flight.notes)
         if origin is Origin.MODEL and flown != asked:  # clipped to the goal or to the step limit

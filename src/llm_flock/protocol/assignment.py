@@ -44,6 +44,9 @@ class Moment:
         adopted: whether the plan is another robot's.
         heard: this tick's newest message of each robot on the same plan, in ascending order of ids.
         sensed: believed positions of the robots within sensing range, by id [units; world frame].
+        silent: robots that were heard of and are no more.
+        blocked: places that nobody can take, because a body that does not move is on them.
+        clear: places that surely have no such body.
     """
 
     robot: int
@@ -54,6 +57,9 @@ class Moment:
     adopted: bool
     heard: Sequence[Message]
     sensed: Mapping[int, Point]
+    silent: frozenset[int] = frozenset()
+    blocked: frozenset[int] = frozenset()
+    clear: frozenset[int] = frozenset()
 
 
 class AssignmentRule(Protocol):

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
-from llm_flock.protocol.messages import NO_OWNER, Entry, Message, Offer, Table
+from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
 
 BID_DECIMALS = 9
 
@@ -73,7 +74,7 @@ class AuctionAssignment:
     def take(self, now: Moment) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
         bids = tuple(round(-math.dist(now.position, point), BID_DECIMALS) for point in now.plan.points)
-        empty: Table = ((0, 0.0, NO_OWNER),) * len(now.plan)
+        empty: Table = (UNSAID,) * len(now.plan)
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
 
     def update(self, claim: Claim, now: Moment) -> Claim:
@@ -83,6 +84,7 @@ class AuctionAssignment:
         for message in now.heard:
             if message.table is not None:
                 table = merge(table, message.table)
+        table = surveyed(reclaimed(now.robot, claim, table), now)
         offer, bound = claim.offer, claim.bound - 1
         if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
             offer = None
@@ -94,6 +96,33 @@ class AuctionAssignment:
         if slot is None or not self.swaps:
             return claim
         return _accepted(claim, now) or (claim if offer is not None else _offered(claim, now))
+
+
+def reclaimed(robot: int, claim: Claim, table: Table) -> Table:
+    """Take back a slot that others released because they had not heard of this robot for long."""
+    slot = claim.slot
+    if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
+        return table
+    return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
+
+
+def surveyed(table: Table, now: Moment) -> Table:
+    """The table after a look around: slots of the silent are free, and those under still bodies belong to nobody."""
+    if not (now.silent or now.blocked or now.clear):
+        return table
+    new: dict[int, Entry] = {}
+    for a, (version, _, owner) in enumerate(table):
+        if a in now.blocked:
+            if owner != BLOCKED:
+                new[a] = (version + 1, 0.0, BLOCKED)
+        elif owner in now.silent or (owner == BLOCKED and a in now.clear):
+            new[a] = (version + 1, 0.0, NO_OWNER)
+    return changed(table, new)
+
+
+def changed(table: Table, new: Mapping[int, Entry]) -> Table:
+    """The table with some entries replaced; the same object where there are none."""
+    return tuple(new.get(a, entry) for a, entry in enumerate(table)) if new else table
 
 
 def _ended(offer: Offer, robot: int, table: Table) -> bool:
@@ -108,8 +137,7 @@ def keep_one(robot: int, table: Table) -> tuple[Table, int | None]:
     if len(owned) < 2:
         return table, owned[0] if owned else None
     keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a))
-    released = {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}
-    return tuple(released.get(a, entry) for a, entry in enumerate(table)), keep
+    return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
 def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
@@ -117,7 +145,8 @@ def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, in
     table, slot = keep_one(robot, table)
     if slot is not None:
         return table, slot
-    offers = ((a, (table[a][0], bids[a], robot)) for a in range(len(table)) if table[a][0] == 0 or table[a][2] < 0)
+    free = (a for a, entry in enumerate(table) if entry[2] == NO_OWNER or (entry[0] == 0 and entry[2] != BLOCKED))
+    offers = ((a, (table[a][0], bids[a], robot)) for a in free)
     winnable = [(bids[a], -a, entry) for a, entry in offers if rank(entry) > rank(table[a])]
     if not winnable:
         return table, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from llm_flock.arrays import Point
+from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.plan import Plan
@@ -21,21 +22,35 @@ class Judge:
         mission: what the plans and steps are for.
         verify: whether anything is checked.
         shield_on: whether a waypoint that only lacks separation may be left to the shield.
+        any_size: whether a plan may have fewer places than the mission: one that was remade for the live team.
     """
 
-    def __init__(self, mission: Mission, *, verify: bool, shield_on: bool) -> None:
+    def __init__(self, mission: Mission, *, verify: bool, shield_on: bool, any_size: bool = False) -> None:
         self.verify = verify
-        self._mission = mission
+        self.mission = mission
+        self._any_size = any_size
         self._shield_on = shield_on
         self._refused: set[str] = set()
 
     def objection(self, plan: Plan | None) -> str | None:
         """Why this plan may not be followed, or None."""
-        return check_plan(self._mission, plan) if self.verify and plan is not None else None
+        return check_plan(self._asked_of(plan), plan) if self.verify and plan is not None else None
 
     def plan_class(self, plan: Plan | None) -> int:
         """The plan's place in the order of plans; 0 for all of them where nothing is checked."""
-        return int(plan_class(self._mission, plan)) if self.verify and plan is not None else 0
+        return int(plan_class(self._asked_of(plan), plan)) if self.verify and plan is not None else 0
+
+    def fitting(self, places: int) -> Mission | None:
+        """The mission for a plan of so many places; None where there is no such shape."""
+        try:
+            return self.mission.resized(places)
+        except InputError:
+            return None
+
+    def _asked_of(self, plan: Plan) -> Mission:
+        """What a plan is measured by: the mission itself, or as it would be for a smaller team."""
+        smaller = self._any_size and len(plan) < self.mission.n_places
+        return (self.fitting(len(plan)) if smaller else None) or self.mission
 
     def is_new(self, refused: Plan) -> bool:
         """Whether this refused plan has not been noted yet."""
@@ -47,9 +62,11 @@ class Judge:
         self._refused.add(refused.digest)
         return True
 
-    def plan(self, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
-        """The answer, or why its plan is none."""
-        objection = self.objection(answer.plan) if isinstance(answer, PlanAnswer) else None
+    def plan(self, answer: PlanAnswer | NoAnswer, places: int) -> PlanAnswer | NoAnswer:
+        """The answer, or why its plan is none; it was asked for so many places."""
+        if not isinstance(answer, PlanAnswer) or not self.verify:
+            return answer
+        objection = check_plan(self.fitting(places) or self.mission, answer.plan)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
 
     def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:

@@ -1,30 +1,48 @@
 """What robots say to each other: one kind of message, versioned, size-limited, validated on receipt.
 
-A message carries the sender's whole public standing: its influence, its plan with that plan's pedigree, the slot
-it claims and, for the auction, its table of claims. Positions are not in it: they are sensed.
+A message carries the sender's whole public standing: its mission, its influence, its plan with that plan's pedigree,
+the slot it claims and, for the auction, its claims on all slots. What is long is named by a digest, and said in full
+only where a neighbour may lack it (`llm_flock.protocol.speech`). Positions are not in it: they are sensed.
 """
 
 from __future__ import annotations
 
 import functools
+import hashlib
 from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import to_json
+import msgspec
+import msgspec.structs
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import MessageError
+from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.plan import Plan
 
-WIRE_VERSION = 1
-MAX_COORDINATE = 1e9
+WIRE_VERSION = 2
+MAX_BID = 10 * MAX_COORDINATE
+"""No two points of the largest arena are farther apart [units]."""
+
 NO_OWNER = -1
+BLOCKED = -2
+"""Stands for the owner of a slot that nobody can take, because a body that does not move is on it."""
 
 Entry: TypeAlias = tuple[int, float, int]
 """One slot of an auction table: (version, bid, owner); owner is NO_OWNER for a free slot."""
 
 Table: TypeAlias = tuple[Entry, ...]
+
+UNSAID: Entry = (0, 0.0, NO_OWNER)
+"""The lowest entry: merging it changes nothing, so it stands for the slots that a message leaves out."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Stamp:
+    """Which mission: the counter of its changes, then its content; of two missions the higher stamp is in force."""
+
+    counter: int
+    digest: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,117 +87,147 @@ class Offer:
     bid: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
+class Message(msgspec.Struct, frozen=True, kw_only=True):
     """One robot's standing, as broadcast.
 
     Attributes:
         sender: id of the robot.
-        sequence: counts the changes of the sender's standing; equal content is equal bytes.
+        sequence: counts the changes of what the sender says; equal content is equal bytes.
         neighbors: robots within the sender's radio range; its influence is neighbors / N (paper, eq. 1).
-        plan: the plan it follows, None before it has one.
+        mission: which mission the sender pursues; that of the pedigree if left out.
+        mission_text: that mission in full, as JSON of what may change (`Mission.refuses`), None where it is not said.
+        plan: the plan it follows, None before it has one or where only its digest is said.
+        plan_digest: digest of that plan, always said; that of `plan` if left out.
+        places: how many places that plan has; as many as `plan` has if left out.
         pedigree: origin of that plan, present with it.
         slot: index of the place it claims in the plan.
-        table: what it knows of everybody's claims on that plan (auction only).
+        table: what it says of everybody's claims on that plan, UNSAID for the slots left out (auction only).
+        table_digest: digest of its whole table (auction only); that of `table` if left out.
         offer: an exchange of places that it offers (auction only).
+        beats: how often it has heard each robot's heart beat, by id; None where that is not said.
         plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
     """
 
     sender: int
     sequence: int
     neighbors: int
+    mission: Stamp = Stamp(0, "0" * 16)
+    mission_text: str | None = None
     plan: Plan | None = None
+    plan_digest: str | None = None
+    places: int = 0
     pedigree: Pedigree | None = None
     slot: int | None = None
     table: Table | None = None
+    table_digest: str | None = None
     offer: Offer | None = None
+    beats: tuple[int, ...] | None = None
     plan_class: int = 0
 
+    def __post_init__(self) -> None:
+        origin, plan = self.pedigree, self.plan
+        if origin is not None and self.mission.digest != origin.mission_digest:
+            msgspec.structs.force_setattr(self, "mission", Stamp(origin.mission, origin.mission_digest))
+        if plan is not None:
+            msgspec.structs.force_setattr(self, "plan_digest", plan.digest)
+            msgspec.structs.force_setattr(self, "places", len(plan))
+        if self.table is not None and self.table_digest is None:
+            msgspec.structs.force_setattr(self, "table_digest", table_digest(self.table))
 
-Id = Annotated[int, Field(ge=0)]
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-Counter = Annotated[int, Field(ge=0, lt=2**40)]
-"""Far more than any honest robot counts, and far enough from the integers of JSON to be raised without harm."""
+
+Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
+Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
+"""Far more than any honest robot counts, and far enough from the integers of a machine to be raised without harm."""
+Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 
 
-class _WirePedigree(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-    mission: Counter
-    mission_digest: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
+class _WirePedigree(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     epoch: Counter
-    neighbors: Counter
+    neighbors: Id
     proposer: Id
     sequence: Counter
 
 
-class _WireOffer(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+class _WireOffer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     to: Id
     give: Id
     take: Id
     give_version: Counter
     take_version: Counter
-    bid: Finite
+    bid: Bid
 
 
-class _WireMessage(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-    v: Annotated[int, Field(ge=WIRE_VERSION, le=WIRE_VERSION)]
+class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     sender: Id
     sequence: Counter
-    neighbors: Counter
-    plan: tuple[tuple[Finite, ...], ...] | None
+    neighbors: Id
+    mission: Counter
+    mission_digest: Digest
+    mission_text: str | None
     pedigree: _WirePedigree | None
+    places: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROBOTS)]
+    plan_digest: Digest | None
+    plan: tuple[tuple[Coordinate, ...], ...] | None
     slot: Id | None
-    table: tuple[tuple[Counter, Finite, int], ...] | None
+    table_digest: Digest | None
+    claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
     offer: _WireOffer | None
+    beats: tuple[Counter, ...] | None
+
+
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(_WireMessage)
 
 
 def max_payload_bytes(n_robots: int) -> int:
     """Largest payload that a team of N can legitimately need [bytes]."""
-    return 1024 + 256 * n_robots
+    return 4096 + 256 * n_robots
+
+
+def table_digest(table: Table) -> str:
+    """16 hexadecimal digits that stand for all claims on a plan."""
+    return hashlib.blake2b(_ENCODER.encode(table), digest_size=8).hexdigest()
 
 
 def encode(message: Message) -> bytes:
-    """The message as JSON bytes."""
-    origin = message.pedigree
-    return to_json(
-        {
-            "v": WIRE_VERSION,
-            "sender": message.sender,
-            "sequence": message.sequence,
-            "neighbors": message.neighbors,
-            "plan": None if message.plan is None else message.plan.points,
-            "pedigree": None
-            if origin is None
-            else {
-                "mission": origin.mission,
-                "mission_digest": origin.mission_digest,
-                "epoch": origin.epoch,
-                "neighbors": origin.neighbors,
-                "proposer": origin.proposer,
-                "sequence": origin.sequence,
-            },
-            "slot": message.slot,
-            "table": message.table,
-            "offer": None
-            if message.offer is None
-            else {
-                "to": message.offer.to,
-                "give": message.offer.give,
-                "take": message.offer.take,
-                "give_version": message.offer.give_version,
-                "take_version": message.offer.take_version,
-                "bid": message.offer.bid,
-            },
-        }
+    """The message as bytes: the wire version, then MessagePack."""
+    origin, offer, table = message.pedigree, message.offer, message.table
+    wire = _WireMessage(
+        sender=message.sender,
+        sequence=message.sequence,
+        neighbors=message.neighbors,
+        mission=message.mission.counter,
+        mission_digest=bytes.fromhex(message.mission.digest),
+        mission_text=message.mission_text,
+        pedigree=None
+        if origin is None
+        else _WirePedigree(origin.epoch, origin.neighbors, origin.proposer, origin.sequence),
+        places=message.places,
+        plan_digest=None if message.plan_digest is None else bytes.fromhex(message.plan_digest),
+        plan=None if message.plan is None else message.plan.points,
+        slot=message.slot,
+        table_digest=None if message.table_digest is None else bytes.fromhex(message.table_digest),
+        claims=None if table is None else tuple((a, *entry) for a, entry in enumerate(table) if entry != UNSAID),
+        offer=None
+        if offer is None
+        else _WireOffer(offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid),
+        beats=message.beats,
     )
+    return bytes([WIRE_VERSION]) + _ENCODER.encode(wire)
 
 
 @functools.lru_cache(maxsize=256)
 def _plan(points: tuple[Point, ...]) -> Plan:
     """The plan of these points: a few plans come in many messages, and rounding a long one takes milliseconds."""
     return Plan(points)
+
+
+@functools.lru_cache(maxsize=64)
+def _unsaid(places: int) -> Table:
+    return (UNSAID,) * places
 
 
 @functools.lru_cache(maxsize=4096)
@@ -189,78 +237,96 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     Pure, so equal payloads are decoded once (a broadcast has many receivers).
 
     Raises:
-        MessageError: with reason `oversized`, `version`, `malformed`, `not_finite`, `wrong_length` or `unknown_id`.
+        MessageError: with reason `oversized`, `version`, `malformed`, `wrong_length` or `unknown_id`.
     """
     if len(payload) > max_payload_bytes(n_robots):
         raise MessageError("oversized", f"{len(payload)} bytes, at most {max_payload_bytes(n_robots)} are allowed")
+    if payload[:1] != bytes([WIRE_VERSION]):
+        raise MessageError("version", f"version {WIRE_VERSION} is spoken here")
     try:
-        wire = _WireMessage.model_validate_json(payload)
-    except ValidationError as error:
-        raise _rejection(error) from None
+        wire = _DECODER.decode(memoryview(payload)[1:])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MessageError("malformed", str(error)) from None
     _check_ids(wire, n_robots)
     _check_lengths(wire, n_robots, dim)
-    origin = wire.pedigree
+    mission_digest, origin, offer = wire.mission_digest.hex(), wire.pedigree, wire.offer
     return Message(
         sender=wire.sender,
         sequence=wire.sequence,
         neighbors=wire.neighbors,
+        mission=Stamp(wire.mission, mission_digest),
+        mission_text=wire.mission_text,
         plan=None if wire.plan is None else _plan(wire.plan),
+        plan_digest=None if wire.plan_digest is None else wire.plan_digest.hex(),
+        places=wire.places,
         pedigree=None
         if origin is None
         else Pedigree(
-            mission=origin.mission,
-            mission_digest=origin.mission_digest,
+            mission=wire.mission,
+            mission_digest=mission_digest,
             epoch=origin.epoch,
             neighbors=origin.neighbors,
             proposer=origin.proposer,
             sequence=origin.sequence,
         ),
         slot=wire.slot,
-        table=wire.table,
-        offer=None if wire.offer is None else Offer(**dict(wire.offer)),
+        table=_table(wire),
+        table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
+        offer=None
+        if offer is None
+        else Offer(
+            to=offer.to,
+            give=offer.give,
+            take=offer.take,
+            give_version=offer.give_version,
+            take_version=offer.take_version,
+            bid=offer.bid,
+        ),
+        beats=wire.beats,
     )
 
 
-def _rejection(error: ValidationError) -> MessageError:
-    """The word under which a refused payload is counted."""
-    faults = error.errors(include_url=False, include_context=False, include_input=False)
-    places = {fault["loc"][:1] for fault in faults}
-    kinds = {fault["type"] for fault in faults}
-    detail = f"{'.'.join(map(str, faults[0]['loc']))}: {faults[0]['msg']}"
-    if ("v",) in places:
-        return MessageError("version", f"version {WIRE_VERSION} is spoken here")
-    if kinds & {"finite_number"}:
-        return MessageError("not_finite", detail)
-    return MessageError("malformed", detail)
+def _table(wire: _WireMessage) -> Table | None:
+    if not wire.claims:
+        return None if wire.claims is None else _unsaid(wire.places)
+    table = [UNSAID] * wire.places
+    for slot, version, bid, owner in wire.claims:
+        table[slot] = (version, bid, owner)
+    return tuple(table)
 
 
 def _check_ids(wire: _WireMessage, n_robots: int) -> None:
-    named = [wire.sender]
+    named = {wire.sender}
     if wire.pedigree is not None:
-        named.append(wire.pedigree.proposer)
+        named.add(wire.pedigree.proposer)
     if wire.offer is not None:
-        named.append(wire.offer.to)
-    if wire.table is not None:
-        named.extend(entry[2] for entry in wire.table if entry[2] != NO_OWNER)
-    for robot in named:
-        if not 0 <= robot < n_robots:
-            raise MessageError("unknown_id", f"robot {robot} in a team of {n_robots}")
+        named.add(wire.offer.to)
+    named.update(owner for _, _, _, owner in wire.claims or ())
+    if max(named) >= n_robots:
+        raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
     if max(wire.neighbors, wire.pedigree.neighbors if wire.pedigree else 0) >= n_robots:
         raise MessageError("unknown_id", f"more neighbours than a team of {n_robots} has")
 
 
 def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
-    if (wire.plan is None) != (wire.pedigree is None):
+    if wire.beats is not None and len(wire.beats) != n_robots:
+        raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
+    if (wire.plan_digest is None) != (wire.pedigree is None) or (wire.plan is not None and wire.plan_digest is None):
         raise MessageError("malformed", "a plan and its pedigree go together")
-    if wire.plan is None:
-        if wire.slot is not None or wire.table is not None or wire.offer is not None:
+    if (wire.claims is None) != (wire.table_digest is None):
+        raise MessageError("malformed", "claims and their digest go together")
+    if wire.plan_digest is None:
+        if wire.places or wire.slot is not None or wire.claims is not None or wire.offer is not None:
             raise MessageError("malformed", "claims without a plan")
         return
-    if len(wire.plan) != n_robots or set(map(len, wire.plan)) != {dim}:
-        raise MessageError("wrong_length", f"a plan has {n_robots} points of {dim} coordinates")
-    if wire.slot is not None and wire.slot >= n_robots:
-        raise MessageError("wrong_length", f"slot {wire.slot} of {n_robots}")
-    if wire.offer is not None and max(wire.offer.give, wire.offer.take) >= n_robots:
-        raise MessageError("wrong_length", f"an offer of slots {wire.offer.give} and {wire.offer.take} of {n_robots}")
-    if wire.table is not None and len(wire.table) != n_robots:
-        raise MessageError("wrong_length", f"a table has {n_robots} entries, not {len(wire.table)}")
+    if not wire.places:
+        raise MessageError("wrong_length", "a plan without places")
+    if wire.plan is not None and (len(wire.plan) != wire.places or set(map(len, wire.plan)) != {dim}):
+        raise MessageError("wrong_length", f"a plan of {wire.places} places has as many points of {dim} coordinates")
+    slots = [claim[0] for claim in wire.claims or ()]
+    if wire.slot is not None:
+        slots.append(wire.slot)
+    if wire.offer is not None:
+        slots += (wire.offer.give, wire.offer.take)
+    if slots and max(slots) >= wire.places:
+        raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {wire.places} places")

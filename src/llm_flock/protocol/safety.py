@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol import progress as timing
@@ -48,23 +48,32 @@ class Safety:
         apart = self._separate(position, sensed)
         return Flight(waypoint=position, origin=Origin.HOLD) if apart is None else apart
 
-    def step(self, position: Point, sensed: Mapping[int, Point], wish: Point, goal: Point) -> Flight:
+    def step(
+        self,
+        position: Point,
+        sensed: Mapping[int, Point],
+        wish: Point,
+        goal: Point,
+        drift: Point = (),
+    ) -> Flight:
         """The safe waypoint for a wish.
 
         Args:
             position: where the robot believes it is [units; world frame].
             sensed: believed positions of the robots within sensing range, by id.
             wish: where its planner wants to be next.
-            goal: where it has to end.
+            goal: where it has to end [units; frame of the mission].
+            drift: how far that frame has travelled [units]; empty where it stands still. Progress is made in it.
         """
         apart = self._separate(position, sensed)
         if apart is not None:
             return apart
         mission = self._mission
+        here = moved(position, drift, -1.0)
         was_blocked = self._progress is not None and self._progress.blocked
         seen = timing.watch(
             self._progress,
-            position,
+            here,
             goal,
             gain=timing.GAIN_SHARE * mission.max_step,
             within=AT_GOAL * mission.spacing + self._noise_bound,
@@ -78,16 +87,16 @@ class Safety:
                 return Flight(waypoint=wish, origin=Origin.MODEL)
             note = Note("shielded", {"proposed": wish, "flown": safe})
             return Flight(waypoint=safe, origin=Origin.SHIELD, notes=(note,))
-        distance = math.dist(position, goal)
+        distance = math.dist(here, goal)
         waypoint, self._progress = timing.detour(
             seen,
-            position,
-            lambda target: self._project(position, target, others),
+            here,
+            lambda target: moved(self._project(position, moved(target, drift), others), drift, -1.0),
             length=min(mission.max_step, max(distance, mission.safe_distance)),
             follow=bool(mission.obstacles),
         )
         notes = () if was_blocked else (Note("deadlock", {"goal_distance": distance, "rounds": seen.idle}),)
-        return Flight(waypoint=waypoint, origin=Origin.DETOUR, notes=notes)
+        return Flight(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
         mission, noise = self._mission, self._noise_bound

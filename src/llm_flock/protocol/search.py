@@ -29,6 +29,9 @@ PATIENCE_PER_PLACE = 4
 MAX_TOURS = 4
 """Tours in vain on the same knowledge, after which the robot stays."""
 
+SILENT_TOURS = 1
+"""Tours in vain of a robot next to a vacant slot, where all that are missing have been heard of before."""
+
 ARRIVED = 0.5
 """A point of the tour counts as visited within this share of the spacing."""
 
@@ -50,6 +53,11 @@ class Search:
     way: tuple[Point, ...] = ()
 
     @property
+    def given_up(self) -> bool:
+        """Whether the robot has looked long enough, and takes the vacant slots for gaps."""
+        return self.tours >= MAX_TOURS
+
+    @property
     def target(self) -> Point | None:
         """Where the search leads next, None while there is none under way."""
         return self.way[0] if self.way else None
@@ -65,6 +73,8 @@ def advance(
     center: Point,
     spacing: float,
     at_goal: bool,
+    strangers: int,
+    silent: int,
 ) -> Search:
     """The search one round later.
 
@@ -77,16 +87,20 @@ def advance(
         center: centre of the formation.
         spacing: wanted distance between neighbours [units].
         at_goal: whether the robot is at its own place.
+        strangers: how many robots of the team have never been heard of.
+        silent: how many have been, but not for long. They are probably dead, so a short look must do.
     """
     empty = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
     if (plan.digest, empty) != search.known:
         return Search(known=(plan.digest, empty))
-    if not empty:
-        return search
+    if not empty or not (strangers or silent):  # with everybody in touch the talks will fill what is empty
+        return search if not search.way else replace(search, way=(), waited=0)
     if search.way:
         way = search.way[1:] if math.dist(position, search.way[0]) <= ARRIVED * spacing else search.way
         return replace(search, way=way) if way else replace(search, way=(), waited=0, tours=search.tours + 1)
-    if not at_goal or search.tours >= MAX_TOURS:
+    if not strangers and (search.tours >= SILENT_TOURS or _nearest(plan, slot, empty) > NEXT_TO * spacing):
+        return replace(search, tours=MAX_TOURS)
+    if not at_goal or search.given_up:
         return search
     if search.waited < _patience(search.tours, plan, slot, empty, spacing):
         return replace(search, waited=search.waited + 1)
@@ -96,8 +110,12 @@ def advance(
 
 def _patience(tours: int, plan: Plan, slot: int, empty: Sequence[int], spacing: float) -> int:
     """Rounds to wait before setting out."""
-    nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in empty)
+    nearest = _nearest(plan, slot, empty)
     return PATIENCE * 2**tours + int(PATIENCE_PER_PLACE * max(0.0, nearest / spacing - NEXT_TO))
+
+
+def _nearest(plan: Plan, slot: int, empty: Sequence[int]) -> float:
+    return min(math.dist(plan.points[slot], plan.points[a]) for a in empty)
 
 
 def _tour(plan: Plan, slot: int, empty: Sequence[int]) -> tuple[Point, ...]:

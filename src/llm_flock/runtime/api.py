@@ -87,6 +87,8 @@ async def run_async(
             shield_on=bool(protocol.shield),
             verify=bool(protocol.verify),
             noise_bound=config.trial.noise,
+            time_out=protocol.time_out,
+            gaps=protocol.gaps,
         )
 
     return await _fly(config, mind, on_round)

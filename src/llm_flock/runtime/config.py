@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.mission import Coordinate, Mission, input_error
+from llm_flock.protocol.liveness import TIME_OUT
 from llm_flock.runtime.rules import PRESETS
 from llm_flock.runtime.schedule import Change, Schedule, build_schedule
 from llm_flock.runtime.seeds import Stream, stream
@@ -48,6 +49,13 @@ class ProtocolConfig(Section):
         description="When a model's plan or step stays unusable: hold (wait for a neighbour's plan), or plain geometry",
     )
     ticks: Count | None = Field(default=None, description="Message exchanges per motion round [preset's]")
+    gaps: Literal["report", "remake"] = Field(
+        default="report",
+        description="When fewer robots are alive than the plan has places: report the gaps, or remake the plan",
+    )
+    time_out: Count = Field(
+        default=TIME_OUT, description="Rounds without a heartbeat, by whatever way, after which a robot counts as dead"
+    )
 
     @model_validator(mode="after")
     def _resolve(self) -> Self:

@@ -1,0 +1,94 @@
+"""Who is alive: heartbeats that everybody passes on, so that out of range is not dead.
+
+A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware
+1998). Every robot counts its own rounds; counters travel with the messages and meet by the element-wise maximum. A
+robot whose counter has stood still for longer than the time-out is taken for silent: dead, or cut off together with all
+who hear it. That is a suspicion and no more: whoever was suspected wrongly is heard of again, and alive again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+TIME_OUT = 10
+"""Rounds without a heartbeat, by whatever way, after which a robot is taken for dead; some flights lead out of
+everybody's range for a while."""
+
+
+class Liveness:
+    """What one robot knows of everybody's heartbeats.
+
+    `silent` are the robots that were heard of and are no more, `strangers` those that never were, and `still` those
+    whose bodies cannot be expected to make way: the silent ones, and strangers that stayed within radio range for the
+    time-out without being heard.
+
+    Args:
+        robot: own id.
+        n_robots: team size N.
+        time_out: rounds that a counter may stand still.
+    """
+
+    def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
+        self._robot = robot
+        self._time_out = time_out
+        self._beats = np.zeros(n_robots, dtype=np.int64)
+        self._advanced = np.full(n_robots, -1, dtype=np.int64)
+        self._round = 0
+        self._mute_for: dict[int, int] = {}
+        self.silent: frozenset[int] = frozenset()
+        self.strangers: frozenset[int] = frozenset(range(n_robots)) - {robot}
+        self.still: frozenset[int] = frozenset()
+
+    @property
+    def beats(self) -> tuple[int, ...]:
+        """The highest counter known of each robot, by id."""
+        return tuple(self._beats.tolist())
+
+    @property
+    def alive(self) -> int:
+        """How many robots are taken for alive, this one included."""
+        return len(self._beats) - len(self.silent) - len(self.strangers)
+
+    def begin_round(self, round_number: int, near: frozenset[int]) -> None:
+        """Count a heartbeat of one's own, and see whose counter has stood still for too long.
+
+        Args:
+            round_number: number of the round.
+            near: robots that are sensed within radio range.
+        """
+        self._round = round_number
+        self._beats[self._robot] += 1
+        self._advanced[self._robot] = round_number
+        self._mute_for = {j: self._mute_for.get(j, 0) + 1 for j in near & self.strangers}
+        self._look()
+
+    def hear(self, heard: Sequence[Sequence[int]]) -> None:
+        """Take the counters of a tick's messages, each of N numbers.
+
+        Who was restarted, and hears of its own former life, counts on from there: otherwise nobody would notice its
+        new heartbeats.
+        """
+        if not heard:
+            return
+        highest = np.array(heard, dtype=np.int64).max(axis=0)
+        mine = int(highest[self._robot])
+        newer = highest > self._beats
+        newer[self._robot] = False
+        self._beats[newer] = highest[newer]
+        self._advanced[newer] = self._round
+        if mine > self._beats[self._robot]:
+            self._beats[self._robot] = mine + 1
+        if newer.any():
+            self._look()
+
+    def _look(self) -> None:
+        never = self._advanced < 0
+        late = ~never & (self._round - self._advanced > self._time_out)
+        if late.any() or self.silent:
+            self.silent = frozenset(np.flatnonzero(late).tolist())
+        if self.strangers:
+            self.strangers = frozenset(np.flatnonzero(never).tolist())
+        mute = (j for j, rounds in self._mute_for.items() if rounds > self._time_out and j in self.strangers)
+        self.still = self.silent.union(mute)

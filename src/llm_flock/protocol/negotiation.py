@@ -1,0 +1,329 @@
+"""One robot's part in the talks: which mission, which plan, which place in it, and what it says of all that.
+
+Everything here happens between motion rounds and knows positions only as the sensors gave them. Positions are taken in
+the frame of the mission, which travels with its centre: there the places of a plan stand still.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Literal, TypeAlias, cast
+
+from msgspec.structs import replace
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError, MessageError
+from llm_flock.metrics import AT_GOAL
+from llm_flock.mission import Mission
+from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
+from llm_flock.protocol.consensus import ConsensusRule, Standing
+from llm_flock.protocol.events import Note
+from llm_flock.protocol.judge import Judge, fallback_notes
+from llm_flock.protocol.liveness import Liveness
+from llm_flock.protocol.messages import Message, Pedigree, Stamp, decode
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer
+from llm_flock.protocol.speech import MISSION_FIELDS, Speech
+
+Gaps: TypeAlias = Literal["report", "remake"]
+
+NOTHING = frozenset[int]()
+
+REMEMBERED_PLANS = 1024
+"""So many plans are known by their digest."""
+
+REMAKE_PATIENCE = 2
+"""Rounds for which a plan must not fit the team before it is remade; as many more for each lower id that is alive, up
+to MOST_WAIT, so that one robot proposes and the others hear of it in time."""
+
+MOST_WAIT = 6
+
+
+class Negotiation:
+    """What one robot follows and claims, and how that changes with what it hears.
+
+    Args:
+        robot: own id, 0 .. N-1.
+        mission: what the team is asked to do.
+        consensus: rule that chooses the plan.
+        assignment: rule that chooses the slot.
+        judge: says which plans may be followed.
+        liveness: who is alive.
+        gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        mission: Mission,
+        consensus: ConsensusRule,
+        assignment: AssignmentRule,
+        judge: Judge,
+        liveness: Liveness,
+        *,
+        gaps: Gaps,
+    ) -> None:
+        self.mission = mission
+        self.stamp = Stamp(0, mission.digest)
+        self.plan: Plan | None = None
+        self.pedigree: Pedigree | None = None
+        self.claim = Claim(slot=None)
+        self.neighbors = 0
+        self.rejected: Counter[str] = Counter()
+        self.liveness = liveness
+        self._robot = robot
+        self._consensus = consensus
+        self._assignment = assignment
+        self._judge = judge
+        self._gaps = gaps
+        self._speech = Speech()
+        self._inbox: dict[int, Message] = {}
+        self._beats: list[tuple[int, ...]] = []
+        self._plans: dict[str, Plan] = {}
+        self._no_plan: NoAnswer | None = None
+        self._proposals = 0
+        self._own_slot: int | None = None
+        self._misfit = 0
+        self._position: Point = ()
+        self._sensed: Mapping[int, Point] = {}
+        self._met_bodies = False
+
+    def begin_round(
+        self, round_number: int, position: Point, sensed: Mapping[int, Point], near: frozenset[int], neighbors: int
+    ) -> None:
+        """What the sensors say.
+
+        Args:
+            round_number: number of the round.
+            position: own believed position [units; frame of the mission].
+            sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
+            near: those of them within radio range.
+            neighbors: how many robots the radio counts within range, |N_i|.
+        """
+        self._position, self._sensed, self.neighbors = position, sensed, neighbors
+        self.liveness.begin_round(round_number, near)
+        self._speech.begin_round(near, neighbors)
+
+    # ---------------------------------------------------------------- mission
+
+    def take_mission(self, mission: Mission, counter: int) -> Note:
+        """Pursue another mission: everything that belonged to the one before is void."""
+        self.mission, self.stamp = mission, Stamp(counter, mission.digest)
+        self._judge.mission = mission
+        self.plan = self.pedigree = self._no_plan = self._own_slot = None
+        self.claim = Claim(slot=None)
+        self._inbox, self._plans, self._misfit = {}, {}, 0
+        return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
+
+    def _consider(self, message: Message) -> list[Note]:
+        """A mission of higher stamp: taken if it is said in full and changes nothing that is this robot's own."""
+        if message.mission_text is None:
+            return []
+        try:
+            said = _mission_fields(message.mission_text)
+            mission = self.mission.change(**said)
+            if mission.digest != message.mission.digest:
+                raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
+            refusal = self.mission.refuses(mission)
+            if refusal is not None:
+                raise MessageError("other_mission", refusal)
+        except InputError as error:
+            return [self._reject(MessageError("other_mission", str(error)))]
+        except MessageError as error:
+            return [self._reject(error)]
+        return [self.take_mission(mission, message.mission.counter)]
+
+    # ---------------------------------------------------------------- plan
+
+    @property
+    def remake(self) -> int | None:
+        """How many places a plan for the live team should have, None while there is no reason to remake it."""
+        return self._wanted if self._misfit > REMAKE_PATIENCE + min(self._rank, MOST_WAIT) else None
+
+    @property
+    def _wanted(self) -> int:
+        return min(self.mission.n_places, self.liveness.alive)
+
+    @property
+    def _rank(self) -> int:
+        """How many robots of lower id are alive."""
+        gone = self.liveness.silent | self.liveness.strangers
+        return self._robot - sum(j < self._robot for j in gone)
+
+    def watch_team(self, *, may_shrink: bool) -> None:
+        """Once a round: does the plan fit the team that is alive?
+
+        Args:
+            may_shrink: whether robots that were never heard of may be given up.
+        """
+        plan = self.plan
+        fits = plan is None or len(plan) == self._wanted or self._gaps != "remake"
+        waits = plan is not None and self._wanted < len(plan) and bool(self.liveness.strangers) and not may_shrink
+        legal = fits or self._judge.fitting(self._wanted) is not None
+        self._misfit = 0 if fits or waits or not legal else self._misfit + 1
+
+    def propose(self, answer: PlanAnswer | NoAnswer, places: int) -> list[Note]:
+        """A proposal of one's own: it gets the influence of this moment as its pedigree."""
+        answer = self._judge.plan(answer, places)
+        if isinstance(answer, NoAnswer):
+            self._no_plan = answer if self._judge.verify else None
+            return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
+        origin = Pedigree(
+            mission=self.stamp.counter,
+            mission_digest=self.stamp.digest,
+            epoch=0 if self.pedigree is None else self.pedigree.epoch + 1,
+            neighbors=self.neighbors,
+            proposer=self._robot,
+            sequence=self._proposals,
+        )
+        self._proposals += 1
+        self._own_slot = answer.slot
+        self._follow(answer.plan, origin, adopted=False, heard=[])
+        proposed = Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})
+        return [*fallback_notes("plan", "geometry", answer.instead_of), proposed]
+
+    def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
+        self.plan, self.pedigree, self._misfit = plan, origin, 0
+        self.claim = self._assignment.take(self._moment(adopted=adopted, heard=heard))
+
+    def _moment(self, *, adopted: bool, heard: list[Message]) -> Moment:
+        """What the assignment rule may know."""
+        assert self.plan is not None
+        bodies = [self._sensed[j] for j in self.liveness.still if j in self._sensed]
+        self._met_bodies = self._met_bodies or bool(bodies)
+        blocked, clear = self._surveyed(self.plan, bodies) if self._met_bodies else (NOTHING, NOTHING)
+        return Moment(
+            robot=self._robot,
+            position=self._position,
+            plan=self.plan,
+            spacing=self.mission.spacing,
+            chosen=self._own_slot,
+            adopted=adopted,
+            heard=[m for m in heard if m.plan == self.plan],
+            sensed=self._sensed,
+            silent=self.liveness.silent,
+            blocked=blocked,
+            clear=clear,
+        )
+
+    def _surveyed(self, plan: Plan, bodies: list[Point]) -> tuple[frozenset[int], frozenset[int]]:
+        """Places that a body without a mind keeps anybody from taking, and places that surely have none."""
+        too_near = self.mission.safe_distance - AT_GOAL * self.mission.spacing
+        seen = self.mission.sensing - max(too_near, 0.0)
+        places = [a for a, place in enumerate(plan.points) if math.dist(self._position, place) <= seen]
+        blocked = frozenset(a for a in places if any(math.dist(plan.points[a], body) < too_near for body in bodies))
+        return blocked, frozenset(places) - blocked
+
+    # ---------------------------------------------------------------- messages
+
+    def broadcast(self) -> bytes:
+        """The own standing as bytes, which are made anew only when there is something new to say."""
+        whole = Message(
+            sender=self._robot,
+            sequence=0,
+            neighbors=self.neighbors,
+            mission=self.stamp,
+            plan=self.plan,
+            pedigree=self.pedigree,
+            slot=self.claim.slot,
+            table=self.claim.table,
+            offer=self.claim.offer,
+        )
+        return self._speech.say(whole, self.mission, self.liveness)
+
+    def receive(self, payload: bytes) -> list[Note]:
+        """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so."""
+        try:
+            message = decode(payload, self.mission.n_robots, self.mission.dim)
+            if message.sender == self._robot:
+                raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
+        except MessageError as error:
+            return [self._reject(error)]
+        notes = self._consider(message) if message.mission > self.stamp else []
+        if message.mission_text is not None and message.mission > self.stamp:
+            return notes  # refused: who pursues such a mission is not of this team
+        self._speech.hear(message)
+        if message.beats is not None:
+            self._beats.append(message.beats)
+        if message.mission != self.stamp:
+            return notes
+        plan = message.plan
+        objection = self._judge.objection(plan)
+        if objection is not None and plan is not None:
+            self.rejected["unverified_plan"] += 1
+            if self._judge.is_new(plan):
+                notes.append(Note("rejected_message", {"reason": "unverified_plan", "detail": objection}))
+            return notes
+        plan = self._named(message)
+        known = self._inbox.get(message.sender)
+        if known is None or message.sequence >= known.sequence:
+            judged = replace(message, plan=plan, plan_class=self._judge.plan_class(plan)) if plan else message
+            self._inbox[message.sender] = judged
+        return notes
+
+    def _named(self, message: Message) -> Plan | None:
+        """The plan that a message names; None if it names none, or one that was never said in full here."""
+        plan, digest = message.plan, message.plan_digest
+        if plan is None:
+            own = self.plan
+            named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
+            return named if named is not None and len(named) == message.places else None
+        if len(self._plans) >= REMEMBERED_PLANS:
+            self._plans.clear()  # whoever floods the radio with plans may cost time, but not memory
+        self._plans[plan.digest] = plan
+        return plan
+
+    def _reject(self, error: MessageError) -> Note:
+        self.rejected[error.reason] += 1
+        return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
+
+    def settle(self) -> list[Note]:
+        """Decide on a tick's messages: consensus first, then the claim, both on the same snapshot of what was heard."""
+        self.liveness.hear(self._beats)
+        self._beats = []
+        heard = [self._inbox[sender] for sender in sorted(self._inbox)]
+        self._inbox = {}
+        own = Standing(
+            plan=self.plan,
+            pedigree=self.pedigree,
+            neighbors=self.neighbors,
+            plan_class=self._judge.plan_class(self.plan),
+        )
+        slot_before = self.claim.slot
+        source = self._consensus.choose(own, heard)
+        notes = [] if source is None else self._adopt(source, heard)
+        if not notes and self.plan is not None:
+            self.claim = self._assignment.update(self.claim, self._moment(adopted=True, heard=heard))
+        if self.claim.slot != slot_before:
+            notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
+        return notes
+
+    def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
+        """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
+        plan, origin = source.plan, source.pedigree
+        assert plan is not None and origin is not None, "a rule may only choose a message with a plan"
+        if plan == self.plan:
+            self.pedigree = origin
+            return []
+        notes = fallback_notes("plan", "neighbour", self._no_plan if self.plan is None else None)
+        self._follow(plan, origin, adopted=True, heard=heard)
+        return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
+
+
+def _mission_fields(text: str) -> dict[str, Any]:
+    """The fields of a mission that came over the radio.
+
+    Raises:
+        MessageError: it is not a JSON object of fields that may change.
+    """
+    try:
+        said: object = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
+    fields = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": said}
+    if not fields.keys() <= MISSION_FIELDS:
+        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
+    return fields

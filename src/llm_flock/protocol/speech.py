@@ -1,0 +1,124 @@
+"""What is said in full: long things are named by a digest, and spelled out where a neighbour may lack them.
+
+Everything in a message may be merged in parts and in any order, so what to leave out is a matter of cost and never of
+right. Whoever hears a digest that differs from its own spells out its side, until it hears its own digest back; so a
+lost message is repeated as long as it matters, and robots that agree exchange a few dozen bytes. Large tables are
+spelled out once a round at most, and otherwise by what changed (delta states: Almeida, Shoker, Baquero: Delta state
+replicated data types, 2018).
+"""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.liveness import Liveness
+from llm_flock.protocol.messages import UNSAID, Message, Table, encode, table_digest
+
+SMALL = 64
+"""Tables of up to so many slots are spelled out in every exchange where a digest differs."""
+
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
+"""What is said of a mission; all else is a robot's own, and no message changes it."""
+
+
+def mission_text(mission: Mission) -> str:
+    """A mission as it is said to others."""
+    return mission.model_dump_json(include=set(MISSION_FIELDS))
+
+
+class Speech:
+    """What one robot has said and what it knows of its neighbours' knowledge."""
+
+    def __init__(self) -> None:
+        self._peers: dict[int, Message] = {}
+        self._heard: set[int] = set()
+        self._around: frozenset[int] = frozenset()
+        self._neighbors = 0
+        self._greeting = True
+        self._table: Table | None = None
+        self._table_digest: str | None = None
+        self._changed: tuple[frozenset[int], ...] = ()  # since each of the last two broadcasts
+        self._plan_said: str | None = None
+        self._said: Message | None = None
+        self._sequence = 0
+        self._payload = b""
+
+    def begin_round(self, around: frozenset[int], neighbors: int) -> None:
+        """Neighbours come and go between rounds: forget who was not heard in the last one.
+
+        Args:
+            around: ids of the robots that are sensed within radio range.
+            neighbors: how many robots the radio counts within range.
+        """
+        self._peers = {j: self._peers[j] for j in self._heard}
+        self._heard = set()
+        self._around, self._neighbors = around, neighbors
+        self._greeting = True
+
+    def hear(self, message: Message) -> None:
+        """Remember what a neighbour has."""
+        self._peers[message.sender] = message
+        self._heard.add(message.sender)
+
+    def say(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
+        """The bytes to send; equal ones as long as there is nothing else to say.
+
+        Args:
+            whole: the standing, everything spelled out; `sequence` is set here.
+            mission: the mission in force.
+            liveness: whose heartbeats are passed on, once a round.
+        """
+        self._note_changes(whole.table)
+        agreeing = {j for j, heard in self._peers.items() if self._agrees(heard, whole)}
+        greeting, self._greeting = self._greeting, False
+        meets = greeting and not (self._around <= agreeing and len(agreeing) >= self._neighbors)
+        peers = self._peers.values()
+        plan = whole.plan
+        spell_plan = plan is not None and (
+            meets or self._plan_said != plan.digest or any(m.plan_digest != plan.digest for m in peers)
+        )
+        self._plan_said = None if plan is None else plan.digest
+        message = replace(
+            whole,
+            sequence=0,
+            mission_text=mission_text(mission) if any(m.mission < whole.mission for m in peers) else None,
+            plan=plan if spell_plan else None,
+            plan_digest=self._plan_said,
+            places=0 if plan is None else len(plan),
+            table=self._part(whole, meets=meets, greeting=greeting),
+            table_digest=self._table_digest,
+            beats=liveness.beats if greeting else None,
+        )
+        if message != self._said:
+            self._said = message
+            self._payload = encode(replace(message, sequence=self._sequence))
+            self._sequence += 1
+        return self._payload
+
+    def _agrees(self, heard: Message, whole: Message) -> bool:
+        plan = None if whole.plan is None else whole.plan.digest
+        return heard.mission == whole.mission and heard.plan_digest == plan and heard.table_digest == self._table_digest
+
+    def _note_changes(self, table: Table | None) -> None:
+        """Which slots changed since the last broadcast."""
+        before, changed = self._table, frozenset[int]()
+        if table is not before:
+            self._table = table
+            self._table_digest = None if table is None else table_digest(table)
+            if table is not None and before is not None and len(before) == len(table):
+                changed = frozenset(a for a, entry in enumerate(table) if entry != before[a])
+        self._changed = (*self._changed[-1:], changed)
+
+    def _part(self, whole: Message, *, meets: bool, greeting: bool) -> Table | None:
+        """The table, or what of it has to be said."""
+        table = whole.table
+        if table is None:
+            return None
+        same_plan = [m for m in self._peers.values() if m.plan_digest == self._plan_said]
+        differs = any(m.table_digest != self._table_digest for m in same_plan)
+        small = len(table) <= SMALL
+        if meets or (differs and (small or greeting)):
+            return table
+        said = frozenset[int]() if small else frozenset[int]().union(*self._changed)
+        return tuple(entry if a in said or a == whole.slot else UNSAID for a, entry in enumerate(table))
