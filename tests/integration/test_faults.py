@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import llm_flock
+from llm_flock.cli.display import summary_table
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import Event, MissionGiven
 from llm_flock.record.reader import read_record
@@ -154,3 +156,18 @@ def test_figures_are_drawn_with_dead_and_late_robots_and_another_ideal(tmp_path:
     assert plain.formed
     figure = snapshots(read_record(tmp_path / "p" / "run.mcap"))
     assert "dead robot" not in [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_the_table_of_a_run_says_what_happened_on_the_way() -> None:
+    change = {"round": 12, "robot": 0, "set": {"center": [50, 49]}}
+    figures = fly(changes=[change], kill="3@2", join="1@3", rounds=13).summary
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(summary_table(figures, 3.0))
+    rows = [[cell.strip() for cell in line.split("│")[1:3]] for line in shown.get().splitlines() if "│" in line]
+    told = dict(rows)
+    assert told["missions"].endswith("line not formed (given in round 12)")
+    assert (told["died"], told["joined"]) == ("3@2", "1@3")
+    with console.capture() as shown:
+        console.print(summary_table(fly().summary, 3.0))
+    assert not any(word in shown.get() for word in ("missions", "died", "joined", "empty places", "spare robots"))
