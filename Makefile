@@ -15,7 +15,7 @@ STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help setup demo test e2e check lint types layers docs bench clean
+.PHONY: help setup demo test e2e check lint types layers docs bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -62,6 +62,9 @@ docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors
 
 bench: $(STAMP) ## Measure the framework's overhead
 	$(BIN)/python -m benchmarks
+
+mutants: $(STAMP) ## Break each invariant in a copy of the sources: do the tests notice?
+	$(BIN)/python -m benchmarks.mutants
 
 clean: ## Remove builds, caches and the environment; runs/ is kept
 	rm -rf .venv build dist .coverage .hypothesis .pytest_cache .ruff_cache .import_linter_cache

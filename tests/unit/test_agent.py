@@ -229,6 +229,20 @@ def test_a_lost_auction_is_noted() -> None:
     assert note == Note("claimed", {"slot": 2, "before": 0})
 
 
+def test_claims_on_another_plan_are_not_merged() -> None:
+    """Slot 0 of another plan is another place: losing that one means nothing here."""
+    agent = make(2)
+    planned(agent)
+    before = agent.claim
+    won = ((9, 0.0, 1), (9, 0.0, 0), (0, 0.0, -1))
+    weak = Pedigree(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
+    standing = Message(sender=1, sequence=0, neighbors=0, plan=BETTER, pedigree=weak, slot=0, table=won)
+    agent.handle(Received(encode(standing)))
+    agent.handle(TickEnded())
+    assert agent.plan == PLAN, "the other plan ranks lower"
+    assert (agent.claim.slot, agent.claim.table) == (before.slot, before.table)
+
+
 def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     agent = make(2)
     planned(agent)

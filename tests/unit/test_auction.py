@@ -70,6 +70,15 @@ def test_an_outbid_robot_takes_the_best_slot_still_winnable() -> None:
     assert (near.slot, far.slot) == (1, 2)
 
 
+def test_bids_stay_as_they_were_when_the_plan_was_taken_up() -> None:
+    """Outbid on its way, a robot that has come to slot 2 still bids for it from where it began."""
+    claim = RULE.take(at(0, 9.0))
+    won: Table = ((0, 0.0, -1), (0, 0.0, 1), (0, -10.5, 2))
+    claim = RULE.update(claim, at(0, 20.0, says(1, Claim(slot=1, table=won))))
+    assert claim.bids == (-9.0, -1.0, -11.0)
+    assert claim.slot == 0 and claim.table == ((0, -9.0, 0), (0, 0.0, 1), (0, -10.5, 2))
+
+
 def test_messages_without_a_table_teach_nothing() -> None:
     claim = RULE.take(at(0, 10.0))
     assert RULE.update(claim, at(0, 10.0, says(1, Claim(slot=1)))) == claim
@@ -133,6 +142,36 @@ def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks()
         assert zero.slot == 0 and zero.offer is not None
     zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
     assert zero.slot == 2
+
+
+def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_out() -> None:
+    """Robot 0 accepts the offer of robot 1, which is free again in that very tick and accepts the offer of robot 2."""
+    table: Table = ((0, 0.0, 0), (0, 0.0, 1), (0, 0.0, 2))
+    places = {0: 25.0, 1: 12.0, 2: -1.0}
+    bids = {i: tuple(-abs(x - 10.0 * a) for a in range(3)) for i, x in places.items()}
+    offers = {
+        1: Offer(to=0, give=1, take=0, give_version=0, take_version=0, bid=bids[1][0]),
+        2: Offer(to=1, give=2, take=1, give_version=0, take_version=0, bid=bids[2][1]),
+    }
+    claims = {
+        i: Claim(slot=i, table=table, bids=bids[i], offer=offers.get(i), bound=BOUND_TICKS if i == 2 else 1)
+        for i in places
+    }
+
+    def tick() -> list[int | None]:
+        said = [says(i, claims[i]) for i in places]
+        for i, x in places.items():
+            sensed: dict[int, Point] = {j: (y, 0.0) for j, y in places.items() if j != i}
+            claims[i] = RULE.update(claims[i], at(i, x, *(m for m in said if m.sender != i), sensed=sensed))
+        return [claims[i].slot for i in places]
+
+    assert tick() == [1, 2, 2], "two acceptances about slot 1, of the same version"
+    zeros, ones = claims[0].table, claims[1].table
+    assert zeros is not None and ones is not None and zeros[1][0] == ones[1][0] == 1
+    for _ in range(20):
+        tick()
+    assert tick() == [2, 1, 0]
+    assert claims[0].table == claims[1].table == claims[2].table
 
 
 def test_of_two_crossing_offers_the_lower_ids_stands() -> None:

@@ -81,6 +81,17 @@ def test_pedigree_resolves_the_tie_of_all() -> None:
     assert ends == [plans[2]] * 3
 
 
+def test_among_equals_the_proposer_decides_and_then_the_digest() -> None:
+    """Both ways round, so that the outcome is no accident of the digests."""
+    low, high = sorted([A, B], key=lambda plan: plan.digest)
+    rule = PedigreeConsensus()
+    for mine, theirs in ((low, high), (high, low)):
+        assert rule.choose(holds(mine, 2, proposer=0), [says(1, 2, theirs)]) == says(1, 2, theirs)
+        assert rule.choose(holds(mine, 2, proposer=2), [says(1, 2, theirs)]) is None
+    assert rule.choose(holds(low, 2, proposer=1), [says(1, 2, high)]) == says(1, 2, high)
+    assert rule.choose(holds(high, 2, proposer=1), [says(1, 2, low)]) is None
+
+
 def test_pedigree_is_decided_by_the_proposer_not_the_carrier() -> None:
     """A hub that carries a weak robot's plan does not lend it its own influence."""
     weak_plan_on_hub = says(2, 9, A, origin(proposer=1, neighbors=1))

@@ -95,6 +95,18 @@ def test_configuration_examples_are_valid(page: Path) -> None:
             RunConfig.model_validate(tomllib.loads(body))
 
 
+def test_tests_that_pages_name_exist() -> None:
+    existing = {
+        name
+        for file in (ROOT / "tests").rglob("test_*.py")
+        for name in (file.name, *re.findall(r"^def (test_\w+)\(", file.read_text(encoding="utf-8"), re.MULTILINE))
+    }
+    examples = {"test_my_rule"}
+    for page in PAGES:
+        named = {Path(span).name for span in SPAN.findall(FENCE.sub("", page.read_text(encoding="utf-8")))}
+        assert {name for name in named if name.startswith("test_")} <= existing | examples, page.name
+
+
 def test_every_page_is_in_a_table_of_contents() -> None:
     docs = ROOT / "docs"
     listed: set[Path] = {docs / "index.md"}

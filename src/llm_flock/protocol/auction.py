@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
 
+import numpy as np
+
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
@@ -38,13 +40,18 @@ def merge(mine: Table, theirs: Table) -> Table:
         return mine
     # Tables are long and differ in few slots: those are found without a step of the interpreter for each slot.
     differ = compress(range(len(mine)), map(operator.ne, mine, theirs))
-    higher = {a: theirs[a] for a in differ if rank(theirs[a]) > rank(mine[a])}
-    if not higher:
-        return mine
-    merged = list(mine)
-    for a, entry in higher.items():
-        merged[a] = entry
-    return tuple(merged)
+    said = ((a, theirs[a]) for a in differ if theirs[a] is not UNSAID)
+    return changed(mine, {a: entry for a, entry in said if rank(entry) > rank(mine[a])})
+
+
+def changed(table: Table, new: Mapping[int, Entry]) -> Table:
+    """The table with some entries replaced; the same object where there are none."""
+    if not new:
+        return table
+    entries = list(table)
+    for a, entry in new.items():
+        entries[a] = entry
+    return tuple(entries)
 
 
 def vacant(table: Table) -> list[int]:
@@ -73,7 +80,8 @@ class AuctionAssignment:
 
     def take(self, now: Moment) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
-        bids = tuple(round(-math.dist(now.position, point), BID_DECIMALS) for point in now.plan.points)
+        distances = np.linalg.norm(now.plan.array - np.array(now.position), axis=1)
+        bids = tuple((-distances).round(BID_DECIMALS).tolist())
         empty: Table = (UNSAID,) * len(now.plan)
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
 
@@ -120,11 +128,6 @@ def surveyed(table: Table, now: Moment) -> Table:
     return changed(table, new)
 
 
-def changed(table: Table, new: Mapping[int, Entry]) -> Table:
-    """The table with some entries replaced; the same object where there are none."""
-    return tuple(new.get(a, entry) for a, entry in enumerate(table)) if new else table
-
-
 def _ended(offer: Offer, robot: int, table: Table) -> bool:
     """Whether an offer was answered or refused: either slot has moved on in the table."""
     mine, theirs = table[offer.give], table[offer.take]
@@ -133,9 +136,11 @@ def _ended(offer: Offer, robot: int, table: Table) -> bool:
 
 def keep_one(robot: int, table: Table) -> tuple[Table, int | None]:
     """Of several slots owned, the one of highest version, bid and lowest index; the rest are released."""
-    owned = [a for a, entry in enumerate(table) if entry[2] == robot]
-    if len(owned) < 2:
-        return table, owned[0] if owned else None
+    owners = [owner for _, _, owner in table]
+    times = owners.count(robot)
+    if times < 2:
+        return table, owners.index(robot) if times else None
+    owned = [a for a, owner in enumerate(owners) if owner == robot]
     keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a))
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
@@ -145,14 +150,16 @@ def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, in
     table, slot = keep_one(robot, table)
     if slot is not None:
         return table, slot
-    free = (a for a, entry in enumerate(table) if entry[2] == NO_OWNER or (entry[0] == 0 and entry[2] != BLOCKED))
-    offers = ((a, (table[a][0], bids[a], robot)) for a in free)
-    winnable = [(bids[a], -a, entry) for a, entry in offers if rank(entry) > rank(table[a])]
-    if not winnable:
+    best: int | None = None
+    for a, (version, bid, owner) in enumerate(table):
+        mine = bids[a]
+        # As `rank` has it, spelled out: this is asked for every slot, and a robot may lose many auctions.
+        winnable = owner == NO_OWNER or (version == 0 and owner != BLOCKED and (mine, -robot) > (bid, -owner))
+        if winnable and (best is None or mine > bids[best]):
+            best = a
+    if best is None:
         return table, None
-    _, minus_slot, entry = max(winnable)
-    slot = -minus_slot
-    return table[:slot] + (entry,) + table[slot + 1 :], slot
+    return changed(table, {best: (table[best][0], bids[best], robot)}), best
 
 
 def gain(here: Point, there: Point, mine: Point, theirs: Point) -> float:

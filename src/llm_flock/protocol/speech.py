@@ -2,12 +2,16 @@
 
 Everything in a message may be merged in parts and in any order, so what to leave out is a matter of cost and never of
 right. Whoever hears a digest that differs from its own spells out its side, until it hears its own digest back; so a
-lost message is repeated as long as it matters, and robots that agree exchange a few dozen bytes. Large tables are
-spelled out once a round at most, and otherwise by what changed (delta states: Almeida, Shoker, Baquero: Delta state
+lost message is repeated as long as it matters, and robots that agree exchange a few dozen bytes. Neighbours come and go
+between rounds, so the first exchange of a round greets those that are not known to agree. Large tables are spelled out
+once a round at most, and otherwise by what changed (delta states: Almeida, Shoker, Baquero: Delta state
 replicated data types, 2018).
 """
 
 from __future__ import annotations
+
+import operator
+from itertools import compress
 
 from msgspec.structs import replace
 
@@ -16,7 +20,8 @@ from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import UNSAID, Message, Table, encode, table_digest
 
 SMALL = 64
-"""Tables of up to so many slots are spelled out in every exchange where a digest differs."""
+"""Plans and tables of up to so many places are spelled out once a round whoever is near, and tables in every exchange in
+which a digest differs."""
 
 MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
 """What is said of a mission; all else is a robot's own, and no message changes it."""
@@ -70,11 +75,12 @@ class Speech:
             liveness: whose heartbeats are passed on, once a round.
         """
         self._note_changes(whole.table)
+        plan = whole.plan
         agreeing = {j for j, heard in self._peers.items() if self._agrees(heard, whole)}
         greeting, self._greeting = self._greeting, False
-        meets = greeting and not (self._around <= agreeing and len(agreeing) >= self._neighbors)
+        known = self._around <= agreeing and len(agreeing) >= self._neighbors
+        meets = greeting and (not known or plan is None or len(plan) <= SMALL)
         peers = self._peers.values()
-        plan = whole.plan
         spell_plan = plan is not None and (
             meets or self._plan_said != plan.digest or any(m.plan_digest != plan.digest for m in peers)
         )
@@ -107,7 +113,7 @@ class Speech:
             self._table = table
             self._table_digest = None if table is None else table_digest(table)
             if table is not None and before is not None and len(before) == len(table):
-                changed = frozenset(a for a, entry in enumerate(table) if entry != before[a])
+                changed = frozenset(compress(range(len(table)), map(operator.ne, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
     def _part(self, whole: Message, *, meets: bool, greeting: bool) -> Table | None:
@@ -121,4 +127,7 @@ class Speech:
         if meets or (differs and (small or greeting)):
             return table
         said = frozenset[int]() if small else frozenset[int]().union(*self._changed)
-        return tuple(entry if a in said or a == whole.slot else UNSAID for a, entry in enumerate(table))
+        part = [UNSAID] * len(table)
+        for a in said if whole.slot is None else said | {whole.slot}:
+            part[a] = table[a]
+        return tuple(part)

@@ -1,0 +1,314 @@
+"""Do the tests notice when an invariant is broken? Each mutant breaks one, on purpose, in a copy of the sources.
+
+python -m benchmarks.mutants            # all of them
+python -m benchmarks.mutants NAME ...   # only these
+python -m benchmarks.mutants --table    # the rows of the table in docs/testing.md
+
+The named tests have to pass on the sources as they are, and to fail on the mutant. Exit code 1 where one survives.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+COPIED = ("src", "tests", "pyproject.toml")
+TIMEOUT_S = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One deliberate fault.
+
+    Attributes:
+        name: for the command line.
+        invariant: what it breaks.
+        change: the fault in words.
+        file: where, below src/llm_flock.
+        snippet: text that stands there exactly once.
+        instead: what takes its place.
+        test: the test that has to fail, below tests.
+    """
+
+    name: str
+    invariant: str
+    change: str
+    file: str
+    snippet: str
+    instead: str
+    test: str
+
+    @property
+    def row(self) -> str:
+        """This mutant's row in the table of docs/testing.md."""
+        path, _, function = self.test.partition("::")
+        return f"| `{self.name}` | {self.invariant} | {self.change} | `{Path(path).name}`: `{function}` |"
+
+
+TALKS, JUDGE = "protocol/negotiation.py", "protocol/judge.py"
+AUCTION, CONSENSUS = "protocol/auction.py", "protocol/consensus.py"
+SHIELD, PROJECTION, ASYNC = "protocol/shield.py", "protocol/projection.py", "protocol/shield_async.py"
+T_AGENT, T_AUCTION, T_THEORY = "unit/test_agent.py", "unit/test_auction.py", "property/test_theory.py"
+T_SEARCH, T_CONSENSUS, T_SHIELD = "unit/test_search.py", "unit/test_consensus.py", "property/test_shield.py"
+
+MUTANTS: Sequence[Mutant] = (
+    # ---------------------------------------------------------------- one plan
+    Mutant(
+        *("proposer", "Plans are ordered by their proposer", "the proposer is left out of the order"),
+        *(CONSENSUS, "origin.proposer,", "0,"),
+        f"{T_CONSENSUS}::test_among_equals_the_proposer_decides_and_then_the_digest",
+    ),
+    Mutant(
+        *("digest", "The order of plans is total", "the digest is left out of the order"),
+        *(CONSENSUS, "        plan.digest,\n", '        "",\n'),
+        f"{T_CONSENSUS}::test_among_equals_the_proposer_decides_and_then_the_digest",
+    ),
+    Mutant(
+        *("class", "A better class beats influence", "plans are compared without their class"),
+        *(CONSENSUS, "        plan_class,\n", "        0,\n"),
+        f"{T_AGENT}::test_an_exact_plan_beats_a_crude_one_of_higher_influence",
+    ),
+    Mutant(
+        *("influence", "Influence belongs to the plan", "the proposer's influence is left out of the order"),
+        *(CONSENSUS, "origin.neighbors,", "0,"),
+        f"{T_CONSENSUS}::test_pedigree_is_decided_by_the_proposer_not_the_carrier",
+    ),
+    Mutant(
+        *("readopting", "Only a higher plan is adopted", "a plan is adopted again and again"),
+        *(CONSENSUS, "key > best_key", "key >= best_key"),
+        f"{T_CONSENSUS}::test_rules_keep_the_contract",
+    ),
+    Mutant(
+        *("strictly", "The literal rule needs strictly more influence", "equal influence is enough"),
+        *(CONSENSUS, "k.neighbors <= own.neighbors", "k.neighbors < own.neighbors"),
+        "unit/test_counterexamples.py::test_equal_influences_never_resolve",
+    ),
+    Mutant(
+        *("rounding", "Equal plans are equal everywhere", "coordinates are not rounded"),
+        *("protocol/plan.py", "round(float(x), DECIMALS) + 0.0", "float(x)"),
+        "unit/test_messages.py::test_equal_plans_are_equal_after_rounding",
+    ),
+    Mutant(
+        *("heard-plans", "No refused plan is followed or forwarded", "plans that are heard are not verified"),
+        *(TALKS, "objection = self._judge.objection(plan)", "objection = None"),
+        f"{T_AGENT}::test_a_received_plan_that_fails_dies_with_its_author",
+    ),
+    Mutant(
+        *("own-plans", "No refused plan is proposed", "a robot's own plan is not verified"),
+        *(JUDGE, "if not isinstance(answer, PlanAnswer) or not self.verify:", "if True:"),
+        f"{T_AGENT}::test_an_own_plan_that_fails_is_not_followed",
+    ),
+    Mutant(
+        *("residual", "A plan resembles its shape", "the limit of the residual is a thousand times larger"),
+        *("protocol/verification.py", "RESIDUAL_LIMIT = 0.05", "RESIDUAL_LIMIT = 50.0"),
+        "unit/test_verification.py::test_the_right_spacing_in_another_shape_is_refused",
+    ),
+    # ---------------------------------------------------------------- distinct places
+    Mutant(
+        *("version", "A higher version wins", "entries are ranked without their version"),
+        *(AUCTION, "return (version, owner != NO_OWNER, bid, -owner)", "return (owner != NO_OWNER, bid, -owner)"),
+        f"{T_AUCTION}::test_merge_is_a_join",
+    ),
+    Mutant(
+        *("owner", "No two entries are of equal rank", "entries are ranked without their owner"),
+        *(AUCTION, "return (version, owner != NO_OWNER, bid, -owner)", "return (version, owner != NO_OWNER, bid)"),
+        f"{T_THEORY}::test_entries_of_equal_rank_are_equal",
+    ),
+    Mutant(
+        *("two-places", "A robot owns at most one place in its table", "it keeps all that it finds itself on"),
+        *(AUCTION, "if times < 2:", "if True:"),
+        f"{T_AUCTION}::test_all_but_one_slot_are_released_with_a_raised_version",
+    ),
+    Mutant(
+        *("release", "A released place stays released", "it is released without raising the version"),
+        *(AUCTION, "(table[a][0] + 1, 0.0, NO_OWNER)", "(table[a][0], 0.0, NO_OWNER)"),
+        f"{T_AUCTION}::test_all_but_one_slot_are_released_with_a_raised_version",
+    ),
+    Mutant(
+        *("outbidding", "An exchanged place cannot be outbid", "a higher bid takes it all the same"),
+        *(AUCTION, "(version == 0 and owner != BLOCKED and", "("),
+        f"{T_AUCTION}::test_a_slot_with_a_raised_version_cannot_be_outbid",
+    ),
+    Mutant(
+        *("fixed-bids", "Bids are fixed when the plan is taken up", "they follow the robot's position"),
+        *(AUCTION, "table, bids = claim.table, claim.bids\n"),
+        "table, bids = claim.table, tuple(-math.dist(now.position, point) for point in now.plan.points)\n",
+        f"{T_AUCTION}::test_bids_stay_as_they_were_when_the_plan_was_taken_up",
+    ),
+    Mutant(
+        *("other-plans", "Tables of different plans never merge", "all tables that are heard are merged"),
+        *(TALKS, "heard=[m for m in heard if m.plan == self.plan],", "heard=list(heard),"),
+        f"{T_AGENT}::test_claims_on_another_plan_are_not_merged",
+    ),
+    Mutant(
+        *("worthless-offer", "An offer lowers the sum of squares", "any exchange with a sensed robot is offered"),
+        *(AUCTION, "if worth >= SWAP_GAIN * now.spacing**2 and (", "if worth > -math.inf and ("),
+        f"{T_AUCTION}::test_an_exchange_that_gains_nothing_or_with_a_robot_out_of_sight_is_neither_offered_nor_accepted",
+    ),
+    Mutant(
+        *("worthless-acceptance", "An exchange lowers the sum of squares", "every offer is accepted"),
+        *(AUCTION, "if worth >= SWAP_GAIN * now.spacing**2:\n", "if True:\n"),
+        f"{T_AUCTION}::test_an_exchange_that_gains_nothing_or_with_a_robot_out_of_sight_is_neither_offered_nor_accepted",
+    ),
+    Mutant(
+        *("bound", "A robot bound by its offer accepts no other", "it does"),
+        *(AUCTION, "if claim.offer is not None and not crossing:", "if False:"),
+        f"{T_AUCTION}::test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks",
+    ),
+    Mutant(
+        *("unending-offer", "An offer expires", "an unanswered offer binds for ever"),
+        *(AUCTION, "(bound <= 0 or _ended(", "(_ended("),
+        f"{T_AUCTION}::test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks",
+    ),
+    Mutant(
+        *("crossing", "Of two crossing offers one is accepted", "both are"),
+        *(AUCTION, "claim.offer.to == message.sender and message.sender < now.robot", "True"),
+        f"{T_AUCTION}::test_of_two_crossing_offers_the_lower_ids_stands",
+    ),
+    Mutant(
+        *("stale-offer", "An offer is about the present versions", "an offer about other versions is accepted"),
+        *(AUCTION, "if table[offer.give][::2] != (offer.give_version, message.sender) or ", "if False and "),
+        f"{T_AUCTION}::test_an_offer_about_something_else_is_not_accepted",
+    ),
+    Mutant(
+        *("exchange-version", "An exchange beats every earlier claim", "the given place keeps its version"),
+        *(AUCTION, "(offer.give_version + 1, ", "(offer.give_version, "),
+        f"{T_AUCTION}::test_an_exchange_from_offer_to_acceptance",
+    ),
+    Mutant(
+        *("search", "A frozen partition ends", "the search never begins"),
+        *("protocol/search.py", "way=tour if search.tours < 2 else (*tour, center)", "way=()"),
+        f"{T_SEARCH}::test_the_robot_next_to_a_vacant_place_goes_first",
+    ),
+    Mutant(
+        *("endless-search", "A search is bounded", "tours never end"),
+        *("protocol/search.py", "return self.tours >= MAX_TOURS", "return False"),
+        f"{T_SEARCH}::test_tours_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
+    ),
+    # ---------------------------------------------------------------- messages
+    Mutant(
+        *("reorder", "An older message does not replace a newer one", "the one that arrives last is kept"),
+        *(TALKS, "message.sequence >= known.sequence", "True"),
+        f"{T_AGENT}::test_an_older_message_does_not_replace_a_newer_one",
+    ),
+    Mutant(
+        *("own-id", "Nobody speaks in a robot's own name", "messages with the own id are taken"),
+        *(TALKS, "if message.sender == self._robot:", "if False:"),
+        f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
+    ),
+    Mutant(
+        *("oversized", "Messages are bounded in size", "any size is read"),
+        *("protocol/messages.py", "if len(payload) > max_payload_bytes(n_robots):", "if False:"),
+        "unit/test_messages.py::test_unacceptable_messages_are_refused_by_name",
+    ),
+    # ---------------------------------------------------------------- safe flight
+    Mutant(
+        *("half-margin", "No pair is nearer than the safe distance", "the cell is shrunk by half as much"),
+        *(SHIELD, "(gap - safe_distance) / 2.0 - margin", "(gap - safe_distance / 2.0) / 2.0 - margin"),
+        f"{T_SHIELD}::test_head_on_robots_stop_at_the_safe_distance",
+    ),
+    Mutant(
+        *("whole-room", "Each takes half of the room between two", "each takes all of it"),
+        *(SHIELD, "(gap - safe_distance) / 2.0 - margin", "(gap - safe_distance) - margin"),
+        f"{T_SHIELD}::test_no_pair_comes_too_near_whatever_everybody_wants",
+    ),
+    Mutant(
+        *("noise", "Bounded noise widens the margin", "it does not"),
+        *(SHIELD, "noise_bound * (1.0 + 4.0 * max_step / gap)", "0.0"),
+        f"{T_SHIELD}::test_no_pair_comes_too_near_with_bounded_noise",
+    ),
+    Mutant(
+        *("step-limit", "No step is longer than allowed", "the shield drops the limit"),
+        *(SHIELD, "relaxed_move(wish, sides, longest)", "relaxed_move(wish, sides, 1e9)"),
+        f"{T_SHIELD}::test_a_long_step_is_clipped",
+    ),
+    Mutant(
+        *("eased", "Only broken limits are eased", "all are, together with them"),
+        *(PROJECTION, "min(side.room, 0.0)) if side.violated else side", "side.room)"),
+        "unit/test_projection.py::test_a_side_that_is_not_violated_is_never_eased",
+    ),
+    Mutant(
+        *("age", "A sighting's age widens the margin", "the age is left out"),
+        *(ASYNC, "speed * (other.age_s + period_s)", "speed * period_s"),
+        "property/test_shield_async.py::test_age_and_error_widen_the_margin_and_too_much_of_them_is_standing_still",
+    ),
+    Mutant(
+        *("progress", "A blocked robot makes a detour", "the progress timer never fires"),
+        *("protocol/progress.py", "idle=progress.idle + 1", "idle=progress.idle"),
+        "unit/test_safety.py::test_two_robots_that_meet_head_on_pass_each_other",
+    ),
+    Mutant(
+        *("sensing", "A team that senses too little is refused", "the shield flies with any sensing range"),
+        *("mission.py", "self.safe_distance + 2 * self.max_step", "self.safe_distance"),
+        "unit/test_mission.py::test_the_shield_needs_to_see_far_enough",
+    ),
+)
+
+
+def mutated(text: str, mutant: Mutant) -> str:
+    """The source with the fault in it.
+
+    Raises:
+        LookupError: the snippet does not stand there exactly once.
+    """
+    found = text.count(mutant.snippet)
+    if found != 1:
+        raise LookupError(f"{mutant.name}: the snippet stands {found} times in {mutant.file}, not once")
+    return text.replace(mutant.snippet, mutant.instead)
+
+
+def source(root: Path, mutant: Mutant) -> Path:
+    """The file that is changed."""
+    return root / "src" / "llm_flock" / mutant.file
+
+
+def tests_pass(root: Path, tests: Iterable[str]) -> bool:
+    """Whether these tests pass on the sources under `root`; they must exist, and finish in time."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+    command += [f"tests/{test}" for test in dict.fromkeys(tests)]
+    # A file of byte code would outlive a change of the same size in the same second.
+    environment = os.environ | {"PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"pytest could not run:\n{done.stdout}{done.stderr}")
+    return done.returncode == 0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Try all mutants, or those named; returns the exit code."""
+    if "--table" in arguments:
+        print("\n".join(mutant.row for mutant in MUTANTS))
+        return 0
+    chosen = [mutant for mutant in MUTANTS if not arguments or mutant.name in arguments]
+    survivors: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for name in COPIED:
+            origin = ROOT / name
+            copy = shutil.copytree if origin.is_dir() else shutil.copy
+            copy(origin, root / name)
+        changes = [(mutant, source(root, mutant).read_text(encoding="utf-8")) for mutant in chosen]
+        faults = [mutated(text, mutant) for mutant, text in changes]
+        if not tests_pass(root, [mutant.test for mutant in chosen]):
+            print("the tests fail on the sources as they are")
+            return 1
+        for (mutant, text), fault in zip(changes, faults, strict=True):
+            source(root, mutant).write_text(fault, encoding="utf-8")
+            killed = not tests_pass(root, [mutant.test])
+            source(root, mutant).write_text(text, encoding="utf-8")
+            print(f"{'killed  ' if killed else 'SURVIVES'}  {mutant.name}: {mutant.change}", flush=True)
+            if not killed:
+                survivors.append(mutant.name)
+    print(f"{len(chosen) - len(survivors)} of {len(chosen)} killed")
+    return 1 if survivors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,186 @@
+"""What docs/theory.md proves, on random cases: max-consensus, the lattice of tables, and the bound of the auction."""
+
+import math
+from itertools import permutations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from team_by_hand import Links, Team, turned
+
+from llm_flock import graph
+from llm_flock.arrays import Mask, Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.auction import SWAP_GAIN, merge, rank
+from llm_flock.protocol.consensus import PlanKey, plan_key
+from llm_flock.protocol.messages import NO_OWNER, Entry, Table
+
+SEEDS = st.integers(0, 2**32)
+
+
+def random_tree(n: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """The edges of a random spanning tree of randomly numbered robots."""
+    order = rng.permutation(n)
+    return [(int(order[k]), int(order[rng.integers(0, k)])) for k in range(1, n)]
+
+
+def links_of(n: int, edges: list[tuple[int, int]]) -> Links:
+    return tuple(tuple(sorted({b for e in edges for a, b in (e, e[::-1]) if a == i})) for i in range(n))
+
+
+def random_links(n: int, rng: np.random.Generator) -> tuple[Links, Mask]:
+    """A random connected graph, from a tree to a dense one, and its adjacency."""
+    pairs = [(i, j) for i in range(n) for j in range(i) if rng.random() < rng.choice([0.0, 0.1, 0.4])]
+    links = links_of(n, random_tree(n, rng) + pairs)
+    adjacent = np.array([[j in links[i] for j in range(n)] for i in range(n)], dtype=np.bool_)
+    return links, adjacent
+
+
+def circle(n: int) -> Mission:
+    return Mission(shape="circle", n_robots=n, arena=((-500, -500), (600, 600)))
+
+
+def places(n: int, rng: np.random.Generator) -> list[Point]:
+    return [tuple(x) for x in rng.uniform(0, 100, (n, 2)).tolist()]
+
+
+def hops(adjacent: Mask, start: int) -> list[int]:
+    """Number of hops from one robot to each."""
+    found, front = {start: 0}, [start]
+    for i in front:
+        for j in np.flatnonzero(adjacent[i]).tolist():
+            if j not in found:
+                found[j] = found[i] + 1
+                front.append(j)
+    return [found[i] for i in range(len(adjacent))]
+
+
+def key_of(team: Team, robot: int) -> PlanKey:
+    agent = team.agents[robot]
+    assert agent.plan is not None and agent.pedigree is not None
+    # Proposals are exact shapes, so their class decides nothing here.
+    return plan_key(agent.plan, agent.pedigree, 0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS, n=st.integers(1, 9))
+def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(seed: int, n: int) -> None:
+    """Theorem 1: so all hold it after the diameter at the latest, and not a tick before they are reached."""
+    rng = np.random.default_rng(seed)
+    links, adjacent = random_links(n, rng)
+    team = Team(circle(n), "flock", turned(circle(n), n))
+    team.begin(places(n, rng), links)
+    top = max(range(n), key=lambda i: key_of(team, i))
+    highest, away = team.plans[top], hops(adjacent, top)
+    diameter = graph.diameter(adjacent)
+    assert diameter is not None
+    for tick in range(diameter + 1):
+        assert [plan == highest for plan in team.plans] == [far <= tick for far in away]
+        team.tick()
+    assert set(team.plans) == {highest}
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=SEEDS, n=st.integers(2, 7), window=st.integers(1, 4))
+def test_a_jointly_connected_team_agrees(seed: int, n: int, window: int) -> None:
+    """Theorem 2: each link of a random tree exists in one round of a window only; no graph needs to be whole."""
+    rng = np.random.default_rng(seed)
+    team = Team(circle(n), "flock", turned(circle(n), n))
+    spots = places(n, rng)
+    team.begin(spots, links_of(n, random_tree(n, rng)))
+    highest = team.plans[max(range(n), key=lambda i: key_of(team, i))]
+    for _ in range(n - 1):
+        # Another tree in each window: only the union within one window is connected.
+        when = [(edge, int(rng.integers(0, window))) for edge in random_tree(n, rng)]
+        for number in range(window):
+            team.end()
+            team.begin(spots, links_of(n, [edge for edge, at in when if at == number]))
+            team.tick()
+    assert set(team.plans) == {highest}
+
+
+ENTRIES = st.one_of(
+    st.tuples(st.integers(0, 3), st.sampled_from([-3.0, -2.0, -1.0, 0.0]), st.integers(0, 3)),
+    st.tuples(st.integers(0, 3), st.just(0.0), st.just(NO_OWNER)),
+)
+TABLES = st.lists(ENTRIES, min_size=3, max_size=3).map(tuple)
+
+
+@given(a=TABLES, b=TABLES, c=TABLES)
+def test_merging_is_the_join_of_a_lattice(a: Table, b: Table, c: Table) -> None:
+    """Lemma 1: whatever the order and however often tables arrive, the outcome is the same."""
+    assert merge(a, b) == merge(b, a)
+    assert merge(merge(a, b), c) == merge(a, merge(b, c))
+    assert merge(a, a) == a
+    assert all(rank(x) >= max(rank(y), rank(z)) for x, y, z in zip(merge(a, b), a, b, strict=True))
+    assert len({merge(merge(x, y), z) for x, y, z in permutations((a, b, c))}) == 1
+
+
+@given(a=ENTRIES, b=ENTRIES)
+def test_entries_of_equal_rank_are_equal(a: Entry, b: Entry) -> None:
+    """The order of claims is total: no two different claims can stand side by side for ever."""
+    assert (rank(a) == rank(b)) == (a == b)
+    assert (rank(a) > rank(b)) == (a[0] > b[0] or (a[0] == b[0] and rank(a)[1:] > rank(b)[1:]))
+
+
+def greedy(bids: list[tuple[float, ...]]) -> list[int]:
+    """Whose slot is which, by taking the best pair of all that are left, again and again."""
+    n = len(bids)
+    slots = [-1] * n
+    left = sorted((-bids[i][a], a, i) for i in range(n) for a in range(n))
+    for _, a, i in left:
+        if slots[i] < 0 and a not in slots:
+            slots[i] = a
+    return slots
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS, n=st.integers(1, 8))
+def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(seed: int, n: int) -> None:
+    """Theorem 3: all follow one plan from the beginning, nobody exchanges."""
+    rng = np.random.default_rng(seed)
+    links, adjacent = random_links(n, rng)
+    diameter = graph.diameter(adjacent)
+    assert diameter is not None
+    team = Team(circle(n), "flock", turned(circle(n), 1) * n, swaps=False)
+    team.begin(places(n, rng), links)
+    for _ in range(n * diameter):
+        team.tick()
+    bids = [agent.claim.bids for agent in team.agents]
+    assert team.slots == greedy([b for b in bids if b is not None])
+    assert len({agent.claim.table for agent in team.agents}) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS, n=st.integers(2, 8))
+def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> None:
+    """What theorem 4 leaves open: all comes to rest, and no pair is left with an exchange that it would make."""
+    rng = np.random.default_rng(seed)
+    links, _ = random_links(n, rng)
+    mission = circle(n)
+    team = Team(mission, "flock", turned(mission, 1) * n)
+    where = places(n, rng)
+    team.begin(where, links)
+    plan = team.plans[0]
+    assert plan is not None
+
+    def squared(i: int, slot: int) -> float:
+        return math.dist(where[i], plan.points[slot]) ** 2
+
+    total, slots, distinct = math.inf, [0], False
+    for _ in range(60 * n):
+        team.tick()
+        slots = [slot for slot in team.slots if slot is not None]
+        distinct = sorted(slots) == list(range(n))
+        if distinct and (total < math.inf or len({agent.claim.table for agent in team.agents}) == 1):
+            before, total = total, sum(squared(i, slot) for i, slot in enumerate(slots))
+            assert total <= before + 1e-6
+    assert distinct and len({agent.claim.table for agent in team.agents}) == 1
+    for i in range(n):
+        for j in links[i]:
+            gained = squared(i, slots[i]) + squared(j, slots[j]) - squared(i, slots[j]) - squared(j, slots[i])
+            assert gained < SWAP_GAIN * mission.spacing**2
+    settled = team.slots
+    for _ in range(20):
+        team.tick()
+    assert team.slots == settled
