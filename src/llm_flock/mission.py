@@ -115,7 +115,7 @@ class Mission(BaseModel):
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
         self._check_velocity()
         self._check_room()
-        self._check_shape()
+        self.check_shape()
         self._check_obstacles()
         return self
 
@@ -144,8 +144,8 @@ class Mission(BaseModel):
                 "n_robots", self.n_robots, f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
             )
 
-    def _check_shape(self) -> None:
-        """The shape must exist for N, keep its own safe distance, and fit the arena in any orientation."""
+    def check_shape(self) -> None:
+        """Raise InputError unless the shape exists for that number, keeps the safe distance, and fits the arena."""
         if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
             raise InputError("points", "given" if self.points else "missing", "points together with shape 'points'")
         if self.points is not None and any(len(p) != len(self.center) for p in self.points):
@@ -271,7 +271,7 @@ class Mission(BaseModel):
     def resized(self, places: int) -> Mission:
         """The same mission for a plan of so many places.
 
-        For a moving centre resize first, then look where it is: a larger formation stops sooner.
+        A formation of another size stops elsewhere at a wall: of a moving one, this is about the size alone.
 
         Raises:
             InputError: the shape does not exist for that number, or it does not fit.
@@ -335,7 +335,12 @@ def _at(mission: Mission, round_: int) -> Mission:
 
 @lru_cache(maxsize=256)
 def _resized(mission: Mission, places: int) -> Mission:
-    return mission.change(places=None if places == mission.n_robots else places)
+    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
+    fields["places"] = None if places == mission.n_robots else places
+    resized = Mission.model_construct(**fields)
+    # Nothing but the shape depends on the number; obstacles may be anywhere once a formation travels.
+    resized.check_shape()
+    return resized
 
 
 def build_mission(**fields: Any) -> Mission:

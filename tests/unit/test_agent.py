@@ -17,6 +17,7 @@ from llm_flock.protocol.events import (
     Broadcast,
     Decided,
     Effect,
+    MissionGiven,
     MoveTo,
     NegotiationEnded,
     Note,
@@ -424,3 +425,15 @@ def test_refused_plans_do_not_fill_the_memory() -> None:
     plans = [Plan.of([[float(k), 0.0]]) for k in range(REMEMBERED + 1)]
     assert all(judge.is_new(plan) for plan in plans)
     assert not judge.is_new(plans[-1]) and judge.is_new(plans[0])
+
+
+def test_another_mission_makes_the_robot_plan_anew() -> None:
+    agent = make()
+    planned(agent)
+    for event in (NegotiationEnded(), Decided(StepAnswer(waypoint=(48.0, 50.0))), Arrived()):
+        agent.handle(event)
+    new = MISSION.change(center=(60, 50), since=2)
+    agent.handle(MissionGiven(mission=new))
+    assert agent.mission == new and agent.plan is None and agent.claim.slot is None
+    (ask,) = agent.handle(began(2))
+    assert isinstance(ask, AskPlan) and ask.question.mission == new

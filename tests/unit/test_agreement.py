@@ -145,3 +145,37 @@ def test_rounds_only_go_forward() -> None:
     tracker.update(3, **IN_ORDER)
     with pytest.raises(AssertionError, match="round 3 after round 3"):
         tracker.update(3, **IN_ORDER)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_with_more_robots_or_more_goals_the_fewer_are_all_served(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robots, goals = int(rng.integers(1, 6)), int(rng.integers(1, 6))
+    start, places = (
+        rng.integers(0, 4, (n, 2)).astype(float) if seed % 2 else rng.uniform(0, 9, (n, 2)) for n in (robots, goals)
+    )
+    few, many = (start, places) if robots <= goals else (places, start)
+    orders = permutations(range(len(many)), len(few))
+    best = min(max(math.dist(few[i], many[j]) for i, j in enumerate(order)) for order in orders)
+    assert bottleneck_distance(start, places) == pytest.approx(best, abs=1e-12)
+
+
+def test_the_lower_bound_to_a_plan_that_travels_is_the_first_round_in_which_it_can_be_met() -> None:
+    def bound(x: float, velocity: float) -> int:
+        return lower_bound_rounds([(0, 0)], [(x, 0)], 6, lambda rounds: (velocity * rounds, 0.0))
+
+    assert bound(18, 0) == lower_bound_rounds([(0, 0)], [(18, 0)], 6) == 3
+    assert bound(18, 3) == 6 and bound(18.1, 3) == 7, "it flees at half the speed"
+    assert bound(18, -3) == 2, "it comes to meet the robot"
+    assert bound(0, 3) == 0
+
+
+def test_spares_need_no_goal_and_places_that_cannot_be_used_need_no_robot() -> None:
+    spare = but(slots=[2, 0, None], goal_distances=[0.5, 0.0, math.inf])
+    for usable, fine in ((2, True), (3, False), (1, False)):
+        tracker = FormedTracker(spacing=10)
+        tracker.update(0, **spare, usable=usable)
+        assert tracker.in_order is fine
+    gaps = FormedTracker(spacing=10)
+    gaps.update(0, **IN_ORDER, usable=5)
+    assert gaps.in_order

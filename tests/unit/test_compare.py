@@ -215,3 +215,15 @@ def test_nothing_to_fly_and_nobody_to_fly_it() -> None:
         run_trials([CELL.config], jobs=0)
     with pytest.raises(InputError, match="trials"):
         compare([CELL], trials=0)
+
+
+def test_what_happens_in_flight_is_the_same_for_all_cells_and_drawn_from_each_seed(tmp_path: Path) -> None:
+    file = tmp_path / "flock.toml"
+    file.write_text('[trial]\nkill = "4@9"\n[[trial.changes]]\nround = 9\nrobot = 2\nset = {spacing = 11}\n')
+    cells = build_cells([("circle", 10)], ["flock", "baseline"], file=file, fit_arena=True, kill_random=1, places=40)
+    first, second = cells
+    assert first.config.mission.n_places == 40 and first.config.mission.arena[0] < (-10, -10)
+    drawn = [first.with_seed(seed).schedule() for seed in range(8)]
+    assert drawn == [second.with_seed(seed).schedule() for seed in range(8)]
+    assert all(4 in found.kills[9] and 9 in found.missions for found in drawn)
+    assert len({str(found.kills) for found in drawn}) > 1

@@ -148,6 +148,10 @@ def test_a_mission_is_resized_where_the_shape_allows_it() -> None:
     assert four.resized(8) == mission and four.resized(8).digest == mission.digest
     with pytest.raises(InputError, match=r"places = 6.*divisible by 4"):
         mission.resized(6)
+    with pytest.raises(InputError, match="arena"):
+        mission.resized(80)
+    passing = mission.change(obstacles=[{"center": (80, 50), "radius": 6}], velocity=(2, 0)).at(15)
+    assert passing.resized(4).n_places == 4, "that obstacles are in the way now is no matter of size"
 
 
 def test_a_changed_mission_is_validated_as_a_whole() -> None:

@@ -14,7 +14,16 @@ from sample_records import FakeRun, llm_entry, make_record, run_info
 from llm_flock.errors import InputError, RecordError
 from llm_flock.record.reader import iter_messages, read_record
 from llm_flock.record.scene import PALETTE, SceneDrawer, scene_schema
-from llm_flock.record.schema import CHANNELS, TOPICS, MetricsRow, channel_schema, volatile_fields, without_volatile
+from llm_flock.record.schema import (
+    CHANNELS,
+    TOPICS,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    channel_schema,
+    volatile_fields,
+    without_volatile,
+)
 from llm_flock.record.writer import NullWriter, RecordWriter
 
 
@@ -246,3 +255,30 @@ def test_scene_keeps_the_third_dimension(tmp_path: Path) -> None:
     scene = json.loads(SceneDrawer(record.mission).draw(record.states[-1]))
     heights = [s["pose"]["position"]["z"] for s in scene["entities"][0]["spheres"]]
     assert heights == pytest.approx(record.positions[-1][:, 2].tolist(), abs=1e-3)
+
+
+def test_scene_shows_dead_robots_black_and_no_links_of_the_silent(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=5, rounds=6))
+    state = record.states[-1].model_copy(update={"phases": ["dead", "idle", "asleep", "idle", "idle"]})
+    entities = json.loads(SceneDrawer(record.mission).draw(state))["entities"]
+    spheres = [sphere["color"] for sphere in entities[0]["spheres"]]
+    assert spheres[0] == {"r": 0, "g": 0, "b": 0, "a": 1} != spheres[1]
+    links = [robot for line in entities[2]["lines"] for robot in line["indices"]]
+    assert links and not {0, 2} & set(links)
+
+
+def test_plans_keep_their_colours_when_the_mission_changes(tmp_path: Path) -> None:
+    run = FakeRun(n=4, rounds=6)
+    with RecordWriter(tmp_path / "run.mcap") as writer:
+        mission = MissionInfo(version=0, round=0, mission=run.mission.model_dump(mode="json"))
+        writer.run(run_info())
+        writer.mission(mission)
+        writer.plan(PlanInfo(round=0, plan_id="f" * 16, proposer=3, points=[]))
+        for number in range(4):
+            run.write_round(writer, number)
+        writer.mission(mission.model_copy(update={"version": 1, "round": 4}))
+        for number in range(4, 7):
+            run.write_round(writer, number)
+    scenes = [m.decoded() for m in iter_messages(tmp_path / "run.mcap") if m.topic == "/scene"]
+    colours = [[sphere["color"] for sphere in scene["entities"][0]["spheres"]] for scene in scenes]
+    assert colours[3] == colours[4]

@@ -80,6 +80,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("cost", _number(summary.cost_usd, "{:.4f} USD") if not summary.simulated else "none (simulated)"),
         ("time", f"{summary.wall_s:.2f} s"),
     ]
+    rows += _in_flight(summary)
     if summary.faults:
         rows.append(("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())))
     if summary.robots_without_plan:
@@ -91,12 +92,30 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     return table
 
 
+def _in_flight(summary: Summary) -> list[tuple[str, str]]:
+    """What happened to robots and mission on the way, and who or what was left over."""
+    given = [
+        f"{m.shape} {'not formed' if m.formed is None else f'formed in round {m.formed}'}"
+        + (f" (given in round {m.round})" if m.round else "")
+        for m in summary.missions
+    ]
+    rows = [
+        ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
+        ("died", ", ".join(summary.killed)),
+        ("joined", ", ".join(summary.joined)),
+        ("empty places", str(summary.gaps or "")),
+        ("spare robots", str(summary.spares or "")),
+    ]
+    return [row for row in rows if row[1]]
+
+
 def _formed(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
+    last = " of the last mission" if len(summary.missions) > 1 else ""
     if summary.formed:
-        return f"[bold green]yes[/], in round {summary.rounds_to_formed}{bound}"
+        return f"[bold green]yes[/], in round {summary.rounds_to_formed}{bound}{last}"
     if summary.rounds_to_formed is not None:
-        return f"[bold red]too late[/], in round {summary.rounds_to_formed}{bound}"
+        return f"[bold red]too late[/], in round {summary.rounds_to_formed}{bound}{last}"
     return f"[bold red]no[/]{bound}"
 
 

@@ -20,6 +20,9 @@ from llm_flock.runtime.config import RunConfig
 SHORT = {"n_robots": "--robots"}
 """Flags that are shorter than their field's name."""
 
+JSON_LISTS = frozenset({"obstacles", "changes"})
+"""Fields that are lists of tables: a flag takes them as JSON, or as the name of a file with it."""
+
 NOT_FLAGS = frozenset({"points"})
 """Fields that are given another way: `--shape points:FILE`."""
 
@@ -54,7 +57,7 @@ def config_parameters(without: frozenset[str] = frozenset()) -> list[inspect.Par
 
 
 def _parameter(field: str, info: FieldInfo, panel: str) -> inspect.Parameter:
-    kind, metavar = (str, "JSON|FILE") if field == "obstacles" else _flag_type(info.annotation)
+    kind, metavar = (str, "JSON|FILE") if field in JSON_LISTS else _flag_type(info.annotation)
     names = [f"{flag(field)}/--no-{flag(field)[2:]}"] if kind is bool else [flag(field)]
     shown = info.get_default(call_default_factory=True)
     option = typer.Option(
@@ -121,21 +124,21 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         half = len(corner) // 2
         low, high = (corner[:half], corner[half:]) if len(corner) >= 4 else ((0.0,) * len(corner), corner)
         values["arena"] = (low, high)
-    if "obstacles" in values:
-        values["obstacles"] = _obstacles(values["obstacles"])
+    for field in JSON_LISTS & values.keys():
+        values[field] = _json_list(field, values[field])
     if "start_positions" in values:
         values["start_positions"] = formations.load_points(Path(values["start_positions"]), "start_positions")
     return values
 
 
-def _obstacles(text: str) -> Any:
+def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     try:
         found = json.loads(text if text.lstrip().startswith("[") else Path(text).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError("obstacles", text, f"a JSON list, or a file with one ({error})") from None
+        raise InputError(field, text, f"a JSON list, or a file with one ({error})") from None
     if not isinstance(found, list):
-        raise InputError("obstacles", text, "a JSON list of obstacles")
+        raise InputError(field, text, f"a JSON list of {field}")
     return cast("list[Any]", found)
 
 

@@ -23,7 +23,8 @@ def fitted_arena(
     fits already is returned as it is; no wall is ever moved inwards.
 
     Args:
-        team: gives centre, spacing, safe distance and the arena to begin with [units].
+        team: gives centre, spacing, safe distance and the arena to begin with [units], and the number of places if it
+            is not one for each robot.
         shape: a shape, in the words of a mission.
         n_robots: team size N.
         points: target points of the shape `points` [units].
@@ -35,7 +36,7 @@ def fitted_arena(
         InputError: there is no such shape, or not for this team size.
     """
     center = np.array(team.center)
-    ideal = formations.ideal_points(shape, n_robots, team.center, team.spacing, points)
+    ideal = formations.ideal_points(shape, team.places or n_robots, team.center, team.spacing, points)
     room = 0.0 if ideal is None else formations.circumradius(ideal, team.center) + team.spacing
     low, high = _grown(team, center, room)
     needed = start_volume(n_robots, team.dim, team.safe_distance)

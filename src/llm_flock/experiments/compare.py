@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,10 @@ from llm_flock.runtime.config import RunConfig, load_config
 
 TOLERANCE = 1e-6
 """Robots nearer than the safe distance by more than this are a violation [units]."""
+
+
+UNDISTURBED: Mapping[str, Any] = {"kill": "", "join": "", "kill_random": 0, "join_random": 0, "changes": ()}
+"""A run in which nothing happens in flight."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +132,7 @@ def build_cells(
         given = {**overrides, "shape": shape, "n_robots": n_robots}
         if fit_arena:
             # A team of one without a shape fits everywhere: this reads what was given, and nothing of it is refused.
-            team = load_config(file, **{**overrides, "shape": "text:anything", "n_robots": 1}).mission
+            team = load_config(file, **{**overrides, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
             points = formations.load_points(Path(shape.partition(":")[2])) if shape.startswith("points:") else None
             name = shape if points is None else "points"
             given["arena"] = fitted_arena(team, name, n_robots, points)

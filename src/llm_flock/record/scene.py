@@ -13,7 +13,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from llm_flock import graph
-from llm_flock.record.schema import MissionInfo, State
+from llm_flock.record.schema import DEAD, SILENT, MissionInfo, State
 
 SCHEMA_NAME = "foxglove.SceneUpdate"
 FRAME = "world"
@@ -76,18 +76,19 @@ class SceneDrawer:
         colours = [None if p is None else self._plans[p] % len(PALETTE) for p in state.plan_ids]
         time = {"sec": state.round, "nsec": 0}
         entities = (
-            _entity("robots", time, spheres=self._robots(points, colours), texts=self._ids(points)),
+            _entity("robots", time, spheres=self._robots(state, points, colours), texts=self._ids(points)),
             _entity("goals", time, spheres=self._goals(state, colours)),
             _entity("links", time, lines=self._links(state, points)),
         )
         return to_json({"deletions": (), "entities": entities})
 
-    def _robots(self, points: list[dict[str, float]], colours: list[int | None]) -> list[dict[str, Any]]:
+    def _robots(self, state: State, points: list[dict[str, float]], colours: list[int | None]) -> list[dict[str, Any]]:
         size = _cube(self._diameter)
-        return [
-            {"pose": _pose(point), "size": size, "color": _WHITE if colour is None else _SOLID[colour]}
-            for point, colour in zip(points, colours, strict=True)
+        looks = [
+            _BLACK if phase == DEAD else _WHITE if colour is None else _SOLID[colour]
+            for phase, colour in zip(state.phases, colours, strict=True)
         ]
+        return [{"pose": _pose(point), "size": size, "color": look} for point, look in zip(points, looks, strict=True)]
 
     def _ids(self, points: list[dict[str, float]]) -> list[dict[str, Any]]:
         height = self._diameter
@@ -113,6 +114,8 @@ class SceneDrawer:
 
     def _links(self, state: State, points: list[dict[str, float]]) -> list[dict[str, Any]]:
         adjacent = graph.adjacency(np.array(state.positions), self._comm_range)
+        silent = [robot for robot, phase in enumerate(state.phases) if phase in SILENT]
+        adjacent[silent, :] = adjacent[:, silent] = False
         pairs: list[list[int]] = np.argwhere(np.triu(adjacent)).tolist()
         if not pairs:
             return []

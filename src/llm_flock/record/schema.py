@@ -24,6 +24,12 @@ VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record"})
 """Keys of the summary's result that may differ between two runs of one seed."""
 
 
+DEAD, ASLEEP = "dead", "asleep"
+"""Stand for the phase of a robot that is not awake: after it died, and before it began."""
+
+SILENT = frozenset({DEAD, ASLEEP})
+
+
 class Entry(BaseModel):
     """Common rules of everything that is recorded. Optional fields that are None are left out of the file."""
 
@@ -76,7 +82,7 @@ class State(Entry):
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="What was commanded this round [units], null at the start")
     origins: list[str] = Field(description="Who made the waypoint: start, model, shield, fallback, detour or hold")
-    phases: list[str] = Field(description="Phase of each robot's state machine")
+    phases: list[str] = Field(description="Phase of each robot's state machine; dead or asleep without one")
 
 
 class ProtocolEvent(Entry):

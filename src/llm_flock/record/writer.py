@@ -170,7 +170,8 @@ class RecordWriter:
 
     def mission(self, info: MissionInfo) -> None:
         """What the team is asked to do."""
-        self._scene = SceneDrawer(info)
+        if self._scene is None:  # colours of plans stay, whatever the mission; a mission changes no size and no range
+            self._scene = SceneDrawer(info)
         self._put(info, info.round)
 
     def plan(self, info: PlanInfo) -> None:

@@ -113,10 +113,10 @@ class SimulatedTeam:
         np.fill_diagonal(close, False)
         return [tuple(np.flatnonzero(row).tolist()) for row in close]
 
-    @property
-    def connected(self) -> bool:
-        """Whether the radio graph is one piece."""
-        return graph.is_connected(self._distances <= self._mission.comm_range)
+    def connected(self, robots: Sequence[int]) -> bool:
+        """Whether the radio graph of these robots is one piece."""
+        close = self._distances <= self._mission.comm_range
+        return graph.is_connected(close if len(robots) == len(close) else close[np.ix_(robots, robots)])
 
     def sense(self, robot: int) -> Sensing:
         """One robot's readings, new errors at every call."""

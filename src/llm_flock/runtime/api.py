@@ -14,13 +14,14 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.assignment import AssignmentRule
 from llm_flock.protocol.consensus import ConsensusRule
-from llm_flock.record.schema import MissionInfo, RunInfo
+from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordWriter
 from llm_flock.robots.simulated import SimulatedTeam, check_start, draw_start
 from llm_flock.runtime import provenance
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.result import RunResult
+from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
@@ -76,12 +77,13 @@ async def run_async(
         consensus = consensus_rule(protocol.consensus or "")
     if assignment is None or isinstance(assignment, str):
         assignment = assignment_rule(protocol.assignment or "")
-    agents = [
-        Agent(
+    rules = consensus, assignment
+
+    def mind(robot: int) -> Agent:
+        return Agent(
             robot,
             config.mission,
-            consensus,
-            assignment,
+            *rules,
             shield_on=bool(protocol.shield),
             verify=bool(protocol.verify),
             on_event=config.model.decide == "on-event",
@@ -89,12 +91,13 @@ async def run_async(
             time_out=protocol.time_out,
             gaps=protocol.gaps,
         )
-        for robot in range(config.mission.n_robots)
-    ]
-    return await _fly(config, agents, on_round)
+
+    return await _fly(config, mind, on_round)
 
 
-async def _fly(config: RunConfig, agents: list[Agent], on_round: Callable[[Progress], None] | None) -> RunResult:
+async def _fly(
+    config: RunConfig, mind: Callable[[int], Agent], on_round: Callable[[Progress], None] | None
+) -> RunResult:
     """Build every part, refusing what is wrong; only then open files, and fly."""
     mission, seed = config.mission, config.trial.seed
     given = config.trial.start_positions
@@ -103,6 +106,8 @@ async def _fly(config: RunConfig, agents: list[Agent], on_round: Callable[[Progr
     bodies = SimulatedTeam(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
     transport = MemoryTransport(mission.n_robots, config.links, stream(seed, Stream.LINKS))
     thinkers = Thinkers(config)
+    schedule = config.schedule()
+    roster = Roster(mind, mission.n_robots, schedule.asleep)
     with ExitStack() as stack:
         path = None if config.trial.out is None else Path(config.trial.out) / RECORD_NAME
         cassette = None if config.model.record_llm is None else Path(config.model.record_llm)
@@ -118,9 +123,8 @@ async def _fly(config: RunConfig, agents: list[Agent], on_round: Callable[[Progr
         thinkers.listen(journal.attempt)
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
             writer.run(_run_info(config, thinkers))
-        ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
-        writer.mission(MissionInfo(version=0, round=0, mission=mission.model_dump(mode="json"), ideal=ideal))
-        trial = Trial(config, agents, thinkers, bodies, transport, journal, on_round)
+        journal.mission_given(mission, 0, start)
+        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round)
         record = None if path is None else str(path)
         try:
             await trial.run()

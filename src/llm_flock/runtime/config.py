@@ -14,6 +14,8 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Coordinate, Mission, input_error
 from llm_flock.protocol.liveness import TIME_OUT
 from llm_flock.runtime.rules import PRESETS
+from llm_flock.runtime.schedule import Change, Schedule, build_schedule
+from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.transport.memory import LinkFaults
 
 Count = Annotated[int, Field(ge=1)]
@@ -119,6 +121,17 @@ class TrialConfig(Section):
     start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Given start positions instead of random ones [units]"
     )
+    kill: str | None = Field(
+        default=None, description="Robots that die, each from the start of a round on: ID@ROUND,ID@ROUND,..."
+    )
+    join: str | None = Field(
+        default=None, description="Robots that are silent until the start of a round, or start again: ID@ROUND,..."
+    )
+    kill_random: int = Field(default=0, ge=0, description="So many robots more die, drawn from the seed")
+    join_random: int = Field(default=0, ge=0, description="So many robots more join late, drawn from the seed")
+    changes: tuple[Change, ...] = Field(
+        default=(), description="Missions given in flight to one robot: {round, robot, set: {field: value, ...}}"
+    )
     noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Largest localisation error [units]")
     out: str | None = Field(default=None, description="Folder for the record (run.mcap) and all that is drawn from it")
 
@@ -143,7 +156,26 @@ class RunConfig(Section):
                     self.trial.noise,
                     f"at most safe_distance / 4 = {self.mission.safe_distance / 4:g} while the shield is on",
                 )
+        self.schedule()
         return self
+
+    def schedule(self) -> Schedule:
+        """What is to happen to the robots in flight; what is random of it is drawn from the seed.
+
+        Raises:
+            InputError: it cannot happen like that.
+        """
+        trial = self.trial
+        return build_schedule(
+            self.mission,
+            kill=trial.kill,
+            join=trial.join,
+            kill_random=trial.kill_random,
+            join_random=trial.join_random,
+            changes=trial.changes,
+            rounds=trial.rounds,
+            rng=stream(trial.seed, Stream.FAULTS),
+        )
 
 
 def section_of(field: str) -> str:

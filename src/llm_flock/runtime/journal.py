@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from llm_flock.arrays import Points
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import (
@@ -21,12 +21,15 @@ from llm_flock.record.schema import (
     ChatLine,
     LlmEntry,
     MetricsRow,
+    MissionInfo,
     PlanInfo,
     ProtocolEvent,
     State,
 )
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.runtime.episode import Episode, blocked_places
+from llm_flock.runtime.roster import Roster
 from llm_flock.transport.memory import Traffic
 
 ERROR_EVERY_ROUND_UP_TO = 300
@@ -57,15 +60,33 @@ class Journal:
         self.start = metrics.StartSeparation(mission.safe_distance)
         self.positions: list[Points] = []
         self.errors: list[tuple[float, float] | None] = []
+        self.episodes: list[Episode] = []
+        self.robot_rounds = 0
+        self.rejected_before: Counter[str] = Counter()
         self.at_goal = 0
         self.silent_rounds = 0
         self.last_failure: str | None = None
         self._calls_before = (0, 0)
-        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
-        self.tracker = metrics.FormedTracker(spacing=mission.spacing)
         self._known_plans: set[str] = set()
         self._attempts: list[Attempt] = []
         self._previous: Points | None = None
+
+    @property
+    def episode(self) -> Episode:
+        """The mission in force: the last one that was given."""
+        return self.episodes[-1]
+
+    def mission_given(self, mission: Mission, flown: int, positions: Points) -> None:
+        """A mission is in force from the next round on: its figures begin afresh."""
+        ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
+        version, first = len(self.episodes), flown + 1 if self.episodes else 0
+        fields = mission.model_dump(mode="json")
+        self.writer.mission(MissionInfo(version=version, round=first, mission=fields, ideal=ideal))
+        self.episodes.append(Episode(mission, flown, positions))
+
+    def close_episode(self, roster: Roster) -> None:
+        """The mission in force is over, by another one or by the end of the run."""
+        self.episode.close(roster.awake, roster.minds())
 
     def attempt(self, attempt: Attempt) -> None:
         """Take note of one model call; one that the budget refused was never made, and is only recorded."""
@@ -114,8 +135,8 @@ class Journal:
         self,
         round_number: int,
         team: SimulatedTeam,
-        agents: list[Agent],
-        moves: list[MoveTo] | None,
+        roster: Roster,
+        moves: Mapping[int, MoveTo] | None,
         traffic: Traffic,
     ) -> None:
         """Record where everybody is, what everybody follows, and the figures of this round."""
@@ -125,41 +146,46 @@ class Journal:
         silent = bool(calls) and calls == failed and not any(agent.on_path for agent in agents)
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
         positions = team.positions
-        plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
-        slots = [a.claim.slot for a in agents]
-        origins = [Origin.START] * len(agents) if moves is None else [m.origin for m in moves]
-        if moves is not None:
-            self.waypoints.update(origin.value for origin in origins)
+        minds = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
+        still = Origin.START if moves is None else Origin.HOLD
+        flown = dict[int, MoveTo]() if moves is None else moves
+        self.robot_rounds += len(flown)
+        self.waypoints.update(move.origin.value for move in flown.values())
         self.writer.state(
             State(
                 round=round_number,
                 positions=positions.tolist(),
-                goals=[None if (g := a.goal) is None else list(g) for a in agents],
-                slots=slots,
-                plan_ids=plan_ids,
-                influence=[len(r) / len(agents) for r in team.in_radio_range],
-                waypoints=[None] * len(agents) if moves is None else [list(m.waypoint) for m in moves],
-                origins=[origin.value for origin in origins],
-                phases=[a.phase.value for a in agents],
+                goals=[None if a is None or (g := a.goal) is None else list(g) for a in minds],
+                slots=[None if a is None else a.claim.slot for a in minds],
+                plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in minds],
+                influence=[len(roster.hears(team, robot)) / len(minds) for robot in range(len(minds))],
+                waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in range(len(minds))],
+                origins=[(flown[robot].origin if robot in flown else still).value for robot in range(len(minds))],
+                phases=[roster.phase(robot) for robot in range(len(minds))],
             )
         )
-        self._measure(round_number, positions, agents, plan_ids, slots, team.connected, traffic)
+        self._measure(round_number, positions, roster, team.connected(roster.awake), traffic)
 
-    def measure_error(self) -> None:
-        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet."""
-        if self._target is not None and self.errors[-1] is None:
-            shape = self._target.error(self.positions[-1])
-            self.errors[-1] = (shape.mean, shape.mean_squared)
+    def measure_error(self, roster: Roster) -> None:
+        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet.
+
+        Only as many robots as there are places can be compared with a shape: all that are awake, or, where some of
+        them are spare, those with a place.
+        """
+        if self.errors[-1] is not None:
+            return
+        robots = roster.awake
+        minds = [roster.agents[robot] for robot in robots]
+        plan = self.episode.plan(minds)
+        places = self.episode.mission.n_places if plan is None else len(plan)
+        if len(robots) > places:
+            robots = [robot for robot in robots if roster.agents[robot].claim.slot is not None]
+        if len(robots) == places:
+            shape = self.episode.error(self.positions[-1][robots])
+            self.errors[-1] = None if shape is None else (shape.mean, shape.mean_squared)
 
     def _measure(
-        self,
-        round_number: int,
-        positions: NDArray[np.float64],
-        agents: list[Agent],
-        plan_ids: list[str | None],
-        slots: list[int | None],
-        connected: bool,
-        traffic: Traffic,
+        self, round_number: int, positions: NDArray[np.float64], roster: Roster, connected: bool, traffic: Traffic
     ) -> None:
         self.positions.append(positions)
         separation = metrics.min_separation(positions)
@@ -173,21 +199,34 @@ class Journal:
         closest = separation if along is None else min(separation, along)
         self.min_separation = min(self.min_separation, closest)
         self.start.update(round_number, positions, closest)
+        minds = roster.minds()
+        plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
+        slots = [a.claim.slot for a in minds]
         distances = [
-            float("inf") if (g := a.goal) is None else float(np.linalg.norm(positions[k] - g))
-            for k, a in enumerate(agents)
+            float("inf") if (g := a.goal) is None else float(np.linalg.norm(positions[robot] - g))
+            for robot, a in zip(roster.awake, minds, strict=True)
         ]
-        self.at_goal = metrics.robots_at_goal(distances, self.mission.spacing)
+        episode = self.episode
+        self.at_goal = metrics.robots_at_goal(distances, episode.mission.spacing)
+        plan = episode.plan(minds)
+        places = episode.mission.n_places if plan is None else len(plan)
+        usable = places - len(blocked_places(minds))
         self.errors.append(None)
-        if len(agents) <= ERROR_EVERY_ROUND_UP_TO or self.at_goal == len(agents):
-            self.measure_error()
+        if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or self.at_goal == min(usable, len(minds)):
+            self.measure_error(roster)
         error = self.errors[-1]
-        self.tracker.update(
+        to_goals = [distance for distance, slot in zip(distances, slots, strict=True) if slot is not None]
+        if error is not None or episode.mission.ideal is None or not to_goals:
+            residual = None if error is None else error[0]
+        else:  # with gaps the shape is judged by the places that are filled
+            residual = sum(to_goals) / len(to_goals)
+        episode.tracker.update(
             round_number,
-            plan_ids=plan_ids,
+            plan_ids=[plan if episode.follows(a) else None for plan, a in zip(plan_ids, minds, strict=True)],
             slots=slots,
             goal_distances=distances,
-            residual=None if error is None else error[0],
+            residual=residual,
+            usable=usable,
         )
         self.writer.metrics(
             MetricsRow(
@@ -205,9 +244,13 @@ class Journal:
                 cost_usd=self.cost_usd,
                 messages_sent=traffic.sent,
                 bytes_sent=traffic.bytes,
-                messages_rejected=dict(sum((a.rejected for a in agents), Counter[str]())),
+                messages_rejected=dict(self.rejected(roster)),
             )
         )
+
+    def rejected(self, roster: Roster) -> Counter[str]:
+        """Messages refused so far, by reason, those of robots that have started again since included."""
+        return sum((a.rejected for a in roster.agents), self.rejected_before)
 
 
 def _finite(value: float) -> float | None:

@@ -14,8 +14,30 @@ from llm_flock.runtime.config import RunConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MissionOutcome:
+    """What came of one mission of a run.
+
+    Attributes:
+        round: round at whose start it was given to a robot, 0 for the first one.
+        shape: its shape.
+        places: places of its formation.
+        formed: first round in which the team had formed; None if it never had.
+        lower_bound_rounds: as in `Summary`, from where the robots were when the mission was given.
+    """
+
+    round: int
+    shape: str
+    places: int
+    formed: int | None
+    lower_bound_rounds: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """The figures of one trial; field names are the keys of `--json`.
+
+    With several missions, `formed`, `rounds_to_formed` and `lower_bound_rounds` are about the last one, and count from
+    when it was given. Robots that are not awake count for separation only.
 
     Attributes:
         shape: the mission's shape.
@@ -31,7 +53,8 @@ class Summary:
         reason: the last failure, in words, where the run ended by no_answers or failed.
         rounds: motion rounds flown.
         formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
-            most 0.1 spacing, held for 3 rounds, within 3 * lower_bound_rounds + 20 rounds.
+            most 0.1 spacing, held for 3 rounds, within 3 * lower_bound_rounds + 20 rounds of when the last mission was
+            given, or a robot died or joined.
         rounds_to_formed: the first of those 3 rounds, whether within the limit or not; None if it never came.
         lower_bound_rounds: bottleneck assignment distance from the start to the agreed plan, in steps of max_step,
             rounded up; None without one plan.
@@ -62,6 +85,11 @@ class Summary:
         messages_rejected: messages refused on receipt, by reason.
         wall_s: duration of the run [s].
         record: path of the record, None with the record off.
+        killed: robots that died, and in which round: `3@12`.
+        joined: robots that joined late or again, in the same form.
+        missions: every mission of the run, the first one first.
+        gaps: places of the plan that are nobody's at the end; None without one plan.
+        spares: robots awake at the end that have no place in it; None without one plan.
     """
 
     shape: str
@@ -104,6 +132,11 @@ class Summary:
     messages_rejected: dict[str, int]
     wall_s: float
     record: str | None
+    killed: tuple[str, ...] = ()
+    joined: tuple[str, ...] = ()
+    missions: tuple[MissionOutcome, ...] = ()
+    gaps: int | None = None
+    spares: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

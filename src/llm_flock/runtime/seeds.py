@@ -15,6 +15,7 @@ class Stream(IntEnum):
     NOISE = 2
     MODEL = 3
     BACKOFF = 4
+    FAULTS = 5
 
 
 def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:

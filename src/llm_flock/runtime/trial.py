@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -20,6 +20,7 @@ from llm_flock.protocol.events import (
     Broadcast,
     Decided,
     Effect,
+    MissionGiven,
     MoveTo,
     NegotiationEnded,
     Note,
@@ -34,7 +35,10 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.result import RunResult, Summary
+from llm_flock.runtime.result import RunResult
+from llm_flock.runtime.roster import Roster
+from llm_flock.runtime.schedule import Schedule
+from llm_flock.runtime.summary import summarize
 from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.memory import MemoryTransport
 
@@ -65,7 +69,8 @@ class Trial:
 
     Args:
         config: everything that defines the run.
-        agents: one mind per robot.
+        schedule: what happens to robots and mission in flight.
+        roster: one mind per robot, and who is awake.
         thinkers: one planner per robot, and what the models have used.
         bodies: the simulated bodies and sensors.
         transport: carries the messages.
@@ -76,7 +81,8 @@ class Trial:
     def __init__(
         self,
         config: RunConfig,
-        agents: Sequence[Agent],
+        schedule: Schedule,
+        roster: Roster,
         thinkers: Thinkers,
         bodies: SimulatedTeam,
         transport: MemoryTransport,
@@ -84,7 +90,8 @@ class Trial:
         on_round: Callable[[Progress], None] | None = None,
     ) -> None:
         self.config = config
-        self.agents = list(agents)
+        self.schedule = schedule
+        self.roster = roster
         self.thinkers = thinkers
         self.bodies = bodies
         self.transport = transport
@@ -101,14 +108,14 @@ class Trial:
         Raises:
             asyncio.CancelledError: after the record was brought to a readable end by `finish`.
         """
-        self.journal.state(0, self.bodies, self.agents, None, self.transport.traffic)
+        self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
         self.journal.writer.end_round(0)
         try:
             while self.round < self.config.trial.rounds:
                 await self._fly_round(self.round + 1)
                 self.round += 1
                 self._report()
-                if self.config.trial.stop_when_formed and self.journal.tracker.formed_at is not None:
+                if self._done:
                     self.stopped = "formed"
                     break
                 if self.thinkers.exhausted:
@@ -124,31 +131,60 @@ class Trial:
             self.stopped, self.reason = "failed", f"{type(error).__name__}: {error}"
             raise
         finally:
-            for agent in self.agents:
+            for agent in self.roster.agents:
                 agent.handle(Stopped())
 
+    @property
+    def _done(self) -> bool:
+        """Whether the formation is held, and nothing more is to happen to it."""
+        formed = self.journal.episode.formed_at is not None
+        return self.config.trial.stop_when_formed and formed and self.round >= self.schedule.last
+
+    def _let_happen(self, number: int) -> None:
+        """What the schedule says for this round: first deaths, then joins, then another mission."""
+        journal, roster, schedule = self.journal, self.roster, self.schedule
+        killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
+        for robot in killed:
+            roster.kill(robot)
+            journal.note(number, None, robot, Note("killed", {}))
+        for robot in joined:
+            journal.rejected_before += roster.join(robot).rejected
+            journal.note(number, None, robot, Note("joined", {}))
+        if killed or joined:
+            journal.episode.disturb(number - 1)
+        if number in schedule.missions:
+            robot, mission = schedule.missions[number]
+            journal.close_episode(roster)
+            journal.mission_given(mission, number - 1, self.bodies.positions)
+            self._perform(number, None, robot, roster.agents[robot].handle(MissionGiven(mission=mission)))
+
     async def _fly_round(self, number: int) -> None:
+        self._let_happen(number)
         await self._think_plans(number)
         for tick in range(self.config.protocol.ticks or 1):
             self._exchange(number, tick)
         moves = await self._think_steps(number)
         self._move(moves)
-        for robot, agent in enumerate(self.agents):
+        for robot, agent in self._minds():
             self._perform(number, None, robot, agent.handle(Arrived()))
-        self.journal.state(number, self.bodies, self.agents, moves, self.transport.traffic)
+        self.journal.state(number, self.bodies, self.roster, moves, self.transport.traffic)
         self.journal.writer.end_round(number)
+
+    def _minds(self) -> list[tuple[int, Agent]]:
+        """The robots that are awake, and their minds, by id."""
+        return [(robot, self.roster.agents[robot]) for robot in self.roster.awake]
 
     async def _think_plans(self, number: int) -> None:
         """Sense; robots without a plan ask for one, all at once."""
         asking: dict[int, Awaitable[PlanAnswer | NoAnswer]] = {}
         everybody = self.config.model.observe == "all"
-        for robot, agent in enumerate(self.agents):
+        for robot, agent in self._minds():
             seen = self.bodies.sense(robot)
             observed = self.bodies.everybody(robot) if everybody else tuple(seen.sensed.values())
             began = RoundBegan(
                 round=number,
                 position=seen.position,
-                neighbors=len(self.bodies.in_radio_range[robot]),
+                neighbors=len(self.roster.hears(self.bodies, robot)),
                 sensed=seen.sensed,
                 observed=observed,
             )
@@ -158,27 +194,28 @@ class Trial:
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
-            agent = self.agents[robot]
-            self._perform(number, None, robot, agent.handle(Planned(answer)))
+            self._perform(number, None, robot, self.roster.agents[robot].handle(Planned(answer)))
             if isinstance(answer, PlanAnswer):
                 self.journal.plan(number, answer.plan, robot)
 
     def _exchange(self, number: int, tick: int) -> None:
         """One message exchange: all broadcast, then all receive, then all decide on the same snapshot."""
-        for robot, agent in enumerate(self.agents):
+        for robot, agent in self._minds():
             for effect in self._perform(number, tick, robot, agent.handle(TickBegan())):
                 if isinstance(effect, Broadcast):
-                    self.transport.broadcast(effect.payload, self.bodies.in_radio_range[robot])
+                    self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
+        awake = set(self.roster.awake)
         for robot, payload in self.transport.deliver():
-            self._perform(number, tick, robot, self.agents[robot].handle(Received(payload)))
-        for robot, agent in enumerate(self.agents):
+            if robot in awake:  # what was sent before it died may arrive later
+                self._perform(number, tick, robot, self.roster.agents[robot].handle(Received(payload)))
+        for robot, agent in self._minds():
             self._perform(number, tick, robot, agent.handle(TickEnded()))
 
-    async def _think_steps(self, number: int) -> list[MoveTo]:
-        """Robots with a goal ask for a waypoint, all at once; returns every robot's move."""
+    async def _think_steps(self, number: int) -> dict[int, MoveTo]:
+        """Robots with a goal ask for a waypoint, all at once; returns the move of each that is awake."""
         asking: dict[int, Awaitable[StepAnswer | NoAnswer]] = {}
         moves: dict[int, MoveTo] = {}
-        for robot, agent in enumerate(self.agents):
+        for robot, agent in self._minds():
             for effect in self._perform(number, None, robot, agent.handle(NegotiationEnded())):
                 if isinstance(effect, AskStep):
                     asking[robot] = self.thinkers.planners[robot].step(effect.question)
@@ -187,16 +224,17 @@ class Trial:
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
-            for effect in self._perform(number, None, robot, self.agents[robot].handle(Decided(answer))):
+            for effect in self._perform(number, None, robot, self.roster.agents[robot].handle(Decided(answer))):
                 if isinstance(effect, MoveTo):
                     moves[robot] = effect
-        return [moves[robot] for robot in range(len(self.agents))]
+        return dict(sorted(moves.items()))
 
-    def _move(self, moves: Sequence[MoveTo]) -> None:
-        """Bodies fly what was commanded, from where each robot believed it was."""
-        believed: Points = np.array([agent.position for agent in self.agents])
-        commanded: Points = np.array([move.waypoint for move in moves])
-        self.bodies.move(commanded - believed)
+    def _move(self, moves: Mapping[int, MoveTo]) -> None:
+        """Bodies fly what was commanded, from where each robot believed it was; those of silent robots stay."""
+        displacements: Points = np.zeros_like(self.bodies.positions)
+        believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
+        displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
+        self.bodies.move(displacements)
 
     def _perform(self, number: int, tick: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
         """Record the notes among the effects; return the rest."""
@@ -212,16 +250,17 @@ class Trial:
         if self._on_round is None:
             return
         journal = self.journal
-        plan_ids = [None if a.plan is None else a.plan.digest for a in self.agents]
+        minds = self.roster.minds()
+        plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
         error = journal.errors[-1]
         self._on_round(
             Progress(
                 round=self.round,
                 rounds=self.config.trial.rounds,
                 at_goal=journal.at_goal,
-                n_robots=len(self.agents),
+                n_robots=len(minds),
                 plans_in_use=metrics.plans_in_use(plan_ids),
-                distinct_goals=metrics.distinct_goals(plan_ids, [a.claim.slot for a in self.agents]),
+                distinct_goals=metrics.distinct_goals(plan_ids, [a.claim.slot for a in minds]),
                 error=None if error is None else error[0],
                 model_calls=journal.calls,
                 tokens=journal.usage.total,
@@ -233,8 +272,19 @@ class Trial:
         """The result so far; writes it to the record. Call once, also after a cancelled `run`."""
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
-            self.journal.measure_error()
-        summary = self._summary(record)
+            self.journal.measure_error(self.roster)
+        summary = summarize(
+            self.config,
+            self.schedule,
+            self.roster,
+            self.thinkers,
+            self.transport.traffic,
+            self.journal,
+            stopped=(self.stopped, self.reason),
+            rounds=self.round,
+            wall_s=time.perf_counter() - self._began,
+            record=record,
+        )
         self.journal.writer.summary(summary.to_dict())
         return RunResult(
             mission=self.config.mission,
@@ -242,73 +292,9 @@ class Trial:
             summary=summary,
             positions=np.array(self.journal.positions),
             errors=np.array([np.nan if e is None else e[0] for e in self.journal.errors]),
-            plans=tuple(a.plan for a in self.agents),
-            slots=tuple(a.claim.slot for a in self.agents),
+            plans=tuple(a.plan for a in self.roster.agents),
+            slots=tuple(a.claim.slot for a in self.roster.agents),
         )
-
-    def _summary(self, record: str | None) -> Summary:
-        journal, config = self.journal, self.config
-        plan_ids = [None if a.plan is None else a.plan.digest for a in self.agents]
-        slots = [a.claim.slot for a in self.agents]
-        bound = self._lower_bound(plan_ids)
-        first = journal.tracker.formed_at
-        error = journal.errors[-1]
-        rejected = sum((a.rejected for a in self.agents), type(self.agents[0].rejected)())
-        broadcasts = self.transport.traffic
-        return Summary(
-            shape=config.mission.shape,
-            n_robots=config.mission.n_robots,
-            seed=config.trial.seed,
-            consensus=config.protocol.consensus or "",
-            assignment=config.protocol.assignment or "",
-            shield=bool(config.protocol.shield),
-            models=tuple(dict.fromkeys(self.thinkers.names)),
-            simulated=self.thinkers.simulated,
-            stopped=self.stopped,
-            reason=self.reason,
-            rounds=self.round,
-            formed=first is not None and bound is not None and metrics.within_limit(first, bound),
-            rounds_to_formed=first,
-            lower_bound_rounds=bound,
-            procrustes_mean=None if error is None else error[0],
-            procrustes_mean_squared=None if error is None else error[1],
-            min_separation=_finite(journal.min_separation),
-            start_violations=journal.start.start_violations,
-            rounds_to_separate=journal.start.separated_at,
-            min_separation_after_start=_finite(journal.start.smallest),
-            min_clearance=_finite(journal.min_clearance),
-            plans_in_use=metrics.plans_in_use(plan_ids),
-            distinct_goals=metrics.distinct_goals(plan_ids, slots),
-            robots_without_plan=plan_ids.count(None),
-            model_calls=journal.calls,
-            calls_rejected=journal.calls_rejected,
-            calls_failed=journal.calls_failed,
-            faults=dict(sorted(journal.faults.items())),
-            tokens=journal.usage.total,
-            tokens_input=journal.usage.input,
-            tokens_output=journal.usage.output,
-            tokens_cached=journal.usage.cached,
-            cost_usd=journal.cost_usd,
-            latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
-            waypoints=dict(sorted(journal.waypoints.items())),
-            messages_sent=broadcasts.sent,
-            bytes_per_robot_round=broadcasts.bytes / (len(self.agents) * max(1, self.round)),
-            messages_rejected=dict(sorted(rejected.items())),
-            wall_s=time.perf_counter() - self._began,
-            record=record,
-        )
-
-    def _lower_bound(self, plan_ids: list[str | None]) -> int | None:
-        """Rounds that even a perfect central planner would need from the start to the agreed plan."""
-        plan = self.agents[0].plan
-        if plan is None or len(set(plan_ids)) != 1:
-            return None
-        return metrics.lower_bound_rounds(self.journal.positions[0], plan.array, self.config.mission.max_step)
-
-
-def _finite(value: float) -> float | None:
-    """None for an infinite distance, which JSON cannot say."""
-    return value if value < float("inf") else None
 
 
 async def _all(asking: dict[int, Awaitable[T]]) -> dict[int, T]:

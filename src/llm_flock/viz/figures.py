@@ -20,7 +20,7 @@ from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.scene import PALETTE
 from llm_flock.viz.panel import Box, Panel, view
-from llm_flock.viz.style import INK, LINES, MARKERS, fitted, heading, house_style, thinkers
+from llm_flock.viz.style import INK, LINES, MARKERS, fitted, heading, house_style, shapes, thinkers
 
 CONFIDENCE = 0.95
 PANELS_A_ROW = 4
@@ -106,8 +106,8 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
             below = figure.add_subplot(grid[1, :])
             _curves(below, _groups(records, labels))
             below.legend(loc="upper right")
-        mission = records[0].mission.mission
-        title = f"{mission['shape']} · {mission['n_robots']} robots · {thinkers(records)}"
+        robots = records[0].mission.mission["n_robots"]
+        title = f"{shapes(records[0])} · {robots} robots · {thinkers(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
         figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
         return figure

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from llm_flock import graph
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.schema import State
+from llm_flock.record.scene import NO_PLAN
+from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
 from llm_flock.viz.style import FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
 
 MOST_LABELLED = 30
@@ -91,14 +92,16 @@ class Panel:
         positions = before + part * (self.record.positions[round_number] - before)
         places = positions[:, :2]
         looks = [self.looks[plan_id] for plan_id in state.plan_ids]
-        self._links(axes, positions)
+        self._links(axes, state, positions)
         self._trails(axes, round_number, places)
         self._goals(axes, state, looks)
         self._robots(axes, state, places, looks)
 
-    def _links(self, axes: Axes, positions: NDArray[np.float64]) -> None:
+    def _links(self, axes: Axes, state: State, positions: NDArray[np.float64]) -> None:
         """Who hears whom in all dimensions; robots that only look near in the picture are not joined."""
         adjacent = graph.adjacency(positions, float(self.record.mission.mission["comm_range"]))
+        silent = [robot for robot, phase in enumerate(state.phases) if phase in SILENT]
+        adjacent[silent, :] = adjacent[:, silent] = False
         pairs = np.argwhere(np.triu(adjacent))
         axes.add_collection(LineCollection(list(positions[:, :2][pairs]), colors=FAINT, linewidths=0.8, zorder=1))
 
@@ -129,10 +132,15 @@ class Panel:
             )
 
     def _robots(self, axes: Axes, state: State, places: NDArray[np.float64], looks: Sequence[PlanLook]) -> None:
+        dead = [robot for robot, phase in enumerate(state.phases) if phase == DEAD]
+        if dead:
+            axes.scatter(places[dead, 0], places[dead, 1], s=self._disc**2, c=INK, marker="x", linewidths=1.2, zorder=5)
+        alive = [robot for robot in range(len(looks)) if robot not in dead]
         if not self.labelled:
-            self._discs(axes, places, looks, 4.0)
+            self._discs(axes, places[alive], [looks[robot] for robot in alive], 4.0)
             return
-        for robot, look in enumerate(looks):
+        for robot in alive:
+            look = looks[robot]
             # Each disc lies wholly above the last, so that no letter shows on another robot's disc.
             above = 4.0 + robot / len(looks)
             at = (float(places[robot, 0]), float(places[robot, 1]))
@@ -148,6 +156,8 @@ class Panel:
                 va="center_baseline",
                 zorder=above,
             )
+            if state.phases[robot] == ASLEEP:
+                continue
             axes.annotate(
                 short(state.influence[robot]),
                 at,
@@ -176,11 +186,19 @@ class Panel:
         """What the signs mean, for a legend."""
         look = next((look for plan_id, look in self.looks.items() if plan_id is not None), WITHOUT_PLAN)
         what = " (letter and colour: its plan; number above: its influence)" if self.labelled else " (colour: plan)"
+        phases = {phase for state in self.record.states for phase in state.phases}
+        silent: list[Line2D | Patch] = []
+        if DEAD in phases:
+            silent.append(Line2D([], [], marker="x", ls="", ms=6, mec=INK, mew=1.2, label="dead robot"))
+        if ASLEEP in phases:
+            look_asleep: dict[str, Any] = {"mfc": NO_PLAN, "mec": INK, "mew": 0.8}
+            silent.append(Line2D([], [], marker="o", ls="", ms=7, label="not begun yet", **look_asleep))
         return [
             Line2D([], [], marker="o", ls="", ms=7, mfc=look.fill, mec=INK, mew=0.8, label="robot" + what),
             Line2D([], [], marker="o", ls="", ms=9, mfc="none", mec=look.line, mew=1.1, label="goal"),
             Line2D([], [], color=look.line, lw=1.2, label="flown path, from the dot"),
             Line2D([], [], color=FAINT, lw=1.2, label="within radio range"),
+            *silent,
         ]
 
 

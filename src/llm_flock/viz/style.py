@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -122,10 +123,19 @@ def luminance(colour: str) -> float:
 
 def heading(record: RunRecord, inches: float) -> str:
     """What was flown: shape, N, rules and model; says when the models were simulated. Broken to fit a width."""
-    mission = record.mission.mission
-    robots = "1 robot" if mission["n_robots"] == 1 else f"{mission['n_robots']} robots"
-    parts = (str(mission["shape"]), robots, rules(record), thinkers([record]))
+    n = record.mission.mission["n_robots"]
+    robots = "1 robot" if n == 1 else f"{n} robots"
+    parts = (shapes(record), robots, rules(record), thinkers([record]))
     return fitted(" · ".join(part for part in parts if part), inches)
+
+
+def shapes(record: RunRecord) -> str:
+    """The shape, or the shapes of all missions in their order; with the number of places where it is given."""
+    names = [
+        str(info.mission["shape"]) + ("" if info.mission.get("places") is None else f" of {info.mission['places']}")
+        for info in record.missions
+    ]
+    return ", then ".join(name for name, _ in itertools.groupby(names))
 
 
 def fitted(text: str, inches: float) -> str:

@@ -1,0 +1,198 @@
+"""What happens to a team in flight: robots that die, robots that join late, missions that change."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from llm_flock import formations
+from llm_flock.errors import InputError
+from llm_flock.mission import Mission
+
+RANDOM_ROUNDS = 20
+"""Random deaths and late joins happen in a round from 1 to this: about twice what a team of ten needs to form."""
+
+Turn: TypeAlias = tuple[int, int]
+"""A robot and a round."""
+
+
+class Change(BaseModel):
+    """A mission given to one robot at the start of a round; the others hear of it from there."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    round: Annotated[int, Field(ge=1)]
+    robot: Annotated[int, Field(ge=0)]
+    set: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Schedule:
+    """What happens at the start of which round.
+
+    Attributes:
+        asleep: robots that are not awake at the start.
+        kills: by round, the robots that die.
+        joins: by round, the robots that begin, or begin again.
+        missions: by round, the robot that is given a mission, and the mission.
+    """
+
+    asleep: frozenset[int]
+    kills: Mapping[int, tuple[int, ...]]
+    joins: Mapping[int, tuple[int, ...]]
+    missions: Mapping[int, tuple[int, Mission]]
+
+    @property
+    def last(self) -> int:
+        """The last round in which something happens; 0 if nothing does."""
+        return max((*self.kills, *self.joins, *self.missions), default=0)
+
+
+def build_schedule(
+    mission: Mission,
+    *,
+    kill: str | None,
+    join: str | None,
+    kill_random: int,
+    join_random: int,
+    changes: Sequence[Change],
+    rounds: int,
+    rng: np.random.Generator,
+) -> Schedule:
+    """Everything that is to happen, checked as a whole.
+
+    Robots that are named nowhere else die or join at random, each in a round from 1 to RANDOM_ROUNDS.
+
+    Raises:
+        InputError: no such robot, no such round, a robot dies twice or joins while it is awake, nobody is left, or a
+            mission cannot be changed like that.
+    """
+    killed = _turns("kill", kill, mission.n_robots, rounds)
+    joined = _turns("join", join, mission.n_robots, rounds)
+    named = {robot for robot, _ in (*killed, *joined)} | {change.robot for change in changes}
+    free = [robot for robot in range(mission.n_robots) if robot not in named]
+    wanted = kill_random + join_random
+    if wanted > len(free) or (wanted and wanted == mission.n_robots):
+        field, value = ("kill_random", kill_random) if kill_random else ("join_random", join_random)
+        most = min(len(free), mission.n_robots - 1)
+        raise InputError(field, value, f"at most {most} robots that die or join at random, of those named nowhere else")
+    if wanted:
+        drawn = rng.permutation(free)[:wanted].tolist()
+        whens = rng.integers(1, min(RANDOM_ROUNDS, max(1, rounds)) + 1, size=wanted).tolist()
+        turns = list(zip(drawn, whens, strict=True))
+        killed, joined = killed + turns[:kill_random], joined + turns[kill_random:]
+    asleep = _asleep(mission.n_robots, killed, joined)
+    schedule = Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions={})
+    return Schedule(
+        asleep=asleep,
+        kills=schedule.kills,
+        joins=schedule.joins,
+        missions=_missions(mission, changes, schedule, rounds),
+    )
+
+
+def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Turn]:
+    """Read `ID@ROUND,ID@ROUND,...`."""
+    turns: list[Turn] = []
+    for part in (text or "").split(","):
+        if not part.strip():
+            continue
+        robot, at, when = (piece.strip() for piece in part.partition("@"))
+        if not (at and all(x.isascii() and x.isdecimal() and len(x) <= 9 for x in (robot, when))):
+            raise InputError(field, text, "ID@ROUND with commas between them, such as 3@12,5@20")
+        turns.append((int(robot), int(when)))
+    for robot, when in turns:
+        if robot >= n_robots:
+            raise InputError(field, text, f"robots from 0 to {n_robots - 1}; there is no robot {robot}")
+        if not 1 <= when <= rounds:
+            raise InputError(field, text, f"rounds from 1 to {rounds}, the most that are flown; not {when}")
+    return turns
+
+
+def _by_round(turns: Sequence[Turn]) -> dict[int, tuple[int, ...]]:
+    found: defaultdict[int, list[int]] = defaultdict(list)
+    for robot, when in sorted(turns):
+        found[when].append(robot)
+    return {when: tuple(robots) for when, robots in found.items()}
+
+
+def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> frozenset[int]:
+    """Who is not awake at the start: robots whose first event is to join. Checks the order of each robot's events."""
+    events: defaultdict[int, list[tuple[int, str]]] = defaultdict(list)
+    for field, turns in (("kill", killed), ("join", joined)):
+        for robot, when in turns:
+            events[robot].append((when, field))
+    steps: defaultdict[int, int] = defaultdict(int)
+    for robot, found in events.items():
+        found.sort()
+        for (when, field), (later, other) in itertools.pairwise(found):
+            if when == later or field == other:
+                said = "a robot that was killed before" if other == "join" else "a robot that is awake"
+                raise InputError(other, f"{robot}@{later}", f"{said}, in a later round than round {when}")
+        for when, field in found:
+            steps[when] += 1 if field == "join" else -1
+    asleep = frozenset(robot for robot, found in events.items() if found[0][1] == "join")
+    awake = n_robots - len(asleep)
+    for when in sorted(steps):
+        if awake < 1:
+            break
+        awake += steps[when]
+    if awake < 1:
+        field, value = ("join", sorted(joined)) if len(asleep) == n_robots else ("kill", sorted(killed))
+        raise InputError(field, value, "at least one robot that is awake, at any time")
+    return asleep
+
+
+def _missions(
+    mission: Mission, changes: Sequence[Change], schedule: Schedule, rounds: int
+) -> dict[int, tuple[int, Mission]]:
+    """Each mission made from the one before, as it is in that round."""
+    found: dict[int, tuple[int, Mission]] = {}
+    for change in sorted(changes, key=lambda change: change.round):
+        when, robot = change.round, change.robot
+        value = change.model_dump()
+        if robot >= mission.n_robots:
+            raise InputError("changes", value, f"a robot from 0 to {mission.n_robots - 1}")
+        if when > rounds:
+            raise InputError("changes", value, f"a round from 1 to {rounds}, the most that are flown")
+        if when in found:
+            raise InputError("changes", value, "one change a round")
+        if not _awake(schedule, robot, when):
+            raise InputError("changes", value, f"a robot that is awake in round {when}")
+        try:
+            new = mission.at(when).change(**_fields(change.set), since=when)
+        except InputError as error:
+            raise InputError("changes", value, str(error)) from None
+        refused = mission.refuses(new)
+        if refused is not None:
+            raise InputError("changes", value, f"a change that robots take: {refused}")
+        found[when], mission = (robot, new), new
+    return found
+
+
+def _fields(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a change, with `shape = "points:FILE"` resolved."""
+    if "since" in given:
+        raise InputError("since", given["since"], "not given: a changed mission counts from the round of the change")
+    fields = dict(given)
+    shape = fields.get("shape")
+    if isinstance(shape, str) and shape.startswith("points:"):
+        fields.update(shape="points", points=formations.load_points(Path(shape.removeprefix("points:"))))
+    return fields
+
+
+def _awake(schedule: Schedule, robot: int, when: int) -> bool:
+    awake = robot not in schedule.asleep
+    for number in range(1, when + 1):
+        if robot in schedule.kills.get(number, ()):
+            awake = False
+        if robot in schedule.joins.get(number, ()):
+            awake = True
+    return awake

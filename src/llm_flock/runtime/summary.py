@@ -1,0 +1,118 @@
+"""The figures of a run, from its books."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from llm_flock import metrics
+from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.episode import Episode
+from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.result import MissionOutcome, Summary
+from llm_flock.runtime.roster import Roster
+from llm_flock.runtime.schedule import Schedule
+from llm_flock.runtime.team import Thinkers
+from llm_flock.transport.memory import Traffic
+
+
+def summarize(
+    config: RunConfig,
+    schedule: Schedule,
+    roster: Roster,
+    thinkers: Thinkers,
+    traffic: Traffic,
+    journal: Journal,
+    *,
+    stopped: tuple[str, str | None],
+    rounds: int,
+    wall_s: float,
+    record: str | None,
+) -> Summary:
+    """The summary of a run that has ended.
+
+    Args:
+        config: everything that defined it.
+        schedule: what happened in flight.
+        roster: the minds at the end.
+        thinkers: who was asked.
+        traffic: what was sent.
+        journal: the books.
+        stopped: why it ended, and the last failure.
+        rounds: motion rounds flown.
+        wall_s: how long it took [s].
+        record: path of the record.
+    """
+    minds, episode = roster.minds(), journal.episode
+    plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
+    slots = [a.claim.slot for a in minds]
+    plan, owned = episode.plan(minds), {slot for slot in slots if slot is not None}
+    journal.close_episode(roster)
+    bound = episode.bound
+    error = journal.errors[-1]
+    return Summary(
+        shape=config.mission.shape,
+        n_robots=config.mission.n_robots,
+        seed=config.trial.seed,
+        consensus=config.protocol.consensus or "",
+        assignment=config.protocol.assignment or "",
+        shield=bool(config.protocol.shield),
+        models=tuple(dict.fromkeys(thinkers.names)),
+        simulated=thinkers.simulated,
+        stopped=stopped[0],
+        reason=stopped[1],
+        rounds=rounds,
+        formed=episode.in_time(bound),
+        rounds_to_formed=episode.rounds_to_formed,
+        lower_bound_rounds=bound,
+        procrustes_mean=None if error is None else error[0],
+        procrustes_mean_squared=None if error is None else error[1],
+        min_separation=_finite(journal.min_separation),
+        start_violations=journal.start.start_violations,
+        rounds_to_separate=journal.start.separated_at,
+        min_separation_after_start=_finite(journal.start.smallest),
+        min_clearance=_finite(journal.min_clearance),
+        plans_in_use=metrics.plans_in_use(plan_ids),
+        distinct_goals=metrics.distinct_goals(plan_ids, slots),
+        robots_without_plan=plan_ids.count(None),
+        model_calls=journal.calls,
+        calls_rejected=journal.calls_rejected,
+        calls_failed=journal.calls_failed,
+        faults=dict(sorted(journal.faults.items())),
+        tokens=journal.usage.total,
+        tokens_input=journal.usage.input,
+        tokens_output=journal.usage.output,
+        tokens_cached=journal.usage.cached,
+        cost_usd=journal.cost_usd,
+        latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
+        waypoints=dict(sorted(journal.waypoints.items())),
+        messages_sent=traffic.sent,
+        bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
+        messages_rejected=dict(sorted(journal.rejected(roster).items())),
+        wall_s=wall_s,
+        record=record,
+        killed=_turns(schedule.kills, rounds),
+        joined=_turns(schedule.joins, rounds),
+        missions=tuple(_outcome(e) for e in journal.episodes),
+        gaps=None if plan is None else len(plan) - len(owned),
+        spares=None if plan is None else slots.count(None),
+    )
+
+
+def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
+    """What happened up to a round, as it is given on the command line."""
+    return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)
+
+
+def _outcome(episode: Episode) -> MissionOutcome:
+    return MissionOutcome(
+        round=episode.flown + 1 if episode.flown else 0,
+        shape=episode.mission.shape,
+        places=episode.mission.n_places,
+        formed=episode.formed_at,
+        lower_bound_rounds=episode.bound,
+    )
+
+
+def _finite(value: float) -> float | None:
+    """None for an infinite distance, which JSON cannot say."""
+    return value if value < float("inf") else None
