@@ -167,7 +167,13 @@ def test_no_step_is_flown_unverified_or_unshielded(
             assert step.waypoint in projected
         if step.proposed is not None and step.origin is Origin.MODEL:
             question = StepQuestion(
-                robot=0, round=1, position=here, neighbors=tuple(sensed.values()), plan=PLAN, slot=0
+                mission=MISSION,
+                robot=0,
+                round=1,
+                position=here,
+                neighbors=tuple(sensed.values()),
+                plan=PLAN,
+                slot=0,
             )
             assert mended(MISSION, question, step.proposed, shield_on=True) == step.waypoint
         here = step.waypoint

@@ -143,7 +143,7 @@ class Journal:
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
         # A round in which somebody flew on along a path is not one in which no model is of any use.
-        silent = bool(calls) and calls == failed and not any(agent.on_path for agent in agents)
+        silent = bool(calls) and calls == failed and not any(mind.on_path for mind in roster.minds())
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
         positions = team.positions
         minds = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
