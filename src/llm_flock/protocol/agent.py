@@ -279,10 +279,12 @@ class Agent:
             strangers=len(live.strangers),
             silent=len(live.silent),
         )
+        talks.look_at(self._search.looked)
         notes = list[Note]()
-        vacant = self._search.known[1]
         if bool(before.way) != bool(self._search.way):
-            notes.append(Note("search", {"begun": bool(self._search.way), "vacant": list(vacant)}))
-        if self._search.given_up and not before.given_up:
-            notes.append(Note("gap", {"slots": list(vacant), "silent": sorted(live.silent | live.strangers)}))
+            vacant = list(self._search.known[1])
+            notes.append(Note("search", {"begun": bool(self._search.way), "vacant": vacant}))
+        if self._search.given_up and self._search.gaps != before.gaps:
+            gone = sorted(live.silent | live.strangers)
+            notes.append(Note("gap", {"slots": list(self._search.gaps), "missing": gone}))
         return notes

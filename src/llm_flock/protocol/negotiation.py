@@ -9,21 +9,23 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
-from msgspec.structs import replace
+import msgspec.structs
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError, MessageError
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
+from llm_flock.protocol.auction import changed
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import Message, Pedigree, Stamp, decode
+from llm_flock.protocol.messages import NO_OWNER, Message, Pedigree, Stamp, decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.speech import MISSION_FIELDS, Speech
@@ -222,6 +224,14 @@ class Negotiation:
         blocked = frozenset(a for a in places if any(math.dist(plan.points[a], body) < too_near for body in bodies))
         return blocked, frozenset(places) - blocked
 
+    def look_at(self, slots: Sequence[int]) -> None:
+        """Write in the table that these vacant slots were looked at and nobody was met there."""
+        table = self.claim.table
+        if table is None:
+            return
+        looked = {a: (table[a][0], table[a][1] + 1.0, NO_OWNER) for a in slots if table[a][2] == NO_OWNER}
+        self.claim = replace(self.claim, table=changed(table, looked))
+
     # ---------------------------------------------------------------- messages
 
     def broadcast(self) -> bytes:
@@ -265,7 +275,11 @@ class Negotiation:
         plan = self._named(message)
         known = self._inbox.get(message.sender)
         if known is None or message.sequence >= known.sequence:
-            judged = replace(message, plan=plan, plan_class=self._judge.plan_class(plan)) if plan else message
+            judged = (
+                msgspec.structs.replace(message, plan=plan, plan_class=self._judge.plan_class(plan))
+                if plan
+                else message
+            )
             self._inbox[message.sender] = judged
         return notes
 
