@@ -119,7 +119,7 @@ async def _fly(
             if cassette is not None:
                 cassette.unlink()  # this run made it a moment ago, and nothing is in it
             raise
-        journal = Journal(mission, writer)
+        journal = Journal(mission, writer, remakes=config.protocol.gaps == "remake")
         thinkers.listen(journal.attempt)
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
             writer.run(_run_info(config, thinkers))

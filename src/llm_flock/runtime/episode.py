@@ -82,6 +82,14 @@ class Episode:
         """Whether a robot follows a plan that was made for this mission."""
         return agent.pedigree is not None and agent.pedigree.mission_digest == self.mission.digest
 
+    def fits(self, plan: Plan, robots: int) -> bool:
+        """Whether a plan has the places that one remade for so many robots would have, if there is such a shape."""
+        wanted = min(robots, self.mission.n_places)
+        try:
+            return len(plan) == self.mission.resized(wanted).n_places
+        except InputError:
+            return True
+
     def close(self, awake: Sequence[int], agents: Sequence[Agent]) -> None:
         """The mission is over: find the rounds that a perfect central planner needs for the plan agreed on.
 

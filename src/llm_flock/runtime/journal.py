@@ -42,10 +42,16 @@ class Journal:
 
     Attempts and notes of a round are held back until `flush`, and written in the order of the robots: the order in
     which models answer must not show in the record, which is the same for the same seed.
+
+    Args:
+        mission: the first mission.
+        writer: takes the record.
+        remakes: whether the team has its plan remade when robots die: only such a plan counts as formed then.
     """
 
-    def __init__(self, mission: Mission, writer: RecordSink) -> None:
+    def __init__(self, mission: Mission, writer: RecordSink, *, remakes: bool = False) -> None:
         self.mission = mission
+        self._remakes = remakes
         self.writer = writer
         self.calls = 0
         self.calls_rejected = 0
@@ -215,6 +221,7 @@ class Journal:
         if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or self.at_goal == min(usable, len(minds)):
             self.measure_error(roster)
         error = self.errors[-1]
+        fits = not self._remakes or plan is None or episode.fits(plan, len(minds))
         to_goals = [distance for distance, slot in zip(distances, slots, strict=True) if slot is not None]
         if error is not None or episode.mission.ideal is None or not to_goals:
             residual = None if error is None else error[0]
@@ -222,7 +229,7 @@ class Journal:
             residual = sum(to_goals) / len(to_goals)
         episode.tracker.update(
             round_number,
-            plan_ids=[plan if episode.follows(a) else None for plan, a in zip(plan_ids, minds, strict=True)],
+            plan_ids=[p if fits and episode.follows(a) else None for p, a in zip(plan_ids, minds, strict=True)],
             slots=slots,
             goal_distances=distances,
             residual=residual,

@@ -44,6 +44,9 @@ from llm_flock.transport.memory import MemoryTransport
 
 T = TypeVar("T")
 
+ROUNDS_TO_LOOK = 10
+"""A run goes on for so many rounds after the time-out of the last robot that died."""
+
 SILENT_ROUNDS = 3
 """Rounds on end in which every model call fails, after which a run is not worth its waits."""
 
@@ -137,8 +140,12 @@ class Trial:
     @property
     def _done(self) -> bool:
         """Whether the formation is held, and nothing more is to happen to it."""
-        formed = self.journal.episode.formed_at is not None
-        return self.config.trial.stop_when_formed and formed and self.round >= self.schedule.last
+        tracker, schedule = self.journal.episode.tracker, self.schedule
+        if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
+            return False
+        # The others take a while to notice a death, and to look whether somebody is left after all.
+        noticed = max(schedule.kills, default=-1) + self.config.protocol.time_out + ROUNDS_TO_LOOK
+        return tracker.in_order and (not schedule.kills or self.round >= noticed)
 
     def _let_happen(self, number: int) -> None:
         """What the schedule says for this round: first deaths, then joins, then another mission."""
