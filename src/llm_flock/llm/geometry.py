@@ -10,6 +10,7 @@ from llm_flock import formations
 from llm_flock.arrays import Point, Points
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification import check_proposal
 
 
 def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
@@ -17,6 +18,10 @@ def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Point
     out = np.array(points, dtype=np.float64)
     out[:, :2] = formations.rotated(out[:, :2], center[:2], angle_rad)
     return out
+
+
+TURNS = 72
+"""So many orientations are tried to keep the places off bodies that do not move."""
 
 
 class GeometryPlanner:
@@ -39,7 +44,12 @@ class GeometryPlanner:
         mission = question.mission
         if mission.ideal is None:
             return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-        plan = Plan.of(turned(np.array(mission.ideal), mission.center, self._angle_rad).tolist())
+        turns = (self._angle_rad + 2 * math.pi * k / TURNS for k in range(TURNS))
+        plans = (Plan.of(turned(np.array(mission.ideal), mission.center, angle).tolist()) for angle in turns)
+        plan = next(plans)
+        if question.still:  # turned as little as it must be to have no place on a body that does not move
+            free = (p for p in (plan, *plans) if check_proposal(mission, p, question.still) is None)
+            plan = next(free, plan)
         return PlanAnswer(plan=plan, slot=self._robot % len(plan))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:

@@ -54,7 +54,7 @@ COMMON = TEAM | {"json", "point_format", "plan_format"}
 OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
-    "plan.j2": COMMON | OBSERVED,
+    "plan.j2": COMMON | OBSERVED | {"still"},
     "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching", "waiting", "horizon"},
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
@@ -197,7 +197,9 @@ class PromptSet:
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
-        return self._render("plan.j2", self._observed(question))
+        variables = self._observed(question)
+        variables["still"] = positions_text(question.still, position_decimals(question.mission.max_step))
+        return self._render("plan.j2", variables)
 
     def step(self, question: StepQuestion) -> str:
         """The position update message."""
@@ -255,7 +257,7 @@ class PromptSet:
         here, there = (40.0, 40.0), ((45.0, 40.0),)
         plan = Plan.of(mission.ideal or ())
         self.system(mission)
-        self.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there))
+        self.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, still=there))
         step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0)
         for question in (step, replace(step, horizon=2)):
             self.step(question)

@@ -91,7 +91,7 @@ class Agent:
         )
         self._scene: Scene | None = None
         self._began: RoundBegan | None = None
-        self._places = mission.n_places
+        self._asked: PlanQuestion | None = None
         self._search = Search()
 
     @property
@@ -197,18 +197,15 @@ class Agent:
         if places is None or listening:
             # Who joins a team that is at work hears it out before it proposes a plan of its own.
             return Phase.NEGOTIATING, []
-        self._places = places
-        return Phase.PLANNING, [
-            AskPlan(
-                PlanQuestion(
-                    robot=self.robot,
-                    round=event.round,
-                    position=event.position,
-                    neighbors=event.observed,
-                    mission=mission.at(event.round).resized(places),
-                )
-            )
-        ]
+        self._asked = PlanQuestion(
+            mission=mission.at(event.round).resized(places),
+            robot=self.robot,
+            round=event.round,
+            position=event.position,
+            neighbors=event.observed,
+            still=tuple(event.sensed[j] for j in sorted(talks.liveness.still) if j in event.sensed),
+        )
+        return Phase.PLANNING, [AskPlan(self._asked)]
 
     def _look(self, event: RoundBegan) -> None:
         """See the world of this round, and see it again from the frame of a mission that has come up since."""
@@ -235,10 +232,11 @@ class Agent:
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
         """A proposal of one's own; what the planner sees in the world is kept in the frame of the mission."""
-        ahead = () if self._scene is None else self._scene.ahead
+        assert self._asked is not None and self._scene is not None, "only a robot that asked is answered"
+        answer, ahead = self._judge.plan(self._asked, answer), self._scene.ahead
         if isinstance(answer, PlanAnswer) and ahead:
             answer = replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
-        return [*self._talks.propose(answer, self._places)]
+        return [*self._talks.propose(answer)]
 
     def _decide(self) -> tuple[Phase, list[Effect]]:
         scene, plan, slot = self._scene, self.plan, self.claim.slot

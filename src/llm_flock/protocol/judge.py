@@ -7,9 +7,9 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import check_step, mended
-from llm_flock.protocol.verification import check_plan, plan_class
+from llm_flock.protocol.verification import check_plan, check_proposal, plan_class
 
 REMEMBERED = 1024
 """So many refused plans are remembered, to note each of them once."""
@@ -62,11 +62,11 @@ class Judge:
         self._refused.add(refused.digest)
         return True
 
-    def plan(self, answer: PlanAnswer | NoAnswer, places: int) -> PlanAnswer | NoAnswer:
-        """The answer, or why its plan is none; it was asked for so many places."""
+    def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
+        """The answer, or why its plan is none."""
         if not isinstance(answer, PlanAnswer) or not self.verify:
             return answer
-        objection = check_plan(self.fitting(places) or self.mission, answer.plan)
+        objection = check_proposal(question.mission, answer.plan, question.still)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
 
     def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:

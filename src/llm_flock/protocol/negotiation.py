@@ -17,7 +17,6 @@ import msgspec.structs
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError, MessageError
-from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.auction import changed
@@ -25,10 +24,11 @@ from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import NO_OWNER, Message, Pedigree, Stamp, decode
+from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Message, Pedigree, Stamp, decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.speech import MISSION_FIELDS, Speech
+from llm_flock.protocol.verification import blocked_within
 
 Gaps: TypeAlias = Literal["report", "remake"]
 
@@ -156,9 +156,11 @@ class Negotiation:
 
     @property
     def _rank(self) -> int:
-        """How many robots of lower id are alive."""
+        """Whose turn it is to propose: who sees a body that is in the way, then who is alive and has the lowest id."""
+        if any(j in self._sensed for j in self.liveness.still):
+            return 0
         gone = self.liveness.silent | self.liveness.strangers
-        return self._robot - sum(j < self._robot for j in gone)
+        return 1 + self._robot - sum(j < self._robot for j in gone)
 
     def watch_team(self, *, may_shrink: bool) -> None:
         """Once a round: does the plan fit the team that is alive?
@@ -166,15 +168,15 @@ class Negotiation:
         Args:
             may_shrink: whether robots that were never heard of may be given up.
         """
-        plan = self.plan
-        fits = plan is None or len(plan) == self._wanted or self._gaps != "remake"
+        plan, table = self.plan, self.claim.table or ()
+        blocked = any(owner == BLOCKED for _, _, owner in table)
+        fits = plan is None or self._gaps != "remake" or (len(plan) == self._wanted and not blocked)
         waits = plan is not None and self._wanted < len(plan) and bool(self.liveness.strangers) and not may_shrink
         legal = fits or self._judge.fitting(self._wanted) is not None
         self._misfit = 0 if fits or waits or not legal else self._misfit + 1
 
-    def propose(self, answer: PlanAnswer | NoAnswer, places: int) -> list[Note]:
-        """A proposal of one's own: it gets the influence of this moment as its pedigree."""
-        answer = self._judge.plan(answer, places)
+    def propose(self, answer: PlanAnswer | NoAnswer) -> list[Note]:
+        """A proposal of one's own, in the mission's frame: it gets the influence of this moment as its pedigree."""
         if isinstance(answer, NoAnswer):
             self._no_plan = answer if self._judge.verify else None
             return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
@@ -218,7 +220,7 @@ class Negotiation:
 
     def _surveyed(self, plan: Plan, bodies: list[Point]) -> tuple[frozenset[int], frozenset[int]]:
         """Places that a body without a mind keeps anybody from taking, and places that surely have none."""
-        too_near = self.mission.safe_distance - AT_GOAL * self.mission.spacing
+        too_near = blocked_within(self.mission)
         seen = self.mission.sensing - max(too_near, 0.0)
         places = [a for a, place in enumerate(plan.points) if math.dist(self._position, place) <= seen]
         blocked = frozenset(a for a in places if any(math.dist(plan.points[a], body) < too_near for body in bodies))

@@ -20,6 +20,7 @@ class PlanQuestion:
         round: motion round in which it asks.
         position: where the robot believes it is [units; world frame].
         neighbors: believed positions of the robots it observes, in ascending order of their ids.
+        still: positions of bodies in sight that do not move any more: no place may be on one [units; world frame].
     """
 
     mission: Mission
@@ -27,6 +28,7 @@ class PlanQuestion:
     round: int
     position: Point
     neighbors: tuple[Point, ...]
+    still: tuple[Point, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

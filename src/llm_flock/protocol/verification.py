@@ -8,6 +8,7 @@ coordinates that a model has rounded, and less than the definition of a formed t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -75,6 +76,26 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     where the ideal is known, close to it after the best rotation and correspondence.
     """
     return _verdict(mission, plan).reason
+
+
+def blocked_within(mission: Mission) -> float:
+    """A place is out of everybody's reach if a body that does not move is nearer to it than this [units]."""
+    return mission.safe_distance - metrics.AT_GOAL * mission.spacing
+
+
+def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str | None:
+    """As `check_plan`, for a plan of one's own: no place may be so near a body in sight that nobody can take it."""
+    reason = check_plan(mission, plan)
+    if reason is not None:
+        return reason
+    for body in still:
+        for i, point in enumerate(plan.points):
+            if math.dist(point, body) < blocked_within(mission):
+                return (
+                    f"point {i} is {number_text(math.dist(point, body))} from the robot that stands still at "
+                    f"{at_text(body)}, at least {number_text(mission.safe_distance)} is required."
+                )
+    return None
 
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:

@@ -23,7 +23,7 @@ from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import check_answer
-from llm_flock.protocol.verification import check_plan
+from llm_flock.protocol.verification import check_proposal
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 
@@ -130,7 +130,7 @@ def _checks(*, shield_on: bool) -> tuple[CheckPlan, CheckStep]:
     """What a language model's answers must pass, in the form in which its planner asks."""
 
     def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-        return check_plan(question.mission, answer.plan)
+        return check_proposal(question.mission, answer.plan, question.still)
 
     def step(question: StepQuestion, answer: StepAnswer) -> str | None:
         return check_answer(question.mission, question, answer, shield_on=shield_on)
