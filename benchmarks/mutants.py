@@ -184,13 +184,13 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("search", "A frozen partition ends", "the search never begins"),
-        *("protocol/search.py", "way=tour if search.tours < 2 else (*tour, center)", "way=()"),
+        *("protocol/search.py", "way=tour if looks < LOOKS // 2 else (*tour, center)", "way=()"),
         f"{T_SEARCH}::test_the_robot_next_to_a_vacant_place_goes_first",
     ),
     Mutant(
         *("endless-search", "A search is bounded", "tours never end"),
-        *("protocol/search.py", "return self.tours >= MAX_TOURS", "return False"),
-        f"{T_SEARCH}::test_tours_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
+        *("protocol/search.py", "if table[a][1] < most]", "if True]"),
+        f"{T_SEARCH}::test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
     ),
     # ---------------------------------------------------------------- messages
     Mutant(

@@ -1,6 +1,7 @@
 """The auction: tables that merge, bids, exchanges, and what keeps two robots from one slot."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -109,7 +110,31 @@ def test_a_slot_with_a_raised_version_cannot_be_outbid() -> None:
 
 
 def test_gain_is_the_fall_of_the_sum_of_squares() -> None:
-    assert gain((12.0,), (1.0,), (0.0,), (10.0,)) == pytest.approx(144 + 81 - 4 - 1)
+    assert gain(at(0, 12.0), (1.0, 0.0), 0, 1) == pytest.approx(144 + 81 - 4 - 1)
+
+
+def test_a_far_slot_is_handed_on_along_a_ring_and_not_flown_to_across_it() -> None:
+    ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
+    chord = math.dist(ring.points[0], ring.points[1])
+    now = replace(at(0, 99.0), plan=ring, spacing=chord)
+    # As the crow flies, whoever stands inside of its neighbour is the nearer to the slot on the other side.
+    assert math.dist((99.0, 0.0), ring.points[30]) < math.dist(ring.points[1], ring.points[30])
+    assert gain(now, ring.points[1], 30, 1) > chord**2
+
+
+def test_who_has_accepted_offers_the_next_exchange_in_the_same_tick() -> None:
+    table: Table = ((0, 0.0, 1), (0, 0.0, 2), (0, -21.0, 0))
+    zero = Claim(slot=2, table=table, bids=(-1.0, -11.0, -21.0))
+    one = Claim(slot=0, table=table, bids=(0.0, -10.0, -20.0))
+    two = Claim(slot=1, table=table, bids=(-10.0, 0.0, -10.0))
+    sensed: dict[int, Point] = {0: (-1.0, 0.0), 1: (0.0, 0.0), 2: (10.0, 0.0)}
+    near = {1: sensed[1]}
+    zero = RULE.update(zero, at(0, -1.0, says(1, one), sensed=near))
+    one = RULE.update(one, at(1, 0.0, says(0, zero), says(2, two), sensed=sensed))
+    assert one.slot == 2
+    assert one.offer == Offer(to=2, give=2, take=1, give_version=1, take_version=0, bid=-10.0)
+    two = RULE.update(two, at(2, 10.0, says(1, one), sensed=sensed))
+    assert two.slot == 2 and two.table == ((1, -1.0, 0), (1, -10.0, 1), (2, -10.0, 2))
 
 
 def test_an_exchange_from_offer_to_acceptance() -> None:

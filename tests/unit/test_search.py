@@ -2,7 +2,7 @@
 
 from llm_flock.protocol.messages import NO_OWNER, Table
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.search import MAX_TOURS, PATIENCE, PATIENCE_PER_PLACE, Search, advance
+from llm_flock.protocol.search import LOOKS, LOOKS_FOR_SILENT, PATIENCE, PATIENCE_PER_PLACE, Search, advance
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)
@@ -46,8 +46,8 @@ def test_a_full_team_stays() -> None:
 
 def test_the_robot_next_to_a_vacant_place_goes_first() -> None:
     owners = table(0, 1, 2, NO_OWNER)
-    assert rounds_until_off(2, owners) == PATIENCE + 2
-    assert rounds_until_off(1, owners) == PATIENCE + 2 + int(0.5 * PATIENCE_PER_PLACE)
+    assert rounds_until_off(2, owners) == PATIENCE + 1
+    assert rounds_until_off(1, owners) == PATIENCE + 1 + int(0.5 * PATIENCE_PER_PLACE)
     assert rounds_until_off(0, owners) > rounds_until_off(1, owners)
 
 
@@ -64,10 +64,12 @@ def test_the_tour_visits_the_nearest_vacant_place_first_and_ends() -> None:
     while search.target is None:
         search = step(search, 10.0, 1, owners)
     assert search.way == ((0.0, 0.0), (20.0, 0.0), (30.0, 0.0))
+    looked = list[tuple[int, ...]]()
     for x in (0.0, 18.0, 30.0):
         assert search.target is not None
         search = step(search, x, 1, owners, at_goal=False)
-    assert search.target is None and search.tours == 1
+        looked.append(search.looked)
+    assert search.target is None and looked == [(0,), (2,), (3,)]
 
 
 def test_new_knowledge_ends_the_tour() -> None:
@@ -77,19 +79,34 @@ def test_new_knowledge_ends_the_tour() -> None:
     assert step(search, 25.0, 2, table(0, 1, 2, 3), at_goal=False).target is None
 
 
-def test_tours_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good() -> None:
-    owners = table(0, 1, 2, NO_OWNER)
-    search, waits, ways = Search(), [0], []
+def looking_on(slot: int, owners: Table, *, strangers: int, silent: int) -> tuple[Search, list[int], list[object]]:
+    """Rounds of waiting before each tour, and the tours, of a robot that meets nobody and counts its looks."""
+    search, waits, ways, entries = Search(), [0], list[object](), list(owners)
     for _ in range(300):
-        search = step(search, 20.0 if search.target is None else search.target[0], 2, owners)
+        here = 10.0 * slot if search.target is None else search.target[0]
+        search = step(search, here, slot, tuple(entries), strangers=strangers, silent=silent)
+        for a in search.looked:
+            entries[a] = (entries[a][0], entries[a][1] + 1, NO_OWNER)
         if search.target is None:
             waits[-1] += 1
         elif waits[-1]:
             ways.append(search.way)
             waits.append(0)
-    assert search.tours == MAX_TOURS == len(ways)
-    assert waits[:MAX_TOURS] == sorted(waits[:MAX_TOURS])
+    return search, waits[:-1], ways
+
+
+def test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good() -> None:
+    search, waits, ways = looking_on(2, table(0, 1, 2, NO_OWNER), strangers=1, silent=0)
+    assert search.given_up and search.gaps == (3,) and len(ways) == LOOKS
+    assert waits == sorted(waits) and waits[0] < waits[-1]
     assert ways[0] == ((30.0, 0.0),) and ways[-1] == ((30.0, 0.0), CENTER)
+
+
+def test_looks_of_others_count() -> None:
+    owners = table(0, 1, 2, NO_OWNER)
+    seen = (*owners[:3], (0, float(LOOKS), NO_OWNER))
+    search = step(step(Search(), 20.0, 2, owners), 20.0, 2, seen)
+    assert search.given_up and search.target is None
 
 
 def test_with_everybody_in_touch_nobody_searches() -> None:
@@ -106,13 +123,6 @@ def test_the_tour_ends_when_the_last_stranger_is_heard_of() -> None:
     assert step(search, 25.0, 2, owners, at_goal=False, strangers=0).target is None
 
 
-def test_for_the_silent_only_their_neighbour_has_a_look_and_only_once() -> None:
-    owners = table(0, 1, 2, NO_OWNER)
-    far = step(step(Search(), 0.0, 0, owners, strangers=0, silent=1), 0.0, 0, owners, strangers=0, silent=1)
-    assert far.given_up and far.target is None
-    search, tours = Search(), 0
-    for _ in range(50):
-        before = search.target
-        search = step(search, 20.0 if before is None else before[0], 2, owners, strangers=0, silent=1)
-        tours += before is None and search.target is not None
-    assert tours == 1 and search.given_up
+def test_for_the_silent_a_short_look_must_do() -> None:
+    search, _, ways = looking_on(2, table(0, 1, 2, NO_OWNER), strangers=0, silent=1)
+    assert search.given_up and len(ways) == LOOKS_FOR_SILENT

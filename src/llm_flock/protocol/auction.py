@@ -2,7 +2,8 @@
 
 CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO 2009). Exchanges
 follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for multiple robots
-(IJRR 2014). Nobody holds the table: every robot has its own, and tables meet by merging.
+(IJRR 2014), with ways instead of distances. Nobody holds the table: every robot has its own, and tables meet by
+merging.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ import numpy as np
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
+from llm_flock.protocol.ways import way_length
 
 BID_DECIMALS = 9
 
 SWAP_GAIN = 0.01
-"""An exchange must lower the sum of squared distances by at least this share of the squared spacing."""
+"""An exchange must lower the sum of the squared ways by at least this share of the squared spacing."""
 
 BOUND_TICKS = 4
 """How long an offer binds its maker; an answer takes two ticks where nothing is lost."""
@@ -68,11 +70,13 @@ class AuctionAssignment:
     win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a connected
     graph the team ends on distinct slots. The index named by the model is not used: it knows nobody's distance.
 
-    Two neighbours exchange slots when that lowers the sum of their squared distances, even if one then flies farther.
-    The offer binds its maker until it is answered, refused or expired: meanwhile it neither claims nor exchanges. The
-    acceptance is written in the table, both versions raised, and travels by merging; an entry with a raised version
-    cannot be outbid by who has not heard of it. Whoever finds itself on several slots, after a late acceptance for
-    instance, keeps one by a fixed order and releases the rest.
+    Two neighbours exchange slots when that lowers the sum of their squared ways, even if one then flies farther. The
+    ways lead along the formation (`llm_flock.protocol.ways`): a far slot is not flown to across everybody's range, but
+    handed on from place to place, and the whole row moves up by one. Who has accepted may offer the next exchange in
+    the same tick. The offer binds its maker until it is answered, refused or expired: meanwhile it neither claims nor
+    exchanges. The acceptance is written in the table, both versions raised, and travels by merging; an entry with a
+    raised version cannot be outbid by who has not heard of it. Whoever finds itself on several slots, after a late
+    acceptance for instance, keeps one by a fixed order and releases the rest.
     """
 
     name: str = "auction"
@@ -103,7 +107,8 @@ class AuctionAssignment:
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not self.swaps:
             return claim
-        return _accepted(claim, now) or (claim if offer is not None else _offered(claim, now))
+        claim = _accepted(claim, now) or claim
+        return claim if claim.offer is not None else _offered(claim, now)
 
 
 def reclaimed(robot: int, claim: Claim, table: Table) -> Table:
@@ -162,10 +167,13 @@ def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, in
     return changed(table, {best: (table[best][0], bids[best], robot)}), best
 
 
-def gain(here: Point, there: Point, mine: Point, theirs: Point) -> float:
-    """By how much exchanging goals lowers the sum of squared distances [units^2]."""
-    now = math.dist(here, mine) ** 2 + math.dist(there, theirs) ** 2
-    return now - math.dist(here, theirs) ** 2 - math.dist(there, mine) ** 2
+def gain(now: Moment, there: Point, mine: int, theirs: int) -> float:
+    """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2]."""
+
+    def cost(here: Point, slot: int) -> float:
+        return way_length(here, now.plan, slot, now.spacing) ** 2
+
+    return cost(now.position, mine) + cost(there, theirs) - cost(now.position, theirs) - cost(there, mine)
 
 
 def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:
@@ -173,7 +181,7 @@ def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now.position, there, now.plan.points[claim.slot], now.plan.points[slot])
+    return gain(now, there, claim.slot, slot)
 
 
 def _accepted(claim: Claim, now: Moment) -> Claim | None:

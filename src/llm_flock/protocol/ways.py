@@ -1,0 +1,59 @@
+"""How far it is to a place of a plan for a robot that stays near the formation.
+
+Across a large ring the straight way is the shortest, and leads out of everybody's range. So a way may touch any places
+of the plan, and a hop from one to the next counts more than its length if it is long: the cheapest way then leads along
+the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import floyd_warshall
+
+from llm_flock import graph
+from llm_flock.arrays import Pairwise, Point, Vector
+from llm_flock.protocol.plan import Plan
+
+REACH = 1.5
+"""A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""
+
+
+LARGEST = 256
+"""In plans of more places the straight way is taken: finding the others takes the cube of their number."""
+
+CACHED = 65536
+
+
+@lru_cache(maxsize=CACHED)
+def way_length(here: Point, plan: Plan, slot: int, spacing: float) -> float:
+    """Length of the cheapest way to a place, by any others [units].
+
+    Args:
+        here: where it begins [units; frame of the plan].
+        plan: has the places.
+        slot: number of the place where it ends.
+        spacing: wanted distance between neighbouring robots [units].
+    """
+    if len(plan) > LARGEST:
+        return math.dist(here, plan.points[slot])
+    return float((_hops(here, plan, spacing) + _between(plan, spacing)[slot]).min())
+
+
+@lru_cache(maxsize=4096)
+def _hops(here: Point, plan: Plan, spacing: float) -> Vector:
+    """What a straight hop to each place counts, shape (n,) [units]."""
+    return _counted(np.linalg.norm(plan.array - np.array(here), axis=1), spacing)
+
+
+@lru_cache(maxsize=256)
+def _between(plan: Plan, spacing: float) -> Pairwise:
+    """Lengths of the ways between any two places, shape (n, n) [units]."""
+    return np.asarray(floyd_warshall(_counted(graph.distances(plan.array), spacing), directed=False))
+
+
+def _counted(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    return lengths * np.maximum(1.0, lengths / (REACH * spacing))

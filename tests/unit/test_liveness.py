@@ -1,0 +1,52 @@
+"""Heartbeats: who is alive, who is silent, who was never heard of, and who only stands there."""
+
+from llm_flock.protocol.liveness import Liveness
+
+NOBODY = frozenset[int]()
+
+
+def test_a_counter_that_stands_still_for_too_long_is_silent_and_one_that_moves_on_is_alive_again() -> None:
+    mine = Liveness(0, 3, time_out=2)
+    assert mine.strangers == {1, 2} and mine.alive == 1
+    mine.begin_round(1, NOBODY)
+    mine.hear([(1, 1, 0)])
+    assert mine.strangers == {2} and mine.alive == 2
+    for number in (2, 3):
+        mine.begin_round(number, NOBODY)
+        mine.hear([(0, 1, 0)])
+        assert not mine.silent
+    mine.begin_round(4, NOBODY)
+    assert mine.silent == {1} == mine.still and mine.alive == 1
+    mine.hear([(0, 2, 0)])
+    assert not mine.silent and not mine.still and mine.alive == 2
+
+
+def test_heartbeats_are_passed_on() -> None:
+    far, between, near = (Liveness(k, 3, time_out=5) for k in range(3))
+    for robot in (far, between, near):
+        robot.begin_round(1, NOBODY)
+    between.hear([far.beats])
+    near.hear([between.beats])
+    assert near.beats == (1, 1, 1) and not near.strangers
+
+
+def test_who_starts_again_counts_on_from_its_former_life() -> None:
+    reborn, other = Liveness(0, 2, time_out=2), Liveness(1, 2, time_out=2)
+    reborn.begin_round(1, NOBODY)
+    reborn.hear([(40, 7)])
+    assert reborn.beats[0] == 41
+    other.hear([(40, 7)])
+    other.begin_round(9, NOBODY)
+    assert other.silent == {0}
+    other.hear([reborn.beats])
+    assert not other.silent
+
+
+def test_a_body_that_nobody_ever_hears_is_taken_to_stand_still() -> None:
+    mine = Liveness(0, 3, time_out=2)
+    for number in range(1, 4):
+        assert not mine.still
+        mine.begin_round(number, frozenset({2}))
+    assert mine.still == {2} and not mine.silent
+    mine.hear([(0, 0, 1)])
+    assert not mine.still
