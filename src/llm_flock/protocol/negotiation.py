@@ -168,10 +168,11 @@ class Negotiation:
         Args:
             may_shrink: whether robots that were never heard of may be given up.
         """
-        plan, table = self.plan, self.claim.table or ()
-        blocked = any(owner == BLOCKED for _, _, owner in table)
-        fits = plan is None or self._gaps != "remake" or (len(plan) == self._wanted and not blocked)
-        waits = plan is not None and self._wanted < len(plan) and bool(self.liveness.strangers) and not may_shrink
+        plan, table = self.plan, self.claim.table
+        owners = {owner for _, _, owner in table or ()}
+        remakes = self._gaps == "remake" and plan is not None and table is not None
+        fits = not remakes or (len(plan or ()) == self._wanted and BLOCKED not in owners)
+        waits = NO_OWNER in owners and bool(self.liveness.strangers) and not may_shrink
         legal = fits or self._judge.fitting(self._wanted) is not None
         self._misfit = 0 if fits or waits or not legal else self._misfit + 1
 
