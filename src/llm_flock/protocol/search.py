@@ -11,8 +11,9 @@ longer wait. A slot that has been looked at so often is a gap: the team may simp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.messages import NO_OWNER, Table
@@ -102,7 +103,7 @@ def advance(
         return replace(search, way=(), waited=0, gaps=(), looked=())
     most = LOOKS if strangers else LOOKS_FOR_SILENT
     due = [a for a in vacant if table[a][1] < most]
-    gaps = tuple(a for a in vacant if a not in due)
+    gaps = tuple(a for a in vacant if table[a][1] >= most)
     looks = int(min((table[a][1] for a in due), default=most))
     waited = search.waited if looks == search.looks else 0
     search = replace(search, gaps=gaps, looks=looks, waited=waited, looked=())
@@ -120,12 +121,12 @@ def advance(
     return replace(search, way=tour if looks < LOOKS // 2 else (*tour, center))
 
 
-def _tour(plan: Plan, slot: int, due: Sequence[int]) -> tuple[Point, ...]:
+def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
     """Vacant slots, each time the nearest to the one before."""
-    left, here, way = list(due), plan.points[slot], list[Point]()
-    while left:
-        following = min(left, key=lambda a: (math.dist(here, plan.points[a]), a))
-        left.remove(following)
-        here = plan.points[following]
-        way.append(here)
+    left, here, way = plan.array[due], plan.array[slot], list[Point]()
+    for _ in due:
+        following = int(np.linalg.norm(left - here, axis=1).argmin())
+        here = left[following]
+        way.append(tuple(here.tolist()))
+        left = np.delete(left, following, axis=0)
     return tuple(way)
