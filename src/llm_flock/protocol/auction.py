@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -36,14 +36,21 @@ def rank(entry: Entry) -> tuple[int, bool, float, int]:
     return (version, owner != NO_OWNER, bid, -owner)
 
 
-def merge(mine: Table, theirs: Table) -> Table:
-    """Slot by slot the claim of higher rank; associative, commutative and idempotent."""
+def merge(mine: Table, theirs: Table, said: Sequence[int] | None = None) -> Table:
+    """Slot by slot the claim of higher rank; associative, commutative and idempotent.
+
+    Args:
+        mine: one table.
+        theirs: another.
+        said: the slots of it that matter, where that is known.
+    """
+    if said is not None:
+        return changed(mine, {a: theirs[a] for a in said if rank(theirs[a]) > rank(mine[a])})
     if mine == theirs:
         return mine
     # Tables are long and differ in few slots: those are found without a step of the interpreter for each slot.
     differ = compress(range(len(mine)), map(operator.ne, mine, theirs))
-    said = ((a, theirs[a]) for a in differ if theirs[a] is not UNSAID)
-    return changed(mine, {a: entry for a, entry in said if rank(entry) > rank(mine[a])})
+    return changed(mine, {a: theirs[a] for a in differ if rank(theirs[a]) > rank(mine[a])})
 
 
 def changed(table: Table, new: Mapping[int, Entry]) -> Table:
@@ -95,12 +102,14 @@ class AuctionAssignment:
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         for message in now.heard:
             if message.table is not None:
-                table = merge(table, message.table)
+                table = merge(table, message.table, message.said)
         table = surveyed(reclaimed(now.robot, claim, table), now)
         offer, bound = claim.offer, claim.bound - 1
         if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
             offer = None
-        if offer is None:
+        if table is claim.table and claim.slot is not None:
+            slot = claim.slot
+        elif offer is None:
             table, slot = settle(now.robot, bids, table)
         else:
             table, slot = keep_one(now.robot, table)

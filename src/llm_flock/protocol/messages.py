@@ -24,6 +24,9 @@ WIRE_VERSION = 2
 MAX_BID = 10 * MAX_COORDINATE
 """No two points of the largest arena are farther apart [units]."""
 
+FEW = 0.1
+"""Claims on up to this share of the slots are few."""
+
 NO_OWNER = -1
 BLOCKED = -2
 """Stands for the owner of a slot that nobody can take, because a body that does not move is on it."""
@@ -102,6 +105,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         pedigree: origin of that plan, present with it.
         slot: index of the place it claims in the plan.
         table: what it says of everybody's claims on that plan, UNSAID for the slots left out (auction only).
+        said: the slots that `table` does not leave out, where they are few; None where it has to be looked through.
         table_digest: digest of its whole table (auction only); that of `table` if left out.
         offer: an exchange of places that it offers (auction only).
         beats: how often it has heard each robot's heart beat, by id; None where that is not said.
@@ -119,6 +123,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     pedigree: Pedigree | None = None
     slot: int | None = None
     table: Table | None = None
+    said: tuple[int, ...] | None = None
     table_digest: str | None = None
     offer: Offer | None = None
     beats: tuple[int, ...] | None = None
@@ -194,7 +199,7 @@ def table_digest(table: Table) -> str:
 
 def encode(message: Message) -> bytes:
     """The message as bytes: the wire version, then MessagePack."""
-    origin, offer, table = message.pedigree, message.offer, message.table
+    origin, offer = message.pedigree, message.offer
     wire = _WireMessage(
         sender=message.sender,
         sequence=message.sequence,
@@ -210,13 +215,21 @@ def encode(message: Message) -> bytes:
         plan=None if message.plan is None else message.plan.points,
         slot=message.slot,
         table_digest=None if message.table_digest is None else bytes.fromhex(message.table_digest),
-        claims=None if table is None else tuple((a, *entry) for a, entry in enumerate(table) if entry != UNSAID),
+        claims=_claims(message),
         offer=None
         if offer is None
         else _WireOffer(offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid),
         beats=message.beats,
     )
     return bytes([WIRE_VERSION]) + _ENCODER.encode(wire)
+
+
+def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
+    table = message.table
+    if table is None:
+        return None
+    slots = range(len(table)) if message.said is None else message.said
+    return tuple((a, *table[a]) for a in slots if table[a] != UNSAID)
 
 
 @functools.lru_cache(maxsize=256)
@@ -271,6 +284,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         ),
         slot=wire.slot,
         table=_table(wire),
+        said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(c[0] for c in wire.claims),
         table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
         offer=None
         if offer is None

@@ -92,6 +92,7 @@ class Negotiation:
         self._position: Point = ()
         self._sensed: Mapping[int, Point] = {}
         self._met_bodies = False
+        self._survey_due = False
 
     def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """What the sensors say.
@@ -111,6 +112,7 @@ class Negotiation:
             neighbors: how many robots the radio counts within range, |N_i|.
         """
         self.neighbors = neighbors
+        self._survey_due = True
         self.liveness.begin_round(round_number, near)
         self._speech.begin_round(near, neighbors)
 
@@ -202,9 +204,13 @@ class Negotiation:
     def _moment(self, *, adopted: bool, heard: list[Message]) -> Moment:
         """What the assignment rule may know."""
         assert self.plan is not None
-        bodies = [self._sensed[j] for j in self.liveness.still if j in self._sensed]
-        self._met_bodies = self._met_bodies or bool(bodies)
-        blocked, clear = self._surveyed(self.plan, bodies) if self._met_bodies else (NOTHING, NOTHING)
+        silent = blocked = clear = NOTHING
+        if self._survey_due:  # heartbeats and bodies are news once a round
+            silent = self.liveness.silent
+            bodies = [self._sensed[j] for j in self.liveness.still if j in self._sensed]
+            self._met_bodies = self._met_bodies or bool(bodies)
+            if self._met_bodies:
+                blocked, clear = self._surveyed(self.plan, bodies)
         return Moment(
             robot=self._robot,
             position=self._position,
@@ -214,7 +220,7 @@ class Negotiation:
             adopted=adopted,
             heard=[m for m in heard if m.plan == self.plan],
             sensed=self._sensed,
-            silent=self.liveness.silent,
+            silent=silent,
             blocked=blocked,
             clear=clear,
         )
@@ -248,6 +254,7 @@ class Negotiation:
             pedigree=self.pedigree,
             slot=self.claim.slot,
             table=self.claim.table,
+            table_digest=self._speech.digest(self.claim.table),
             offer=self.claim.offer,
         )
         return self._speech.say(whole, self.mission, self.liveness)
@@ -319,6 +326,7 @@ class Negotiation:
         notes = [] if source is None else self._adopt(source, heard)
         if not notes and self.plan is not None:
             self.claim = self._assignment.update(self.claim, self._moment(adopted=True, heard=heard))
+        self._survey_due = False
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         return notes

@@ -42,7 +42,7 @@ class Speech:
         self._neighbors = 0
         self._greeting = True
         self._table: Table | None = None
-        self._table_digest: str | None = None
+        self._digested: tuple[Table | None, str | None] = (None, None)
         self._changed: tuple[frozenset[int], ...] = ()  # since each of the last two broadcasts
         self._plan_said: str | None = None
         self._said: Message | None = None
@@ -85,6 +85,7 @@ class Speech:
             meets or self._plan_said != plan.digest or any(m.plan_digest != plan.digest for m in peers)
         )
         self._plan_said = None if plan is None else plan.digest
+        part, said = self._part(whole, meets=meets, greeting=greeting)
         message = replace(
             whole,
             sequence=0,
@@ -92,8 +93,9 @@ class Speech:
             plan=plan if spell_plan else None,
             plan_digest=self._plan_said,
             places=0 if plan is None else len(plan),
-            table=self._part(whole, meets=meets, greeting=greeting),
-            table_digest=self._table_digest,
+            table=part,
+            said=said,
+            table_digest=whole.table_digest,
             beats=liveness.beats if greeting else None,
         )
         if message != self._said:
@@ -104,30 +106,36 @@ class Speech:
 
     def _agrees(self, heard: Message, whole: Message) -> bool:
         plan = None if whole.plan is None else whole.plan.digest
-        return heard.mission == whole.mission and heard.plan_digest == plan and heard.table_digest == self._table_digest
+        return heard.mission == whole.mission and heard.plan_digest == plan and heard.table_digest == whole.table_digest
+
+    def digest(self, table: Table | None) -> str | None:
+        """Digest of the own table, worked out once for each that there is."""
+        if table is not self._digested[0]:
+            self._digested = (table, None if table is None else table_digest(table))
+        return self._digested[1]
 
     def _note_changes(self, table: Table | None) -> None:
         """Which slots changed since the last broadcast."""
         before, changed = self._table, frozenset[int]()
         if table is not before:
             self._table = table
-            self._table_digest = None if table is None else table_digest(table)
             if table is not None and before is not None and len(before) == len(table):
                 changed = frozenset(compress(range(len(table)), map(operator.ne, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
-    def _part(self, whole: Message, *, meets: bool, greeting: bool) -> Table | None:
-        """The table, or what of it has to be said."""
+    def _part(self, whole: Message, *, meets: bool, greeting: bool) -> tuple[Table | None, tuple[int, ...] | None]:
+        """The table, or what of it has to be said, and which slots that are."""
         table = whole.table
         if table is None:
-            return None
+            return None, None
         same_plan = [m for m in self._peers.values() if m.plan_digest == self._plan_said]
-        differs = any(m.table_digest != self._table_digest for m in same_plan)
+        differs = any(m.table_digest != whole.table_digest for m in same_plan)
         small = len(table) <= SMALL
         if meets or (differs and (small or greeting)):
-            return table
+            return table, None
         said = frozenset[int]() if small else frozenset[int]().union(*self._changed)
+        slots = sorted(said if whole.slot is None else said | {whole.slot})
         part = [UNSAID] * len(table)
-        for a in said if whole.slot is None else said | {whole.slot}:
+        for a in slots:
             part[a] = table[a]
-        return tuple(part)
+        return tuple(part), tuple(slots)
