@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -29,11 +28,12 @@ class Plan:
     array: Points = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        rounded = tuple(tuple(round(float(x), DECIMALS) + 0.0 for x in point) for point in self.points)
-        flat = [x for point in rounded for x in point]
-        content = struct.pack(f"<{len(flat)}d", *flat)
-        array = np.array(rounded, dtype=np.float64).reshape(len(rounded), -1)
+        # Adding zero turns -0.0 into 0.0.
+        array = np.array(self.points, dtype=np.float64).reshape(len(self.points), -1).round(DECIMALS) + 0.0
         array.setflags(write=False)
+        rows: list[list[float]] = array.tolist()
+        rounded: tuple[Point, ...] = tuple(tuple(row) for row in rows)
+        content = array.astype("<f8").tobytes()
         object.__setattr__(self, "points", rounded)
         object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=8).hexdigest())
         object.__setattr__(self, "array", array)

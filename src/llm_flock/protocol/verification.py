@@ -159,10 +159,12 @@ def _fault_of_form(mission: Mission, plan: Plan) -> str | None:
 
 
 def _fault_of_place(mission: Mission, plan: Plan) -> str | None:
-    for i, point in enumerate(plan.points):
-        if outside(mission, point) > ROUNDING * mission.spacing:
-            low, high = map(at_text, mission.arena)
-            return f"point {i} is at {at_text(point)}, outside the arena from {low} to {high}."
+    low, high = (np.array(corner) for corner in mission.arena)
+    out = np.maximum(low - plan.array, plan.array - high).max(axis=1) > ROUNDING * mission.spacing
+    if out.any():
+        i = int(out.argmax())
+        corners = " to ".join(map(at_text, mission.arena))
+        return f"point {i} is at {at_text(plan.points[i])}, outside the arena from {corners}."
     mean = tuple(float(x) for x in plan.array.mean(axis=0))
     off = round(math.dist(mean, mission.center), DECIMALS)
     if off > CENTER_TOLERANCE * mission.spacing:
