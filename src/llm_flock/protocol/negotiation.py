@@ -126,17 +126,15 @@ class Negotiation:
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
 
     def _consider(self, message: Message) -> list[Note]:
-        """A mission of higher stamp: taken if it is said in full and changes nothing that is this robot's own."""
+        """A mission of higher stamp: taken if it is said in full and leaves alone what is this robot's own."""
         if message.mission_text is None:
             return []
         try:
             said = _mission_fields(message.mission_text)
             mission = self.mission.change(**said)
             if mission.digest != message.mission.digest:
+                # Limits and surroundings are not said, and stay as they are: a mission with others has another digest.
                 raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
-            refusal = self.mission.refuses(mission)
-            if refusal is not None:
-                raise MessageError("other_mission", refusal)
         except InputError as error:
             return [self._reject(MessageError("other_mission", str(error)))]
         except MessageError as error:
