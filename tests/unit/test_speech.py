@@ -217,7 +217,7 @@ def test_a_team_of_ten_that_agrees_says_a_few_dozen_bytes() -> None:
         sizes.append([crew.number, len(payload)])
         broadcast(payload, receivers)
 
-    crew.transport.broadcast = spy  # type: ignore[method-assign]
+    crew.transport.broadcast = spy
     crew.rounds(14)
     said = [size for number, size in sizes if number == 14]
     ticks = [said[k : k + 10] for k in range(0, len(said), 10)]

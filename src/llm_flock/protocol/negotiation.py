@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
@@ -91,7 +91,7 @@ class Negotiation:
         self._misfit = 0
         self._position: Point = ()
         self._sensed: Mapping[int, Point] = {}
-        self._met_bodies = False
+        self._told_of_bodies = False
 
     def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """What the sensors say.
@@ -168,8 +168,9 @@ class Negotiation:
         """
         plan, table = self.plan, self.claim.table
         owners = {owner for _, _, owner in table or ()}
+        self._told_of_bodies = BLOCKED in owners
         remakes = self._gaps == "remake" and plan is not None and table is not None
-        fits = not remakes or (len(plan or ()) == self._wanted and BLOCKED not in owners)
+        fits = not remakes or (len(plan or ()) == self._wanted and not self._told_of_bodies)
         waits = NO_OWNER in owners and bool(self.liveness.strangers) and not may_shrink
         legal = fits or self._judge.fitting(self._wanted) is not None
         self._misfit = 0 if fits or waits or not legal else self._misfit + 1
@@ -201,8 +202,8 @@ class Negotiation:
         """What the assignment rule may know."""
         assert self.plan is not None
         bodies = [self._sensed[j] for j in self.liveness.still if j in self._sensed]
-        self._met_bodies = self._met_bodies or bool(bodies)
-        blocked, clear = self._surveyed(self.plan, bodies) if self._met_bodies else (NOTHING, NOTHING)
+        look = bool(bodies) or self._told_of_bodies
+        blocked, clear = self._surveyed(self.plan, bodies) if look else (NOTHING, NOTHING)
         return Moment(
             robot=self._robot,
             position=self._position,
@@ -218,12 +219,18 @@ class Negotiation:
         )
 
     def _surveyed(self, plan: Plan, bodies: list[Point]) -> tuple[frozenset[int], frozenset[int]]:
-        """Places that a body without a mind keeps anybody from taking, and places that surely have none."""
+        """Places that a body without a mind keeps anybody from taking, and places that surely have none.
+
+        Whose body it is that stands on a place may be known to others only: such a place counts as neither.
+        """
         too_near = blocked_within(self.mission)
         seen = self.mission.sensing - max(too_near, 0.0)
         places = [a for a, place in enumerate(plan.points) if math.dist(self._position, place) <= seen]
-        blocked = frozenset(a for a in places if any(math.dist(plan.points[a], body) < too_near for body in bodies))
-        return blocked, frozenset(places) - blocked
+
+        def under(those: Collection[Point]) -> frozenset[int]:
+            return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in those))
+
+        return under(bodies), frozenset(places) - under(self._sensed.values())
 
     def look_at(self, slots: Sequence[int]) -> None:
         """Write in the table that these vacant slots were looked at and nobody was met there."""
