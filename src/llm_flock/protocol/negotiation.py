@@ -235,8 +235,7 @@ class Negotiation:
     def look_at(self, slots: Sequence[int]) -> None:
         """Write in the table that these vacant slots were looked at and nobody was met there."""
         table = self.claim.table
-        if table is None:
-            return
+        assert table is not None, "only who knows the claims looks for robots"
         looked = {a: (table[a][0], table[a][1] + 1.0, NO_OWNER) for a in slots if table[a][2] == NO_OWNER}
         self.claim = replace(self.claim, table=changed(table, looked))
 
