@@ -11,7 +11,7 @@ import pytest
 from llm_flock import formations
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.verification import PlanClass, check_plan, plan_class
+from llm_flock.protocol.verification import PlanClass, blocked_within, check_plan, check_proposal, plan_class
 
 SQUARE = Mission(shape="square", n_robots=8)
 TEXT = Mission(shape="text:a ring", n_robots=4)
@@ -135,3 +135,14 @@ def test_a_plan_has_as_many_places_as_the_mission_asks_for() -> None:
     assert mission.ideal is not None
     assert check_plan(mission, Plan.of(mission.ideal)) is None
     assert "4 are required" in (check_plan(mission, Plan.of(SQUARE.ideal or ())) or "")
+
+
+def test_a_proposal_keeps_its_places_off_bodies_that_stand_still() -> None:
+    here = plan(ideal(SQUARE))
+    x, y = here.points[3]
+    reach = blocked_within(SQUARE)
+    assert reach == pytest.approx(2.5)
+    fault = check_proposal(SQUARE, here, [(x + 1.0, y)])
+    assert fault is not None and fault.startswith("point 3 is 1 from the robot that stands still at")
+    assert check_proposal(SQUARE, here, [(x + reach + 0.01, y)]) is None
+    assert check_proposal(SQUARE, plan(ideal(SQUARE)[:7]), []) == "the plan holds 7 points, 8 are required."

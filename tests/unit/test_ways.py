@@ -6,7 +6,7 @@ from itertools import permutations
 import pytest
 
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.ways import REACH, way_length
+from llm_flock.protocol.ways import LARGEST, REACH, way_length
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 
@@ -44,3 +44,9 @@ def test_ways_are_the_cheapest_of_all_orders_of_places() -> None:
         stops = ([here, *(plan.points[a] for a in order), plan.points[slot]] for order in orders)
         cheapest = min(sum(map(hop, way, way[1:])) for way in stops)
         assert way_length(here, plan, slot, 10.0) == pytest.approx(cheapest)
+
+
+def test_in_very_large_plans_the_way_is_straight() -> None:
+    row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
+    assert way_length((0.0, 0.0), row, LARGEST, 10.0) == pytest.approx(10.0 * LARGEST)
+    assert way_length((0.0, 900.0), row, 0, 10.0) == pytest.approx(900.0)

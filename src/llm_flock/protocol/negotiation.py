@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
@@ -91,7 +91,7 @@ class Negotiation:
         self._misfit = 0
         self._position: Point = ()
         self._sensed: Mapping[int, Point] = {}
-        self._met_bodies = False
+        self._told_of_bodies = False
         self._survey_due = False
 
     def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
@@ -128,17 +128,15 @@ class Negotiation:
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
 
     def _consider(self, message: Message) -> list[Note]:
-        """A mission of higher stamp: taken if it is said in full and changes nothing that is this robot's own."""
+        """A mission of higher stamp: taken if it is said in full and leaves alone what is this robot's own."""
         if message.mission_text is None:
             return []
         try:
             said = _mission_fields(message.mission_text)
             mission = self.mission.change(**said)
             if mission.digest != message.mission.digest:
+                # Limits and surroundings are not said, and stay as they are: a mission with others has another digest.
                 raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
-            refusal = self.mission.refuses(mission)
-            if refusal is not None:
-                raise MessageError("other_mission", refusal)
         except InputError as error:
             return [self._reject(MessageError("other_mission", str(error)))]
         except MessageError as error:
@@ -172,8 +170,9 @@ class Negotiation:
         """
         plan, table = self.plan, self.claim.table
         owners = {owner for _, _, owner in table or ()}
+        self._told_of_bodies = BLOCKED in owners
         remakes = self._gaps == "remake" and plan is not None and table is not None
-        fits = not remakes or (len(plan or ()) == self._wanted and BLOCKED not in owners)
+        fits = not remakes or (len(plan or ()) == self._wanted and not self._told_of_bodies)
         waits = NO_OWNER in owners and bool(self.liveness.strangers) and not may_shrink
         legal = fits or self._judge.fitting(self._wanted) is not None
         self._misfit = 0 if fits or waits or not legal else self._misfit + 1
@@ -208,8 +207,7 @@ class Negotiation:
         if self._survey_due:  # heartbeats and bodies are news once a round
             silent = self.liveness.silent
             bodies = [self._sensed[j] for j in self.liveness.still if j in self._sensed]
-            self._met_bodies = self._met_bodies or bool(bodies)
-            if self._met_bodies:
+            if bodies or self._told_of_bodies:
                 blocked, clear = self._surveyed(self.plan, bodies)
         return Moment(
             robot=self._robot,
@@ -226,18 +224,23 @@ class Negotiation:
         )
 
     def _surveyed(self, plan: Plan, bodies: list[Point]) -> tuple[frozenset[int], frozenset[int]]:
-        """Places that a body without a mind keeps anybody from taking, and places that surely have none."""
+        """Places that a body without a mind keeps anybody from taking, and places that surely have none.
+
+        Whose body it is that stands on a place may be known to others only: such a place counts as neither.
+        """
         too_near = blocked_within(self.mission)
         seen = self.mission.sensing - max(too_near, 0.0)
         places = [a for a, place in enumerate(plan.points) if math.dist(self._position, place) <= seen]
-        blocked = frozenset(a for a in places if any(math.dist(plan.points[a], body) < too_near for body in bodies))
-        return blocked, frozenset(places) - blocked
+
+        def under(those: Collection[Point]) -> frozenset[int]:
+            return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in those))
+
+        return under(bodies), frozenset(places) - under(self._sensed.values())
 
     def look_at(self, slots: Sequence[int]) -> None:
         """Write in the table that these vacant slots were looked at and nobody was met there."""
         table = self.claim.table
-        if table is None:
-            return
+        assert table is not None, "only who knows the claims looks for robots"
         looked = {a: (table[a][0], table[a][1] + 1.0, NO_OWNER) for a in slots if table[a][2] == NO_OWNER}
         self.claim = replace(self.claim, table=changed(table, looked))
 

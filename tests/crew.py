@@ -1,0 +1,213 @@
+"""A team of real agents, driven by hand round by round over links with faults: robots fall silent, begin, come back.
+
+Bodies stand still, so what is tested is the talks and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from llm_flock import graph
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.events import (
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    Decided,
+    Effect,
+    MissionGiven,
+    NegotiationEnded,
+    Planned,
+    Received,
+    RoundBegan,
+    TickBegan,
+    TickEnded,
+)
+from llm_flock.protocol.negotiation import Gaps
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
+from llm_flock.transport.memory import LinkFaults, MemoryTransport
+
+WIDE = ((-500.0, -500.0), (600.0, 600.0))
+PERFECT = LinkFaults()
+TICKS = 5
+
+
+def connected_places(n: int, rng: np.random.Generator) -> list[Point]:
+    """Positions of a connected, randomly branched team around the centre, no two nearer than 4."""
+    places = [np.array([50.0, 50.0])]
+    while len(places) < n:
+        angle = rng.uniform(0, 2 * np.pi)
+        new = places[rng.integers(len(places))] + rng.uniform(4, 14) * np.array([np.cos(angle), np.sin(angle)])
+        if min(np.linalg.norm(new - old) for old in places) >= 4.0:
+            places.append(new)
+    return [tuple(float(x) for x in place) for place in places]
+
+
+def a_leaf(places: list[Point], comm_range: float, root: int) -> int:
+    """A robot without which the others stay connected: the last that a search from `root` finds."""
+    near = graph.neighbors(places, comm_range)
+    found = [root]
+    for robot in found:
+        found.extend(j for j in near[robot] if j not in found)
+    return found[-1]
+
+
+def turned_plan(question: PlanQuestion) -> Plan:
+    """The ideal shape of what is asked, turned by an angle that depends on who is asked."""
+    mission = question.mission
+    assert mission.ideal is not None
+    angle = 0.11 * (question.robot + 1)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    center = np.array(mission.center)
+    return Plan.of(((np.array(mission.ideal) - center) @ turn.T + center).tolist())
+
+
+class Crew:
+    """N bodies, and a mind for each of them that is awake.
+
+    Args:
+        mission: what the team is asked to do at first.
+        places: where the bodies are [units].
+        rng: chance of the links.
+        faults: what goes wrong on them.
+        asleep: robots that begin later.
+        time_out: rounds without a heartbeat after which a robot is taken for dead.
+        gaps: what to do about places that nobody is alive to take.
+        verify: whether plans are checked.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        places: list[Point],
+        rng: np.random.Generator,
+        faults: LinkFaults = PERFECT,
+        *,
+        asleep: Collection[int] = (),
+        time_out: int = 4,
+        gaps: Gaps = "report",
+        verify: bool = False,
+    ) -> None:
+        self.mission = mission
+        self.places = places
+        self.number = 0
+        self.silent = set(asleep)
+        self.cut_off = set[int]()
+        self.asked: list[PlanQuestion] = []
+        self._rng, self._time_out, self._gaps, self._verify = rng, time_out, gaps, verify
+        self.agents = [self._mind(robot) for robot in range(mission.n_robots)]
+        self.set_faults(faults)
+
+    def _mind(self, robot: int) -> Agent:
+        return Agent(
+            robot,
+            self.mission,
+            PedigreeConsensus(),
+            AuctionAssignment(),
+            shield_on=False,
+            verify=self._verify,
+            time_out=self._time_out,
+            gaps=self._gaps,
+        )
+
+    def set_faults(self, faults: LinkFaults) -> None:
+        """From now on the links have these faults; what is on the way is lost."""
+        self.transport = MemoryTransport(self.mission.n_robots, faults, self._rng)
+
+    def wake(self, robot: int) -> None:
+        """A robot begins, and remembers nothing."""
+        self.silent.discard(robot)
+        self.agents[robot] = self._mind(robot)
+
+    @property
+    def awake(self) -> list[int]:
+        """Robots that have a mind at work."""
+        return [robot for robot in range(len(self.agents)) if robot not in self.silent]
+
+    @property
+    def minds(self) -> list[Agent]:
+        """Their minds."""
+        return [self.agents[robot] for robot in self.awake]
+
+    def round(self, given: Mapping[int, Mission] | None = None, *, junk: Collection[bytes] = ()) -> None:
+        """One round of all that are awake.
+
+        Args:
+            given: missions that robots are given at its start.
+            junk: what somebody else sends to everybody in each tick.
+        """
+        self.number += 1
+        deaf = self.silent | self.cut_off
+        near = graph.neighbors(self.places, self.mission.comm_range)
+        heard_by = [() if i in deaf else tuple(j for j in near[i] if j not in deaf) for i in range(len(near))]
+        for i in self.awake:
+            if given and i in given:
+                self.agents[i].handle(MissionGiven(mission=given[i]))
+            sensed = {j: self.places[j] for j in near[i]}
+            began = RoundBegan(
+                round=self.number,
+                position=self.places[i],
+                neighbors=len(heard_by[i]),
+                sensed=sensed,
+                observed=tuple(sensed.values()),
+            )
+            for effect in self.agents[i].handle(began):
+                if isinstance(effect, AskPlan):
+                    self.asked.append(effect.question)
+                    self.agents[i].handle(Planned(PlanAnswer(plan=turned_plan(effect.question), slot=i)))
+        for _ in range(TICKS):
+            self._tick(heard_by, junk)
+        for agent in self.minds:
+            effects: list[Effect] = agent.handle(NegotiationEnded())
+            if isinstance(effects[-1], AskStep):
+                agent.handle(Decided(NoAnswer(cause="answer", reason="bodies stand still")))
+            agent.handle(Arrived())
+
+    def _tick(self, heard_by: list[tuple[int, ...]], junk: Collection[bytes]) -> None:
+        for i in self.awake:
+            for effect in self.agents[i].handle(TickBegan()):
+                assert isinstance(effect, Broadcast)
+                self.transport.broadcast(effect.payload, heard_by[i])
+        for i, payload in self.transport.deliver():
+            if i not in self.silent:
+                self.agents[i].handle(Received(payload))
+        for agent in self.minds:
+            for payload in junk:
+                agent.handle(Received(payload))
+            agent.handle(TickEnded())
+            slot = agent.claim.slot
+            assert owned(agent) == ([] if slot is None else [slot]), "of all slots one at most is one's own"
+
+    def rounds(self, count: int) -> None:
+        """So many rounds in which nothing is given."""
+        for _ in range(count):
+            self.round()
+
+
+def owned(agent: Agent) -> list[int]:
+    """Slots that a robot owns in its own table."""
+    return [a for a, entry in enumerate(agent.claim.table or ()) if entry[2] == agent.robot]
+
+
+def assert_at_rest(crew: Crew) -> None:
+    """One mission, one plan made for it, equal tables in which everybody that is awake owns what it claims."""
+    minds = crew.minds
+    assert len({agent.mission.digest for agent in minds}) == 1
+    assert len({agent.plan for agent in minds}) == 1
+    assert all(a.pedigree is not None and a.pedigree.mission_digest == a.mission.digest for a in minds)
+    tables = {agent.claim.table for agent in minds}
+    assert len(tables) == 1
+    (table,) = tables
+    assert table is not None
+    claimed = {agent.claim.slot: agent.robot for agent in minds if agent.claim.slot is not None}
+    owners = {a: owner for a, (_, _, owner) in enumerate(table) if owner >= 0}
+    assert owners == claimed, "places belong to those who claim them, and to nobody that is not awake"
+    assert not any(agent.rejected for agent in minds)

@@ -1,0 +1,77 @@
+"""Whole runs in which robots die and join, places are short, missions change and centres move: formed, and safe."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import llm_flock
+
+CIRCLE = llm_flock.Mission(shape="circle", n_robots=8)
+SEEDS = range(10)
+SAFE = 3 - 1e-6
+
+
+def flown(mission: llm_flock.Mission, seed: int, **options: Any) -> llm_flock.RunResult:
+    """A run that has to form, and to keep the safe distance all the way."""
+    result = llm_flock.run(mission, seed=seed, **{"model": "geometry", "rounds": 150, **options})
+    figures = result.summary
+    assert figures.rounds_to_formed is not None, (figures.plans_in_use, figures.distinct_goals)
+    assert figures.min_separation is not None and figures.min_separation >= SAFE
+    assert figures.plans_in_use == 1
+    return result
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_those_left_form_with_a_gap(seed: int) -> None:
+    figures = flown(CIRCLE, seed, kill="3@5", gaps="report").summary
+    assert (figures.distinct_goals, figures.gaps) == (7, 1)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_those_left_form_a_smaller_shape(seed: int) -> None:
+    result = flown(CIRCLE, seed, kill="3@5", gaps="remake")
+    assert (result.summary.distinct_goals, result.summary.gaps) == (7, 0)
+    assert result.summary.procrustes_mean is not None and result.summary.procrustes_mean <= 0.1 * CIRCLE.spacing
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_who_joins_late_completes_the_shape(seed: int) -> None:
+    figures = flown(CIRCLE, seed, join="2@15").summary
+    assert (figures.distinct_goals, figures.gaps) == (8, 0)
+    assert figures.procrustes_mean is not None and figures.procrustes_mean <= 0.1 * CIRCLE.spacing
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_spares_are_in_nobodys_way(seed: int) -> None:
+    figures = flown(llm_flock.Mission(shape="circle", n_robots=8, places=6), seed).summary
+    assert (figures.gaps, figures.spares) == (0, 2)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_shape_changes_in_flight(seed: int) -> None:
+    change = {"round": 8, "robot": 1, "set": {"shape": "square"}}
+    result = flown(CIRCLE, seed, changes=[change])
+    assert result.summary.missions[-1].formed is not None and result.summary.distinct_goals == 8
+    assert result.summary.procrustes_mean is not None and result.summary.procrustes_mean <= 0.1 * CIRCLE.spacing
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_once_formed_a_moving_formation_keeps_its_shape_heading_and_spacing(seed: int) -> None:
+    velocity = (1.5, 0.5)
+    mission = llm_flock.Mission(
+        shape="circle", n_robots=6, center=(30, 40), velocity=velocity, arena=((0, 0), (300, 200))
+    )
+    starts = tuple((12.0 + 12.0 * (k % 3), 30.0 + 12.0 * (k // 3) + seed) for k in range(6))
+    result = flown(mission, seed, start_positions=starts, rounds=70, stop_when_formed=False)
+    formed = result.summary.missions[0].formed
+    assert formed is not None and formed <= 40
+    later = result.positions[formed:]
+    assert result.errors[formed:].max() < 0.1 * mission.spacing
+    centers = later.mean(axis=1)
+    assert np.allclose(np.diff(centers, axis=0), velocity, atol=0.1)
+    expected = np.array([mission.at(k).center for k in range(formed, formed + len(later))])
+    assert np.linalg.norm(centers - expected, axis=1).max() < 0.1 * mission.spacing
+    assert np.linalg.norm((later - centers[:, None]) - (later[0] - centers[0]), axis=2).max() < 0.1 * mission.spacing
