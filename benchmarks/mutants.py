@@ -92,7 +92,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("rounding", "Equal plans are equal everywhere", "coordinates are not rounded"),
-        *("protocol/plan.py", "round(float(x), DECIMALS) + 0.0", "float(x)"),
+        *("protocol/plan.py", ".round(DECIMALS) + 0.0", ""),
         "unit/test_messages.py::test_equal_plans_are_equal_after_rounding",
     ),
     Mutant(

@@ -7,7 +7,8 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import Claim
+from llm_flock.protocol.assignment import Claim, IndexAssignment
+from llm_flock.protocol.consensus import NoConsensus
 from llm_flock.protocol.messages import Pedigree, Table
 from llm_flock.protocol.plan import Plan
 from llm_flock.runtime.episode import Episode, blocked_places
@@ -21,12 +22,13 @@ class Mind(Agent):
     """A mind that has made itself up."""
 
     def __init__(self, plan: Plan | None, mission: Mission = LINE, table: Table | None = None) -> None:
-        origin = Pedigree(mission=0, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
-        self._made_up = plan, None if plan is None else origin, Claim(slot=0, table=table)
-
-    plan = property(lambda self: self._made_up[0])
-    pedigree = property(lambda self: self._made_up[1])
-    claim = property(lambda self: self._made_up[2])
+        super().__init__(0, mission, NoConsensus(), IndexAssignment(), shield_on=False)
+        talks = self._talks
+        talks.plan, talks.claim = plan, Claim(slot=0, table=table)
+        if plan is not None:
+            talks.pedigree = Pedigree(
+                mission=0, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=0, sequence=0
+            )
 
 
 def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:

@@ -59,7 +59,7 @@ class MissionInfo(Entry):
     version: int = Field(description="Counts the missions of a run from 0")
     round: int = Field(description="First round of the mission")
     mission: dict[str, Any] = Field(description="Every field of the mission")
-    ideal: list[Row] | None = Field(None, description="Ideal points in reference orientation (n, d) [units]")
+    ideal: list[Row] | None = Field(default=None, description="Ideal points in reference orientation (n, d) [units]")
 
 
 class PlanInfo(Entry):
