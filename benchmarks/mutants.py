@@ -56,6 +56,8 @@ TALKS, JUDGE = "protocol/negotiation.py", "protocol/judge.py"
 AUCTION, CONSENSUS = "protocol/auction.py", "protocol/consensus.py"
 SHIELD, PROJECTION, ASYNC = "protocol/shield.py", "protocol/projection.py", "protocol/shield_async.py"
 T_AGENT, T_AUCTION, T_THEORY = "unit/test_agent.py", "unit/test_auction.py", "property/test_theory.py"
+SPEECH, LIVENESS, PILOT = "protocol/speech.py", "protocol/liveness.py", "protocol/pilot.py"
+T_TALKS, T_SPEECH = "unit/test_negotiation.py", "unit/test_speech.py"
 T_SEARCH, T_CONSENSUS, T_SHIELD = "unit/test_search.py", "unit/test_consensus.py", "property/test_shield.py"
 
 MUTANTS: Sequence[Mutant] = (
@@ -192,6 +194,67 @@ MUTANTS: Sequence[Mutant] = (
         *("protocol/search.py", "if table[a][1] < most]", "if True]"),
         f"{T_SEARCH}::test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
     ),
+    # ---------------------------------------------------------------- in flight
+    Mutant(
+        *("silent-places", "The place of a silent robot is free", "it stays the silent robot's"),
+        *(AUCTION, "elif owner in now.silent or (", "elif ("),
+        f"{T_TALKS}::test_the_place_of_who_falls_silent_is_free_with_a_raised_version",
+    ),
+    Mutant(
+        *("taken-back", "A robot wrongly suspected takes its place back", "it leaves it to others"),
+        *(AUCTION, "table = surveyed(reclaimed(now.robot, claim, table), now)", "table = surveyed(table, now)"),
+        f"{T_TALKS}::test_who_was_taken_for_dead_takes_its_place_back",
+    ),
+    Mutant(
+        *("former-life", "A robot that begins again counts on", "it counts from one"),
+        *(LIVENESS, "if mine > self._beats[self._robot]:", "if False:"),
+        "unit/test_liveness.py::test_who_starts_again_counts_on_from_its_former_life",
+    ),
+    Mutant(
+        *("blocked", "A place under a still body is nobody's", "such places are not noted"),
+        *(TALKS, "return under(bodies), ", "return NOTHING, "),
+        f"{T_TALKS}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
+    ),
+    Mutant(
+        *("unblocked", "A place without a body is free again", "only who met bodies itself looks"),
+        *(TALKS, "look = bool(bodies) or self._told_of_bodies", "look = bool(bodies)"),
+        f"{T_TALKS}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
+    ),
+    Mutant(
+        *("stamp", "The mission of highest stamp is in force", "the last one heard is"),
+        *(TALKS, "self._consider(message) if message.mission > self.stamp", "self._consider(message) if True"),
+        f"{T_TALKS}::test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first",
+    ),
+    Mutant(
+        *("radio-limits", "No message changes a robot's limits", "a mission need not be what its digest stands for"),
+        *(TALKS, "if mission.digest != message.mission.digest:", "if False:"),
+        f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
+    ),
+    Mutant(
+        *("radio-fields", "No message names a robot's limits", "any field of a mission is taken"),
+        *(TALKS, "if not fields.keys() <= MISSION_FIELDS:", "if False:"),
+        f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
+    ),
+    Mutant(
+        *("plan-mission", "A plan counts only with its mission", "plans for other missions are heard"),
+        *(TALKS, "if message.mission != self.stamp:", "if False:"),
+        f"{T_TALKS}::test_a_plan_counts_only_with_its_mission",
+    ),
+    Mutant(
+        *("plan-digest", "Who names another plan is told one's own", "it is not"),
+        *(SPEECH, "any(m.plan_digest != plan.digest for m in peers)", "False"),
+        f"{T_SPEECH}::test_a_plan_is_spelled_out_when_it_was_just_taken_up_and_to_who_follows_another",
+    ),
+    Mutant(
+        *("table-digest", "Who names another table is told one's own", "it is not"),
+        *(SPEECH, "any(m.table_digest != self._table_digest for m in same_plan)", "False"),
+        f"{T_SPEECH}::test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a_round",
+    ),
+    Mutant(
+        *("frame", "A plan is kept in the frame of its mission", "it is kept in the world's"),
+        *("protocol/agent.py", "if isinstance(answer, PlanAnswer) and ahead:", "if False:"),
+        f"{T_TALKS}::test_a_plan_for_a_moving_centre_is_kept_in_its_frame",
+    ),
     # ---------------------------------------------------------------- messages
     Mutant(
         *("reorder", "An older message does not replace a newer one", "the one that arrives last is kept"),
@@ -243,6 +306,12 @@ MUTANTS: Sequence[Mutant] = (
         *("progress", "A blocked robot makes a detour", "the progress timer never fires"),
         *("protocol/progress.py", "idle=progress.idle + 1", "idle=progress.idle"),
         "unit/test_safety.py::test_two_robots_that_meet_head_on_pass_each_other",
+    ),
+    Mutant(
+        *("path", "Every step of a path goes through the shield", "foreseen steps do not"),
+        *(PILOT, "        if self._safety is not None:\n            flight = self._safety.step("),
+        "        if self._safety is not None and not self.on_path:\n            flight = self._safety.step(",
+        "unit/test_agent_on_event.py::test_no_step_is_flown_unverified_or_unshielded",
     ),
     Mutant(
         *("sensing", "A team that senses too little is refused", "the shield flies with any sensing range"),
