@@ -102,7 +102,8 @@ class Crew:
         self.silent = set(asleep)
         self.cut_off = set[int]()
         self.asked: list[PlanQuestion] = []
-        self._rng, self._time_out, self._gaps, self._verify = rng, time_out, gaps, verify
+        self._rng, self._time_out, self._verify = rng, time_out, verify
+        self._gaps: Gaps = gaps
         self.agents = [self._mind(robot) for robot in range(mission.n_robots)]
         self.set_faults(faults)
 

@@ -24,9 +24,9 @@ class Mind(Agent):
         origin = Pedigree(mission=0, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
         self._made_up = plan, None if plan is None else origin, Claim(slot=0, table=table)
 
-    plan = property(lambda self: self._made_up[0])
-    pedigree = property(lambda self: self._made_up[1])
-    claim = property(lambda self: self._made_up[2])
+    plan = property(lambda self: self._made_up[0])  # pyright: ignore[reportIncompatibleMethodOverride]
+    pedigree = property(lambda self: self._made_up[1])  # pyright: ignore[reportIncompatibleMethodOverride]
+    claim = property(lambda self: self._made_up[2])  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:
