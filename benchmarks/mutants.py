@@ -217,7 +217,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("unblocked", "A place without a body is free again", "only who met bodies itself looks"),
-        *(TALKS, "look = bool(bodies) or self._told_of_bodies", "look = bool(bodies)"),
+        *(TALKS, "if bodies or self._told_of_bodies:", "if bodies:"),
         f"{T_TALKS}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
     ),
     Mutant(
@@ -247,7 +247,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("table-digest", "Who names another table is told one's own", "it is not"),
-        *(SPEECH, "any(m.table_digest != self._table_digest for m in same_plan)", "False"),
+        *(SPEECH, "any(m.table_digest != whole.table_digest for m in same_plan)", "False"),
         f"{T_SPEECH}::test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a_round",
     ),
     Mutant(

@@ -270,7 +270,7 @@ def test_scene_shows_dead_robots_black_and_no_links_of_the_silent(tmp_path: Path
 def test_plans_keep_their_colours_when_the_mission_changes(tmp_path: Path) -> None:
     run = FakeRun(n=4, rounds=6)
     with RecordWriter(tmp_path / "run.mcap") as writer:
-        mission = MissionInfo(version=0, round=0, mission=run.mission.model_dump(mode="json"))
+        mission = MissionInfo(version=0, round=0, mission=run.mission.model_dump(mode="json"), ideal=None)
         writer.run(run_info())
         writer.mission(mission)
         writer.plan(PlanInfo(round=0, plan_id="f" * 16, proposer=3, points=[]))
