@@ -44,13 +44,14 @@ def merge(mine: Table, theirs: Table, said: Sequence[int] | None = None) -> Tabl
         theirs: another.
         said: the slots of it that matter, where that is known.
     """
-    if said is not None:
-        return changed(mine, {a: theirs[a] for a in said if rank(theirs[a]) > rank(mine[a])})
-    if mine == theirs:
+    if mine is theirs:
         return mine
-    # Tables are long and differ in few slots: those are found without a step of the interpreter for each slot.
-    differ = compress(range(len(mine)), map(operator.ne, mine, theirs))
-    return changed(mine, {a: theirs[a] for a in differ if rank(theirs[a]) > rank(mine[a])})
+    if said is None:
+        # Tables are long and differ in few slots: those are found without a step of the interpreter for each slot.
+        differ = compress(range(len(mine)), map(operator.ne, mine, theirs))
+    else:
+        differ = (a for a in said if theirs[a] != mine[a])
+    return changed(mine, {a: theirs[a] for a in differ if theirs[a] is not UNSAID and rank(theirs[a]) > rank(mine[a])})
 
 
 def changed(table: Table, new: Mapping[int, Entry]) -> Table:

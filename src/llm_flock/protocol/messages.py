@@ -24,7 +24,7 @@ WIRE_VERSION = 2
 MAX_BID = 10 * MAX_COORDINATE
 """No two points of the largest arena are farther apart [units]."""
 
-FEW = 0.1
+FEW = 0.5
 """Claims on up to this share of the slots are few."""
 
 NO_OWNER = -1
