@@ -213,7 +213,7 @@ class Negotiation:
             adopted=adopted,
             heard=[m for m in heard if m.plan == self.plan],
             sensed=self._sensed,
-            silent=self.liveness.silent,
+            silent=self.liveness.silent if heard else NOTHING,  # who hears nobody is the one that is lost
             blocked=blocked,
             clear=clear,
         )
