@@ -70,7 +70,7 @@ def test_of_two_missions_given_to_two_robots_all_end_on_the_same_one(
 
 
 @settings(max_examples=25)
-@given(seed=SEEDS, n=st.integers(2, 7), faults=FAULTS, comes_back=st.sampled_from(["anew", "as it was"]))
+@given(seed=SEEDS, n=st.integers(3, 7), faults=FAULTS, comes_back=st.sampled_from(["anew", "as it was"]))
 def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     seed: int, n: int, faults: LinkFaults, comes_back: str
 ) -> None:

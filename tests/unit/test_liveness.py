@@ -1,6 +1,6 @@
 """Heartbeats: who is alive, who is silent, who was never heard of, and who only stands there."""
 
-from llm_flock.protocol.liveness import Liveness
+from llm_flock.protocol.liveness import Liveness, patience
 
 NOBODY = frozenset[int]()
 
@@ -50,3 +50,15 @@ def test_a_body_that_nobody_ever_hears_is_taken_to_stand_still() -> None:
     assert mine.still == {2} and not mine.silent
     mine.hear([(0, 0, 1)])
     assert not mine.still
+
+
+def test_a_large_team_is_waited_for_longer() -> None:
+    assert patience(10, 20) == 10 and patience(10, 100) == 30 and patience(40, 100) == 40
+    live = Liveness(0, 100, 10)
+    live.begin_round(1, frozenset())
+    live.hear([[0, 1] + [0] * 98])
+    for number in range(2, 32):
+        live.begin_round(number, frozenset())
+        assert not live.silent
+    live.begin_round(32, frozenset())
+    assert live.silent == {1}

@@ -2,7 +2,7 @@
 
 from llm_flock.protocol.messages import NO_OWNER, Table
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.search import LOOKS, LOOKS_FOR_SILENT, PATIENCE, PATIENCE_PER_PLACE, Search, advance
+from llm_flock.protocol.search import LOOKS, LOOKS_FOR_SILENT, MANY, PATIENCE, PATIENCE_PER_PLACE, Search, advance
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)
@@ -77,6 +77,30 @@ def test_new_knowledge_ends_the_tour() -> None:
     while search.target is None:
         search = step(search, 20.0, 2, table(0, 1, 2, NO_OWNER))
     assert step(search, 25.0, 2, table(0, 1, 2, 3), at_goal=False).target is None
+
+
+def off_among_many(slot: int, owners: Table) -> Search:
+    search = Search()
+    while search.target is None:
+        search = step(search, 10.0 * slot, slot, owners, strangers=MANY + 1)
+    return search
+
+
+def test_while_many_are_missing_the_tour_goes_on_until_its_next_place_is_taken() -> None:
+    search = off_among_many(1, table(NO_OWNER, 1, NO_OWNER, NO_OWNER))
+    assert search.target == (0.0, 0.0)
+    on = step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), at_goal=False, strangers=MANY + 1)
+    assert on.target == search.target
+    assert step(search, 7.0, 1, table(0, 1, NO_OWNER, NO_OWNER), at_goal=False, strangers=MANY + 1).target is None
+    assert step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), at_goal=False, strangers=MANY).target is None
+
+
+def test_while_many_are_missing_news_from_afar_do_not_make_it_wait_anew() -> None:
+    far, near = table(0, 1, NO_OWNER, 3), table(0, NO_OWNER, NO_OWNER, 3)
+    waited = step(Search(), 0.0, 0, table(0, 1, NO_OWNER, NO_OWNER), strangers=MANY + 1)
+    assert waited.waited == 1
+    assert step(waited, 0.0, 0, far, strangers=MANY + 1).waited == 2
+    assert step(waited, 0.0, 0, near, strangers=MANY + 1).waited == 1
 
 
 def looking_on(slot: int, owners: Table, *, strangers: int, silent: int) -> tuple[Search, list[int], list[object]]:

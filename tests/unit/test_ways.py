@@ -6,7 +6,7 @@ from itertools import permutations
 import pytest
 
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.ways import LARGEST, REACH, way_length
+from llm_flock.protocol.ways import BESIDE, FAR, LARGEST, REACH, stop_on_the_way, way_length
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 
@@ -50,3 +50,33 @@ def test_in_very_large_plans_the_way_is_straight() -> None:
     row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
     assert way_length((0.0, 0.0), row, LARGEST, 10.0) == pytest.approx(10.0 * LARGEST)
     assert way_length((0.0, 900.0), row, 0, 10.0) == pytest.approx(900.0)
+
+
+RING = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
+CHORD = math.dist(RING.points[0], RING.points[1])
+
+
+def test_a_near_place_is_flown_to_straight() -> None:
+    assert stop_on_the_way(RING.points[0], RING, int(FAR), (0.0, 0.0), CHORD) is None
+
+
+def test_a_far_place_is_flown_to_beside_the_places_between() -> None:
+    stop = stop_on_the_way(RING.points[0], RING, 20, (0.0, 0.0), CHORD)
+    assert stop is not None
+    assert math.hypot(*stop) == pytest.approx(100.0 - BESIDE * CHORD)
+    assert min(math.dist(stop, RING.points[k]) for k in (2, 3, 4)) == pytest.approx(BESIDE * CHORD)
+    assert math.dist(stop, RING.points[20]) < math.dist(RING.points[0], RING.points[20])
+
+
+def test_from_afar_the_first_place_is_where_the_cheapest_way_begins() -> None:
+    stop = stop_on_the_way((40.0, 0.0), RING, 15, (0.0, 0.0), CHORD)
+    assert stop is not None and stop[0] > 80.0 and 0.0 <= stop[1] < 60.0
+
+
+def test_a_place_at_which_the_cheapest_way_begins_is_flown_to_straight() -> None:
+    assert stop_on_the_way((10.0, 0.0), RING, 0, (0.0, 0.0), CHORD) is None
+
+
+def test_in_plans_of_very_many_places_the_way_is_straight() -> None:
+    row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
+    assert stop_on_the_way((0.0, 0.0), row, LARGEST, (0.0, 0.0), 10.0) is None

@@ -45,6 +45,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol.search import Search, advance
 from llm_flock.protocol.waiting import waiting_place
+from llm_flock.protocol.ways import stop_on_the_way
 
 
 class IllegalEvent(AssertionError):
@@ -252,6 +253,9 @@ class Agent:
         else:
             effects.extend(self._look_for_others(scene, plan, slot))
             target = self._search.target
+            live = self._talks.liveness
+            if target is None and (live.strangers or live.silent):
+                target = stop_on_the_way(scene.here, plan, slot, self.mission.center, self.mission.spacing)
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]

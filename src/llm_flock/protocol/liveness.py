@@ -17,6 +17,16 @@ TIME_OUT = 10
 everybody's range for a while."""
 
 
+ROUNDS_PER_ROBOT = 0.3
+"""At least so many rounds for each robot of the team: heartbeats are handed on once a round, and in a ring of robots a
+gap that opens or closes changes their way, and with it their age, by many rounds at once."""
+
+
+def patience(time_out: int, n_robots: int) -> int:
+    """Rounds without a heartbeat after which a robot of a team of so many is taken for dead."""
+    return max(time_out, int(ROUNDS_PER_ROBOT * n_robots))
+
+
 class Liveness:
     """What one robot knows of everybody's heartbeats.
 
@@ -27,12 +37,12 @@ class Liveness:
     Args:
         robot: own id.
         n_robots: team size N.
-        time_out: rounds that a counter may stand still.
+        time_out: rounds that a counter may stand still; more in a large team (`patience`).
     """
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
         self._robot = robot
-        self._time_out = time_out
+        self._time_out = patience(time_out, n_robots)
         self._beats = np.zeros(n_robots, dtype=np.int64)
         self._advanced = np.full(n_robots, -1, dtype=np.int64)
         self._round = 0

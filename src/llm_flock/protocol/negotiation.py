@@ -218,7 +218,7 @@ class Negotiation:
             adopted=adopted,
             heard=[m for m in heard if m.plan == self.plan],
             sensed=self._sensed,
-            silent=silent,
+            silent=silent if heard else NOTHING,  # who hears nobody is the one that is lost
             blocked=blocked,
             clear=clear,
         )

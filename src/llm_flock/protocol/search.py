@@ -11,6 +11,7 @@ longer wait. A slot that has been looked at so often is a gap: the team may simp
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,10 @@ LOOKS = 4
 LOOKS_FOR_SILENT = 1
 """Looks where all that are missing have been heard of before, and are probably dead."""
 
+MANY = 20
+"""While more robots than these are missing, news come in every round, and a search that each of them ended would never
+get anywhere: it goes on until its next place is taken."""
+
 ARRIVED = 0.5
 """A point of the tour counts as visited within this share of the spacing."""
 
@@ -43,7 +48,8 @@ class Search:
     """How far a robot's search is.
 
     Attributes:
-        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts afresh.
+        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts afresh, unless
+            many robots are missing.
         looks: how often the least looked at of these was looked at.
         waited: rounds spent at the goal since the last tour or look.
         way: points still to visit [units; frame of the mission]; empty while the robot waits.
@@ -97,8 +103,7 @@ def advance(
         silent: how many have been, but not for long.
     """
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
-    if (plan.digest, vacant) != search.known:
-        search = Search(known=(plan.digest, vacant))
+    search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)
     if not vacant or not (strangers or silent):  # with everybody in touch the talks will fill what is empty
         return replace(search, way=(), waited=0, gaps=(), looked=())
     most = LOOKS if strangers else LOOKS_FOR_SILENT
@@ -119,6 +124,24 @@ def advance(
         return replace(search, waited=waited + 1)
     tour = _tour(plan, slot, due)
     return replace(search, way=tour if looks < LOOKS // 2 else (*tour, center))
+
+
+def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
+    """The search in view of what was heard; `many`: news from afar neither call a robot home nor make it wait anew."""
+    digest, before = search.known
+    if digest != plan.digest or (vacant != before and not many):
+        return Search(known=(plan.digest, vacant))
+    if vacant == before:
+        return search
+    still = {plan.points[a] for a in vacant} | {center}
+    way = search.way if search.way and search.way[0] in still else ()
+    same = _nearest(plan, slot, vacant) == _nearest(plan, slot, before)
+    return replace(search, known=(digest, vacant), waited=search.waited if same else 0, way=way)
+
+
+def _nearest(plan: Plan, slot: int, vacant: Sequence[int]) -> int | None:
+    """The vacant slot nearest to the own one."""
+    return min(vacant, key=lambda a: (math.dist(plan.points[slot], plan.points[a]), a), default=None)
 
 
 def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:

@@ -27,6 +27,12 @@ LARGEST = 256
 
 CACHED = 65536
 
+FAR = 3.0
+"""A goal this many spacings away is approached along the formation, from place to place, each so far ahead at most."""
+
+BESIDE = 0.6
+"""Those who fly along the formation pass its places at so many spacings, on the side of the centre."""
+
 
 @lru_cache(maxsize=CACHED)
 def way_length(here: Point, plan: Plan, slot: int, spacing: float) -> float:
@@ -41,6 +47,31 @@ def way_length(here: Point, plan: Plan, slot: int, spacing: float) -> float:
     if len(plan) > LARGEST:
         return math.dist(here, plan.points[slot])
     return float((_hops(here, plan, spacing) + _between(plan, spacing)[slot]).min())
+
+
+def stop_on_the_way(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
+    """Where to fly on the way to a far place: beside a place ahead; None where the straight way is the cheapest.
+
+    Args:
+        here: where the robot is [units; frame of the plan].
+        plan: has the places.
+        slot: number of the place where it is to end.
+        center: centre of the formation.
+        spacing: wanted distance between neighbouring robots [units].
+    """
+    if len(plan) > LARGEST or math.dist(here, plan.points[slot]) <= FAR * spacing:
+        return None
+    left = _between(plan, spacing)[slot]
+    counted = _hops(here, plan, spacing) + left
+    first = int(counted.argmin())
+    near = np.linalg.norm(plan.array - np.array(here), axis=1) <= FAR * spacing
+    ahead = np.flatnonzero(near & (left <= left[first]))
+    stop = int(ahead[left[ahead].argmin()]) if len(ahead) else first
+    if stop == slot:
+        return None
+    place = plan.points[stop]
+    inwards = min(1.0, BESIDE * spacing / max(math.dist(place, center), spacing))
+    return tuple(x + inwards * (c - x) for x, c in zip(place, center, strict=True))
 
 
 @lru_cache(maxsize=4096)

@@ -31,6 +31,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
+from llm_flock.protocol.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.runtime.config import RunConfig
@@ -144,7 +145,8 @@ class Trial:
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
         # The others take a while to notice a death, and to look whether somebody is left after all.
-        noticed = max(schedule.kills, default=-1) + self.config.protocol.time_out + ROUNDS_TO_LOOK
+        time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
+        noticed = max(schedule.kills, default=-1) + time_out + ROUNDS_TO_LOOK
         return tracker.in_order and (not schedule.kills or self.round >= noticed)
 
     def _let_happen(self, number: int) -> None:
