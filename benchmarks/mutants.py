@@ -212,12 +212,12 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("blocked", "A place under a still body is nobody's", "such places are not noted"),
-        *(TALKS, "return under(bodies), ", "return NOTHING, "),
+        *(TALKS, "return under(self.bodies), ", "return NOTHING, "),
         f"{T_TALKS}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
     ),
     Mutant(
         *("unblocked", "A place without a body is free again", "only who met bodies itself looks"),
-        *(TALKS, "if bodies or self._told_of_bodies:", "if bodies:"),
+        *(TALKS, "if self.bodies or self._told_of_bodies:", "if self.bodies:"),
         f"{T_TALKS}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
     ),
     Mutant(

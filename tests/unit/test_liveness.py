@@ -9,16 +9,16 @@ def test_a_counter_that_stands_still_for_too_long_is_silent_and_one_that_moves_o
     mine = Liveness(0, 3, time_out=2)
     assert mine.strangers == {1, 2} and mine.alive == 1
     mine.begin_round(1, NOBODY)
-    mine.hear([(1, 1, 0)])
+    mine.hear([(1, 2, 0)])
     assert mine.strangers == {2} and mine.alive == 2
     for number in (2, 3):
         mine.begin_round(number, NOBODY)
-        mine.hear([(0, 1, 0)])
+        mine.hear([(0, 2, 0)])
         assert not mine.silent
     mine.begin_round(4, NOBODY)
-    assert mine.silent == {1} == mine.still and mine.alive == 1
-    mine.hear([(0, 2, 0)])
-    assert not mine.silent and not mine.still and mine.alive == 2
+    assert mine.silent == {1} and mine.alive == 1
+    mine.hear([(0, 3, 0)])
+    assert not mine.silent and mine.alive == 2
 
 
 def test_heartbeats_are_passed_on() -> None:
@@ -27,7 +27,7 @@ def test_heartbeats_are_passed_on() -> None:
         robot.begin_round(1, NOBODY)
     between.hear([far.beats])
     near.hear([between.beats])
-    assert near.beats == (1, 1, 1) and not near.strangers
+    assert near.beats == (2, 2, 2) and not near.strangers
 
 
 def test_who_starts_again_counts_on_from_its_former_life() -> None:
@@ -42,21 +42,26 @@ def test_who_starts_again_counts_on_from_its_former_life() -> None:
     assert not other.silent
 
 
-def test_a_body_that_nobody_ever_hears_is_taken_to_stand_still() -> None:
+def test_a_body_that_nobody_ever_hears_is_silent_and_the_others_hear_of_it() -> None:
     mine = Liveness(0, 3, time_out=2)
     for number in range(1, 4):
-        assert not mine.still
+        assert not mine.silent and 2 in mine.strangers
         mine.begin_round(number, frozenset({2}))
-    assert mine.still == {2} and not mine.silent
+    assert mine.silent == {2} and mine.strangers == {1}
+    other = Liveness(1, 3, time_out=2)
+    other.hear([mine.beats])
+    assert other.silent == {2}
     mine.hear([(0, 0, 1)])
-    assert not mine.still
+    assert mine.silent == {2}
+    mine.hear([(0, 0, 2)])
+    assert not mine.silent
 
 
 def test_a_large_team_is_waited_for_longer() -> None:
     assert patience(10, 20) == 10 and patience(10, 100) == 30 and patience(40, 100) == 40
     live = Liveness(0, 100, 10)
     live.begin_round(1, frozenset())
-    live.hear([[0, 1] + [0] * 98])
+    live.hear([[0, 2] + [0] * 98])
     for number in range(2, 32):
         live.begin_round(number, frozenset())
         assert not live.silent

@@ -135,10 +135,10 @@ def kinds(effects: list[Effect]) -> list[str]:
 def test_the_place_of_who_falls_silent_is_free_with_a_raised_version() -> None:
     flight = Flight(make())
     theirs: Table = ((0, 0.0, NO_OWNER), (4, -1.0, 1), (0, 0.0, NO_OWNER))
-    flight.round(says(1, (0, 1, 0), plan=PLAN, table=theirs))
+    flight.round(says(1, (0, 2, 0), plan=PLAN, table=theirs))
     assert flight.agent.claim.table is not None and flight.agent.claim.table[1][2] == 1
     for number in range(3):
-        flight.round(says(2, (0, 1, number + 1), plan=PLAN, table=((0, 0.0, NO_OWNER),) * 3))
+        flight.round(says(2, (0, 2, number + 2), plan=PLAN, table=((0, 0.0, NO_OWNER),) * 3))
     assert flight.agent.claim.table[1][:1] == (5,) and flight.agent.claim.table[1][2] == NO_OWNER
 
 
@@ -156,7 +156,7 @@ def test_who_was_taken_for_dead_takes_its_place_back() -> None:
 def test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off() -> None:
     flight = Flight(make())
     body = {1: (PLAN.points[1][0] + 1.0, PLAN.points[1][1])}
-    flight.round(says(1, (0, 1, 0)), sensed=body)
+    flight.round(says(1, (0, 2, 0)), sensed=body)
     for _ in range(3):
         flight.round(sensed=body)
     table = flight.agent.claim.table
@@ -195,7 +195,7 @@ def test_places_out_of_sight_are_left_as_others_say() -> None:
     flight = Flight(make(mission=near))
     body = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
     told: Table = ((0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (2, 0.0, BLOCKED))
-    flight.round(says(1, (0, 1, 0), mission=near, plan=PLAN, table=told), sensed=body)
+    flight.round(says(1, (0, 2, 0), mission=near, plan=PLAN, table=told), sensed=body)
     for _ in range(3):
         flight.round(sensed=body)
     table = flight.agent.claim.table
@@ -209,7 +209,7 @@ def test_a_place_that_was_looked_at_in_vain_is_a_gap_that_names_who_is_missing()
     """
     flight = Flight(make())
     kept: Table = ((0, 0.0, NO_OWNER), (0, -1.0, 1), (0, 0.0, NO_OWNER))
-    flight.round(says(1, (0, 1, 0), plan=PLAN, table=kept))
+    flight.round(says(1, (0, 2, 0), plan=PLAN, table=kept))
     notes: list[Note] = []
     for _ in range(120):
         flight.begin()
@@ -240,7 +240,7 @@ def test_who_is_alive_and_has_the_lowest_id_remakes_the_plan_first(robot: int, w
     count = 0
     while len(flight.asked) < 2 and count < 40:
         count += 1
-        beats = tuple(count if k == other else int(k == 1) for k in range(3))
+        beats = tuple(count + 1 if k == other else 2 * int(k == 1) for k in range(3))
         flight.round(says(other, beats))
     assert flight.asked[1].question.mission.n_places == 2
     # Robot 1 is silent from round 4 on; then the plan must not fit for more than REMAKE_PATIENCE rounds and a rank.
@@ -254,7 +254,7 @@ def test_who_sees_the_body_that_is_in_the_way_remakes_the_plan_at_once_and_is_to
     body = {1: PLAN.points[1]}
     for number in range(1, 4 + REMAKE_PATIENCE + 1):
         assert len(flight.asked) <= 1
-        flight.round(says(0, (number, 1, 0)), sensed=body)
+        flight.round(says(0, (number + 1, 2, 0)), sensed=body)
     assert len(flight.asked) == 2 and flight.asked[1].question.still == (PLAN.points[1],)
 
 
@@ -269,7 +269,7 @@ def test_gaps_are_kept_where_they_are_to_be_reported_and_where_no_smaller_shape_
     plan = Plan.of(mission.ideal or ())
     flight = Flight(make(mission=mission, gaps=gaps), here=plan.points[0], plan=plan)
     for number in range(1, 20):
-        beats = (0, 1, *(number for _ in range(mission.n_robots - 2)))
+        beats = (0, 2, *(number + 1 for _ in range(mission.n_robots - 2)))
         flight.round(says(2, beats, mission=mission))
     assert len(flight.asked) == 1 and flight.agent.plan == plan
 

@@ -194,7 +194,7 @@ class Agent:
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= mission.comm_range)
         talks.begin_round(event.round, near, event.neighbors)
         talks.watch_team(may_shrink=self._search.given_up)
-        places = mission.n_places if talks.plan is None else talks.remake
+        places = talks.places
         if places is None or listening:
             # Who joins a team that is at work hears it out before it proposes a plan of its own.
             return Phase.NEGOTIATING, []
@@ -204,7 +204,7 @@ class Agent:
             round=event.round,
             position=event.position,
             neighbors=event.observed,
-            still=tuple(event.sensed[j] for j in sorted(talks.liveness.still) if j in event.sensed),
+            still=talks.bodies,
         )
         return Phase.PLANNING, [AskPlan(self._asked)]
 

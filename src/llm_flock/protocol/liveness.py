@@ -17,6 +17,10 @@ TIME_OUT = 10
 everybody's range for a while."""
 
 
+BODY = 1
+"""Counter of a robot of which there is only a body that was never heard: the others hear of it, and need not look for
+it. Who is awake counts on from here."""
+
 ROUNDS_PER_ROBOT = 0.3
 """At least so many rounds for each robot of the team: heartbeats are handed on once a round, and in a ring of robots a
 gap that opens or closes changes their way, and with it their age, by many rounds at once."""
@@ -30,9 +34,8 @@ def patience(time_out: int, n_robots: int) -> int:
 class Liveness:
     """What one robot knows of everybody's heartbeats.
 
-    `silent` are the robots that were heard of and are no more, `strangers` those that never were, and `still` those
-    whose bodies cannot be expected to make way: the silent ones, and strangers that stayed within radio range for the
-    time-out without being heard.
+    `silent` are the robots that were heard of and are no more, `strangers` those that never were. A stranger whose body
+    stayed within radio range for the time-out without being heard is silent too.
 
     Args:
         robot: own id.
@@ -45,11 +48,11 @@ class Liveness:
         self._time_out = patience(time_out, n_robots)
         self._beats = np.zeros(n_robots, dtype=np.int64)
         self._advanced = np.full(n_robots, -1, dtype=np.int64)
+        self._beats[robot] = BODY
         self._round = 0
         self._mute_for: dict[int, int] = {}
         self.silent: frozenset[int] = frozenset()
         self.strangers: frozenset[int] = frozenset(range(n_robots)) - {robot}
-        self.still: frozenset[int] = frozenset()
 
     @property
     def beats(self) -> tuple[int, ...]:
@@ -72,6 +75,9 @@ class Liveness:
         self._beats[self._robot] += 1
         self._advanced[self._robot] = round_number
         self._mute_for = {j: self._mute_for.get(j, 0) + 1 for j in near & self.strangers}
+        mute = [j for j, rounds in self._mute_for.items() if rounds > self._time_out]
+        self._beats[mute] = BODY
+        self._advanced[mute] = self._long_ago
         self._look()
 
     def hear(self, heard: Sequence[Sequence[int]]) -> None:
@@ -87,18 +93,20 @@ class Liveness:
         newer = highest > self._beats
         newer[self._robot] = False
         self._beats[newer] = highest[newer]
-        self._advanced[newer] = self._round
+        self._advanced[newer] = np.where(self._beats[newer] == BODY, self._long_ago, self._round)
         if mine > self._beats[self._robot]:
             self._beats[self._robot] = mine + 1
         if newer.any():
             self._look()
 
+    @property
+    def _long_ago(self) -> int:
+        return self._round - self._time_out - 1
+
     def _look(self) -> None:
-        never = self._advanced < 0
-        late = ~never & (self._round - self._advanced > self._time_out)
+        never = self._beats == 0
+        late = ~never & (self._advanced <= self._long_ago)
         if late.any() or self.silent:
             self.silent = frozenset(np.flatnonzero(late).tolist())
         if self.strangers:
             self.strangers = frozenset(np.flatnonzero(never).tolist())
-        mute = (j for j, rounds in self._mute_for.items() if rounds > self._time_out and j in self.strangers)
-        self.still = self.silent.union(mute)

@@ -146,9 +146,12 @@ class Negotiation:
     # ---------------------------------------------------------------- plan
 
     @property
-    def remake(self) -> int | None:
-        """How many places a plan for the live team should have, None while there is no reason to remake it."""
-        return self._wanted if self._misfit > REMAKE_PATIENCE + min(self._rank, MOST_WAIT) else None
+    def places(self) -> int | None:
+        """How many places the plan should have that this robot is to propose now; None while it need not."""
+        if self.plan is not None:
+            return self._wanted if self._misfit > REMAKE_PATIENCE + min(self._rank, MOST_WAIT) else None
+        known = self._gaps == "remake" and not self.liveness.strangers and self._judge.fitting(self._wanted) is not None
+        return self._wanted if known else self.mission.n_places
 
     @property
     def _wanted(self) -> int:
@@ -157,7 +160,7 @@ class Negotiation:
     @property
     def _rank(self) -> int:
         """Whose turn it is to propose: who sees a body that is in the way, then who is alive and has the lowest id."""
-        if any(j in self._sensed for j in self.liveness.still):
+        if self.bodies:
             return 0
         gone = self.liveness.silent | self.liveness.strangers
         return 1 + self._robot - sum(j < self._robot for j in gone)
@@ -206,9 +209,8 @@ class Negotiation:
         silent = blocked = clear = NOTHING
         if self._survey_due:  # heartbeats and bodies are news once a round
             silent = self.liveness.silent
-            bodies = [self._sensed[j] for j in self.liveness.still if j in self._sensed]
-            if bodies or self._told_of_bodies:
-                blocked, clear = self._surveyed(self.plan, bodies)
+            if self.bodies or self._told_of_bodies:
+                blocked, clear = self._surveyed(self.plan)
         return Moment(
             robot=self._robot,
             position=self._position,
@@ -223,7 +225,17 @@ class Negotiation:
             clear=clear,
         )
 
-    def _surveyed(self, plan: Plan, bodies: list[Point]) -> tuple[frozenset[int], frozenset[int]]:
+    @property
+    def bodies(self) -> tuple[Point, ...]:
+        """Bodies in sight without a mind [units; frame of the mission].
+
+        None while the formation travels: it passes them by, and no place stays under them.
+        """
+        if self.mission.velocity is not None:
+            return ()
+        return tuple(self._sensed[j] for j in sorted(self.liveness.silent) if j in self._sensed)
+
+    def _surveyed(self, plan: Plan) -> tuple[frozenset[int], frozenset[int]]:
         """Places that a body without a mind keeps anybody from taking, and places that surely have none.
 
         Whose body it is that stands on a place may be known to others only: such a place counts as neither.
@@ -235,7 +247,7 @@ class Negotiation:
         def under(those: Collection[Point]) -> frozenset[int]:
             return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in those))
 
-        return under(bodies), frozenset(places) - under(self._sensed.values())
+        return under(self.bodies), frozenset(places) - under(self._sensed.values())
 
     def look_at(self, slots: Sequence[int]) -> None:
         """Write in the table that these vacant slots were looked at and nobody was met there."""
