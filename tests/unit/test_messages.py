@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-import msgspec
+import msgspec.structs
 import pytest
 
 from llm_flock.errors import MessageError
@@ -88,7 +88,8 @@ def pedigree(**changes: Any) -> list[Any]:
     ],
 )
 def test_what_is_said_is_heard(message: Message) -> None:
-    assert decode(encode(message), 2, 2) == message
+    heard = decode(encode(message), 2, 2)
+    assert msgspec.structs.replace(heard, said=None) == message
 
 
 def test_slots_left_out_cost_nothing() -> None:
