@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from integration.fault_server import Server, completion, running
+from slowness import slowness
 
 from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm.client import CallSettings
@@ -163,7 +164,9 @@ def test_two_hundred_calls_run_at_once() -> None:
         took_s = asyncio.run(scenario(server))
         stats = server.stats()
     assert stats["most_open"] >= 200
-    assert took_s < 8.0  # one after another it would be 200 s, through a pool of 100 connections 2 s and the work
+    assert (
+        took_s < 3.0 * slowness()
+    )  # one after another it would be 200 s, through a pool of 100 connections 2 s and the work
 
 
 def test_the_stand_in_plans_and_steps_over_http() -> None:

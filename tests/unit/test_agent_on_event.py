@@ -29,6 +29,8 @@ from llm_flock.protocol.events import (
     Planned,
     RoundBegan,
 )
+from llm_flock.protocol.judge import Judge
+from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import mended
@@ -177,3 +179,12 @@ def test_no_step_is_flown_unverified_or_unshielded(
             )
             assert mended(MISSION, question, step.proposed, shield_on=True) == step.waypoint
         here = step.waypoint
+
+
+def test_the_shield_judges_progress_by_the_spacing_of_the_mission_in_force() -> None:
+    judge = Judge(MISSION, verify=True, shield_on=True)
+    pilot = Pilot(0, MISSION, judge, shield_on=True, noise_bound=0.0, on_event=False)
+    wider = MISSION.change(spacing=20.0)
+    scene = Scene(round=1, position=START, sensed={}, observed=())
+    pilot.decide(scene, wider, PLAN, 0, None)
+    assert pilot._safety is not None and pilot._safety.mission == wider

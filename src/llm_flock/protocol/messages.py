@@ -98,7 +98,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         sequence: counts the changes of what the sender says; equal content is equal bytes.
         neighbors: robots within the sender's radio range; its influence is neighbors / N (paper, eq. 1).
         mission: which mission the sender pursues; that of the pedigree if left out.
-        mission_text: that mission in full, as JSON of what may change (`Mission.refuses`), None where it is not said.
+        mission_text: that mission in full, as JSON of what may change; None where it is not said.
         plan: the plan it follows, None before it has one or where only its digest is said.
         plan_digest: digest of that plan, always said; that of `plan` if left out.
         places: how many places that plan has; as many as `plan` has if left out.

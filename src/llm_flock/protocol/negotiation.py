@@ -300,12 +300,9 @@ class Negotiation:
         plan = self._named(message)
         known = self._inbox.get(message.sender)
         if known is None or message.sequence >= known.sequence:
-            judged = (
-                msgspec.structs.replace(message, plan=plan, plan_class=self._judge.plan_class(plan))
-                if plan
-                else message
-            )
-            self._inbox[message.sender] = judged
+            if plan is not None:
+                message = msgspec.structs.replace(message, plan=plan, plan_class=self._judge.plan_class(plan))
+            self._inbox[message.sender] = message
         return notes
 
     def _named(self, message: Message) -> Plan | None:

@@ -85,6 +85,8 @@ class Pilot:
         ahead = scene.ahead
         self._scene = scene
         self._aim = plan.points[slot or 0] if target is None else target
+        if self._safety is not None:
+            self._safety.mission = mission  # its limits are always the same, its spacing may have changed
         self._question = StepQuestion(
             mission=mission,
             robot=self._robot,

@@ -38,7 +38,7 @@ class Safety:
 
     def __init__(self, robot: int, mission: Mission, noise_bound: float) -> None:
         self._robot = robot
-        self._mission = mission
+        self.mission = mission
         self._noise_bound = noise_bound
         self._progress: timing.Progress | None = None
         self._lap = (timing.LAP_AT_OBSTACLES if mission.obstacles else timing.LAP) + 2 * (robot % 4)
@@ -68,7 +68,7 @@ class Safety:
         apart = self._separate(position, sensed)
         if apart is not None:
             return apart
-        mission = self._mission
+        mission = self.mission
         here = moved(position, drift, -1.0)
         was_blocked = self._progress is not None and self._progress.blocked
         seen = timing.watch(
@@ -99,7 +99,7 @@ class Safety:
         return Flight(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
-        mission, noise = self._mission, self._noise_bound
+        mission, noise = self.mission, self._noise_bound
         return shield.project(
             position,
             wish,
@@ -115,7 +115,7 @@ class Safety:
 
         Robots that are near such a crowd make way: those inside cannot leave while the others stand around them.
         """
-        mission = self._mission
+        mission = self.mission
         limit = mission.safe_distance - 2.0 * self._noise_bound - CLOSE
         reach = mission.safe_distance + mission.max_step
         near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
