@@ -36,6 +36,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
+from llm_flock.protocol.gathering import meeting_places
 from llm_flock.protocol.judge import Judge
 from llm_flock.protocol.liveness import TIME_OUT, Liveness
 from llm_flock.protocol.messages import Pedigree
@@ -43,9 +44,9 @@ from llm_flock.protocol.negotiation import Gaps, Negotiation
 from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
-from llm_flock.protocol.search import Search, advance
+from llm_flock.protocol.search import MANY, Search, advance
 from llm_flock.protocol.waiting import waiting_place
-from llm_flock.protocol.ways import stop_on_the_way
+from llm_flock.protocol.ways import ACROSS, stop_on_the_way
 
 
 class IllegalEvent(AssertionError):
@@ -251,17 +252,28 @@ class Agent:
             target = waiting_place(self.mission, scene.here, plan, others)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            effects.extend(self._look_for_others(scene, plan, slot))
-            target = self._search.target
             live = self._talks.liveness
-            if target is None and (live.strangers or live.silent):
-                target = stop_on_the_way(scene.here, plan, slot, self.mission.center, self.mission.spacing)
+            places = self._places_for_now(plan)
+            effects.extend(self._look_for_others(scene, places, slot))
+            target = self._search.target
+            lonely = math.dist(scene.here, places.points[slot]) > ACROSS * self.mission.spacing
+            if target is None and (live.strangers or live.silent or lonely):
+                target = stop_on_the_way(scene.here, places, slot, self.mission.center, self.mission.spacing)
+            if target is None and places is not plan:
+                target = places.points[slot]
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
         told = self.mission.at(scene.round).resized(len(plan))
         effects.extend(self._pilot.decide(scene, told, plan, slot, target))
         return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects
+
+    def _places_for_now(self, plan: Plan) -> Plan:
+        """The places of the plan, or where those of a large team in pieces meet first, until they give that up."""
+        live, table = self._talks.liveness, self.claim.table
+        if table is None or self._search.given_up or len(live.strangers) + len(live.silent) <= MANY:
+            return plan
+        return meeting_places(self.mission, plan, table)
 
     def _look_for_others(self, scene: Scene, plan: Plan, slot: int) -> list[Note]:
         """Begin, continue or end the search for robots that hold the slots known as vacant; note what stays empty."""

@@ -29,7 +29,7 @@ OFF = 0.25
 LATE = 0.75
 """And so is one that it cut short by up to this share."""
 
-SAME_WAY = 0.9
+SAME_WAY = 0.8
 """A next waypoint that gains this share of what the best one could leads to another goal as well."""
 
 
@@ -115,7 +115,8 @@ class Foresight:
         if any(segment_clearance(a, b, new) < mission.body_radius for a, b in pairwise(way)):
             return Reason.OBSTACLE
         entered = [place for robot, place in sensed.items() if robot not in self.known]
-        if any(_gap(way, place) < mission.safe_distance for place in entered):
+        # Only the next step counts: who is farther ahead will have moved when this robot comes there.
+        if any(_gap(way[:2], place) < mission.safe_distance for place in entered):
             return Reason.NEIGHBOUR
         return None
 

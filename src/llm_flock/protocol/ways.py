@@ -30,6 +30,10 @@ CACHED = 65536
 FAR = 3.0
 """A goal this many spacings away is approached along the formation, from place to place, each so far ahead at most."""
 
+ACROSS = 8.0
+"""A robot that is in touch with everybody flies straight, unless its goal is so many spacings away: it would be alone
+for long, where others could move up instead."""
+
 BESIDE = 0.6
 """Those who fly along the formation pass its places at so many spacings, on the side of the centre."""
 
