@@ -288,6 +288,23 @@ def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> N
     assert near > 10
 
 
+def test_connected_starts_are_in_radio_contact_and_apart() -> None:
+    from llm_flock import graph
+    from llm_flock.metrics import min_separation
+    from llm_flock.robots.simulated import draw_start
+
+    mission = llm_flock.Mission(n_robots=30)
+    for seed in range(20):
+        starts = draw_start(mission, "connected", np.random.default_rng(seed))
+        assert min_separation(starts) >= 3 and (starts >= 0).all() and (starts <= 100).all()
+        near = graph.neighbors(starts, mission.comm_range)
+        met = [0]
+        for robot in met:
+            met.extend(j for j in near[robot] if j not in met)
+        assert len(met) == 30
+    assert min_separation(draw_start(mission, "connected", np.random.default_rng(0))) < mission.comm_range
+
+
 def test_every_robot_thinks_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """All calls of a round are under way together, up to the limit."""
     now = most = 0

@@ -14,7 +14,7 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 
-StartRule: TypeAlias = Literal["separated", "uniform"]
+StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
 MAX_DRAWS = 10_000
 
@@ -28,10 +28,11 @@ class Sensing:
 
 
 def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> Points:
-    """Random start positions, uniform in the arena (paper, line 184) and clear of obstacles, shape (n, d) [units].
+    """Random start positions, in the arena (paper, line 184) and clear of obstacles, shape (n, d) [units].
 
     `separated` draws a robot again while it is nearer than the safe distance to one placed before; `uniform` is the
-    paper's raw draw, which may start in violation.
+    paper's raw draw, which may start in violation. Both are uniform. `connected` is like `separated`, with every robot
+    drawn within radio range of one placed before, each of these as likely, so that the radio graph is connected.
 
     Raises:
         InputError: no room was found.
@@ -42,9 +43,10 @@ def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> P
     placed = np.empty((mission.n_robots, mission.dim))
     for k in range(mission.n_robots):
         for _ in range(MAX_DRAWS):
-            draw = rng.uniform(low, high)
+            draw = _near(placed[:k], mission.comm_range, rng) if k and rule == "connected" else rng.uniform(low, high)
             apart = rule == "uniform" or not k or _nearest(placed[:k], draw) >= mission.safe_distance
-            if apart and clearance(tuple(draw.tolist()), mission.obstacles) >= mission.body_radius:
+            inside = bool((low <= draw).all() and (draw <= high).all())
+            if apart and inside and clearance(tuple(draw.tolist()), mission.obstacles) >= mission.body_radius:
                 placed[k] = draw
                 break
         else:
@@ -54,6 +56,15 @@ def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> P
 
 def _nearest(placed: Points, draw: Vector) -> float:
     return float(np.linalg.norm(placed - draw, axis=1).min())
+
+
+def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
+    """A point uniform in the ball of radius `reach` about one of the points placed."""
+    about: Vector = placed[int(rng.integers(len(placed)))]
+    while True:
+        offset: Vector = rng.uniform(-reach, reach, size=placed.shape[1])
+        if float(np.linalg.norm(offset)) <= reach:
+            return about + offset
 
 
 def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Points:

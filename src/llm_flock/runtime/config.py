@@ -115,8 +115,9 @@ class TrialConfig(Section):
     rounds: int = Field(default=60, ge=0, le=100_000, description="Motion rounds at most")
     stop_when_formed: bool = Field(default=True, description="End as soon as the formation has been held")
     seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
-    start: Literal["separated", "uniform"] = Field(
-        default="separated", description="Random starts: never nearer than safe_distance, or the paper's raw draw"
+    start: Literal["separated", "uniform", "connected"] = Field(
+        default="separated",
+        description="Random starts: never nearer than safe_distance; the paper's raw draw; or all in radio contact",
     )
     start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Given start positions instead of random ones [units]"
