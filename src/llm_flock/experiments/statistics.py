@@ -154,7 +154,7 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
         spread = float(squares[k])
         if spread <= (1e-12 * max(1.0, abs(float(middle[k])))) ** 2:
             continue  # all values are equal, and so are all means
-        below = (np.searchsorted(means[:, k], middle[k]) + np.searchsorted(means[:, k], middle[k], "right")) / 2
+        below = float((means[:, k] < middle[k]).sum()) + float((means[:, k] == middle[k]).sum()) / 2
         bias = float(ndtri(min(max(below, 0.5), RESAMPLES - 0.5) / RESAMPLES))
         lean = float(cubes[k]) / (6 * spread**1.5)
         for ends, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):

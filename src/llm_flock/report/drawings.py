@@ -1,0 +1,346 @@
+"""The figures of a report: which of them there are, what is in each, and what is said below it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from llm_flock.experiments.statistics import Estimate, Method, mean_bands, mean_interval, wilson
+from llm_flock.report.findings import CellLine, cell_lines, known
+from llm_flock.report.results import Cell, Results, Team, TrialRow, as_number
+from llm_flock.viz.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
+
+COLUMNS = 4
+MOST_CONDITIONS = 6
+"""Of so many conditions the curves are drawn; of more, those of the first, and the page says so."""
+
+INTERVALS = {"student": "95 % Student-t interval", "bootstrap": "95 % bootstrap interval (BCa)"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """One figure of the report.
+
+    Attributes:
+        name: of its files.
+        section: where on the page it belongs.
+        title: what it shows.
+        caption: how it is to be read.
+        figure: drawn, on white.
+    """
+
+    name: str
+    section: str
+    title: str
+    caption: str
+    figure: Figure = field(repr=False)
+
+
+def draw_all(results: Results, method: Method = "student") -> Iterator[Drawing]:
+    """Every figure that the results have something to say in, in the order of the page."""
+    yield from errors_over_time(results, method)
+    lines = cell_lines(results, method)
+    yield success(results, lines)
+    yield from along_axes(results, method)
+    if any(trial.ratio is not None for trial in results.trials):
+        yield ratios(results)
+    if any(trial.figures["min_separation"] is not None for trial in results.trials):
+        yield separations(results)
+    yield from spending(results, lines, method)
+
+
+def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
+    """The error over time: of each model under every protocol, and of each protocol with every model."""
+    kinds: tuple[tuple[str, str, Sequence[str], Callable[[Cell], str], Sequence[str], Callable[[Cell], str]], ...] = (
+        ("model", "Error over time, by model", results.models, _model, results.protocols, _protocol),
+        ("protocol", "With and without consensus", results.protocols, _protocol, results.models, _model),
+    )
+    for by, title, series, serial, rows, rowed in kinds:
+        shown = results.conditions if len(results.conditions) <= MOST_CONDITIONS else results.conditions[:1]
+        for number, condition in enumerate(shown):
+            grid: list[tuple[str, list[Facet]]] = []
+            missing = total = 0
+            for row in rows:
+                cells = {c: t for c, t in results.cells.items() if c.condition == condition and rowed(c) == row}
+                facets: list[Facet] = []
+                for team in results.teams:
+                    found = {serial(c): t for c, t in cells.items() if c.team == team}
+                    curves, lost = _curves(results, found, method)
+                    missing, total = missing + lost, total + sum(map(len, found.values()))
+                    facets.append(Facet(title=str(team), marks=curves))
+                name = row if len(rows) > 1 else ""
+                grid += [(name, facets[k : k + COLUMNS]) for k in range(0, len(facets), COLUMNS)]
+            if not any(facet.marks for _, facets in grid for facet in facets):
+                continue
+            about = [f"Condition: {condition}." if condition else "", _consensus_words(results)]
+            if len(shown) < len(results.conditions):
+                about.append(f"Curves of the other {len(results.conditions) - 1} conditions are not drawn.")
+            yield Drawing(
+                name=f"error-by-{by}" + (f"-{number + 1}" if len(shown) > 1 else ""),
+                section="error",
+                title=title,
+                caption=" ".join(
+                    [
+                        f"Mean distance to the ideal shape after each round, over all trials of a cell; bands are the "
+                        f"{INTERVALS[method]} of the mean. A trial that ended early keeps its last error.",
+                        *filter(None, about),
+                        f"{missing} of {total} trials have no error at any round and no part in this figure."
+                        if missing
+                        else "",
+                    ]
+                ).strip(),
+                figure=bands(grid, list(series), "round", "mean distance to the ideal shape [units]"),
+            )
+
+
+def _curves(results: Results, found: dict[str, list[TrialRow]], method: Method) -> tuple[list[Curve], int]:
+    """A curve for each series, all of one length, and how many trials have none."""
+    length = max((results.longest(trials) for trials in found.values()), default=0)
+    curves: list[Curve] = []
+    lost = 0
+    for name, trials in found.items():
+        table = results.curves(trials, length)
+        lost += len(trials) - len(table)
+        if len(table):
+            mean, low, high = mean_bands(table, method)
+            x = np.arange(length, dtype=np.float64)
+            curves.append(Curve(series=name, x=x, mean=mean, low=np.maximum(low, 0.0), high=high))
+    return curves, lost
+
+
+def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
+    """The share that formed, of every cell."""
+    return Drawing(
+        name="success",
+        section="success",
+        title="Success",
+        caption="Share of all trials that formed, with Wilson's 95 % interval. Trials that broke off or ran out of "
+        "their budget count as not formed.",
+        figure=dots(
+            _dot_panels(results, lines, lambda line: line.formed, 100.0),
+            results.protocols,
+            "formed [% of all trials]",
+            (-3, 103),
+        ),
+    )
+
+
+def ratios(results: Results) -> Drawing:
+    """Rounds over the lower bound of every trial that formed."""
+    panels = [
+        Facet(
+            title=str(team),
+            edge=1.0,
+            marks=[
+                Sample(
+                    series=cell.protocol,
+                    row=_row(results, cell),
+                    values=known(trial.ratio for trial in trials),
+                    note=f"{sum(trial.formed for trial in trials)} of {len(trials)}",
+                )
+                for cell, trials in results.cells.items()
+                if cell.team == team
+            ],
+        )
+        for team in results.teams
+    ]
+    most = max(trial.ratio or 0.0 for trial in results.trials)
+    return Drawing(
+        name="rounds-over-bound",
+        section="rounds",
+        title="Rounds over the lower bound",
+        caption="Rounds to the formation divided by the fewest in which anybody could have built the agreed plan, of "
+        "the trials that formed (how many, at the right); 1 cannot be beaten by much, since the bound is rounded up. "
+        "Box: quartiles, bar: median, line: smallest to largest, dots: trials.",
+        figure=boxes(
+            panels, results.protocols, "rounds / lower bound", (min(0.9, _least(results)), 0.9 + (most - 0.9) * 1.22)
+        ),
+    )
+
+
+def _least(results: Results) -> float:
+    return min(trial.ratio for trial in results.trials if trial.ratio is not None) - 0.1
+
+
+def separations(results: Results) -> Drawing:
+    """The smallest distance of two robots in every trial."""
+    panels: list[Facet] = []
+    for model in results.models:
+        for team in results.teams:
+            found = [t for t in results.trials if (t.cell.model, t.cell.team) == (model, team)]
+            marks = [
+                Sample(series=name, values=known(t.figures["min_separation"] for t in found if t.cell.protocol == name))
+                for name in results.protocols
+            ]
+            edge = next(iter(known(t.figures["safe_distance"] for t in found)), None)
+            title = str(team) if len(results.models) == 1 else f"{team}\n{model}"
+            if any(mark.values for mark in marks):
+                panels.append(Facet(title=title, marks=[mark for mark in marks if mark.values], edge=edge))
+    pooled = " Trials of all conditions are taken together." if len(results.conditions) > 1 else ""
+    return Drawing(
+        name="separation",
+        section="separation",
+        title="Smallest separation",
+        caption="Smallest distance of any two robots in a trial, along their paths too. Left of the dashed line, in the "
+        f"shaded part, two robots came nearer than the safe distance.{pooled}",
+        figure=histograms(panels, results.protocols, "smallest distance of two robots in a trial [units]", "trials"),
+    )
+
+
+def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Iterator[Drawing]:
+    """Calls, tokens and money."""
+    kinds: tuple[tuple[str, str, str, Callable[[CellLine], Estimate | None]], ...] = (
+        ("calls", "Model calls", "model calls a robot and mission", lambda line: line.calls),
+        ("tokens", "Tokens", "tokens a robot and mission", lambda line: line.tokens),
+        ("cost", "Cost", "cost of a mission [US dollars]", lambda line: line.cost),
+    )
+    for name, title, x, get in kinds:
+        if all(estimate is None or estimate.value == 0 for estimate in map(get, lines)):
+            continue
+        yield Drawing(
+            name=name,
+            section="spending",
+            title=title,
+            caption=f"Mean over all trials and its {INTERVALS[method]}; retries of answers that could not be used are "
+            "counted." + (" Tokens of simulated models are estimates." if results.simulated else ""),
+            figure=dots(_dot_panels(results, lines, get, 1.0), results.protocols, x, (0, None)),
+        )
+
+
+def along_axes(results: Results, method: Method) -> Iterator[Drawing]:
+    """Success and error along every further axis of the grid, and along the size of the team."""
+    for axis, values in results.axes.items():
+        numbers = [as_number(value) for value in values]
+        x = [float(k) if number is None else number for k, number in enumerate(numbers)]
+        words = None if None not in numbers else list(values)
+        panels = {str(team): [t for t in results.trials if t.cell.team == team] for team in results.teams}
+        where = dict(zip(values, x, strict=True))
+        yield from _along(
+            results, axis, panels, lambda t, a=axis, w=where: w.get(t.figures[f"axis_{a}"] or ""), words, method
+        )
+    sizes = {shape: {team.n_robots for team in results.teams if team.shape == shape} for shape in _shapes(results)}
+    scaled = [shape for shape, found in sizes.items() if len(found) > 2]
+    if scaled:
+        panels = {shape: [t for t in results.trials if t.cell.team.shape == shape] for shape in scaled}
+        yield from _along(results, "number of robots", panels, lambda t: float(t.cell.team.n_robots), None, method)
+
+
+def _along(
+    results: Results,
+    axis: str,
+    panels: dict[str, list[TrialRow]],
+    place: Callable[[TrialRow], float | None],
+    words: list[str] | None,
+    method: Method,
+) -> Iterator[Drawing]:
+    kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
+        ("formed", "formed [% of all trials]", _formed_percent),
+        ("error", "error at the end [units]", lambda found: mean_interval(known(t.error for t in found), method=method)),
+        (
+            "calls",
+            "model calls a robot",
+            lambda found: mean_interval(known(t.per_robot("model_calls") for t in found), method=method),
+        ),
+    )
+    series = list(dict.fromkeys(_series(results, cell) for cell in results.cells))
+    for name, y, estimate in kinds:
+        facets = [
+            Facet(
+                title=title,
+                marks=[
+                    curve
+                    for one in series
+                    if len((curve := _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate)).x)
+                ],
+            )
+            for title, found in panels.items()
+        ]
+        if not any(facet.marks for facet in facets):
+            continue
+        how = "Wilson's 95 % interval" if name == "formed" else INTERVALS[method]
+        others = "Trials that differ in other axes are taken together. " if len(results.axes) > 1 else ""
+        slug = "".join(letter if letter.isalnum() else "-" for letter in axis)
+        yield Drawing(
+            name=f"{name}-along-{slug}",
+            section="axes",
+            title=f"{'Success' if name == 'formed' else y.partition(' [')[0].capitalize()} along {axis}",
+            caption=f"{others}Bars: {how}.",
+            figure=along(facets, series, axis, y, words),
+        )
+
+
+def _line(
+    series: str,
+    trials: Sequence[TrialRow],
+    place: Callable[[TrialRow], float | None],
+    estimate: Callable[[list[TrialRow]], Estimate | None],
+) -> Curve:
+    found: dict[float, list[TrialRow]] = {}
+    for trial in trials:
+        at = place(trial)
+        if at is not None:
+            found.setdefault(at, []).append(trial)
+    points = [(at, known_estimate) for at in sorted(found) if (known_estimate := estimate(found[at])) is not None]
+    return Curve(
+        series=series,
+        x=np.array([at for at, _ in points]),
+        mean=np.array([e.value for _, e in points]),
+        low=np.array([e.value if e.low is None else e.low for _, e in points]),
+        high=np.array([e.value if e.high is None else e.high for _, e in points]),
+    )
+
+
+def _formed_percent(trials: list[TrialRow]) -> Estimate:
+    share = wilson(sum(trial.formed for trial in trials), len(trials))
+    low, high = (None if end is None else 100 * end for end in (share.low, share.high))
+    return Estimate(value=100 * share.value, low=low, high=high)
+
+
+def _dot_panels(
+    results: Results, lines: Sequence[CellLine], get: Callable[[CellLine], Estimate | None], factor: float
+) -> list[Facet]:
+    def dot(line: CellLine) -> Dot:
+        found = get(line)
+        ends = (None, None) if found is None else (found.low, found.high)
+        low, high = (None if end is None else factor * end for end in ends)
+        value = None if found is None else factor * found.value
+        return Dot(series=line.cell.protocol, row=_row(results, line.cell), value=value, low=low, high=high)
+
+    return [Facet(title=str(team), marks=[dot(line) for line in lines if line.cell.team == team]) for team in _in(lines)]
+
+
+def _in(lines: Sequence[CellLine]) -> list[Team]:
+    return list(dict.fromkeys(line.cell.team for line in lines))
+
+
+def _row(results: Results, cell: Cell) -> str:
+    """What tells the rows of a panel apart: model and condition, where there are several."""
+    model = cell.model if len(results.models) > 1 else ""
+    return " · ".join(part for part in (model, cell.condition) if part)
+
+
+def _series(results: Results, cell: Cell) -> str:
+    """What tells the lines of a panel apart: protocol and model, where there are several."""
+    return " · ".join([cell.protocol] + ([cell.model] if len(results.models) > 1 else []))
+
+
+def _model(cell: Cell) -> str:
+    return cell.model
+
+
+def _protocol(cell: Cell) -> str:
+    return cell.protocol
+
+
+def _shapes(results: Results) -> list[str]:
+    return list(dict.fromkeys(team.shape for team in results.teams))
+
+
+def _consensus_words(results: Results) -> str:
+    """Which rule each protocol chooses its plan by."""
+    rules = {trial.cell.protocol: trial.figures["consensus"] for trial in results.trials if trial.figures["consensus"]}
+    words = [f"{name}: {'without consensus' if rule == 'none' else f'{rule} consensus'}" for name, rule in rules.items()]
+    return "; ".join(words) + "." if words else ""
