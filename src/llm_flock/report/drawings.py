@@ -63,12 +63,13 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         for number, condition in enumerate(shown):
             grid: list[tuple[str, list[Facet]]] = []
             missing = total = 0
+            length = results.longest(t for t in results.trials if t.cell.condition == condition)
             for row in rows:
                 cells = {c: t for c, t in results.cells.items() if c.condition == condition and rowed(c) == row}
                 facets: list[Facet] = []
                 for team in results.teams:
                     found = {serial(c): t for c, t in cells.items() if c.team == team}
-                    curves, lost = _curves(results, found, method)
+                    curves, lost = _curves(results, found, length, method)
                     missing, total = missing + lost, total + sum(map(len, found.values()))
                     facets.append(Facet(title=str(team), marks=curves))
                 name = row if len(rows) > 1 else ""
@@ -96,9 +97,10 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
             )
 
 
-def _curves(results: Results, found: dict[str, list[TrialRow]], method: Method) -> tuple[list[Curve], int]:
+def _curves(
+    results: Results, found: dict[str, list[TrialRow]], length: int, method: Method
+) -> tuple[list[Curve], int]:
     """A curve for each series, all of one length, and how many trials have none."""
-    length = max((results.longest(trials) for trials in found.values()), default=0)
     curves: list[Curve] = []
     lost = 0
     for name, trials in found.items():
@@ -154,7 +156,7 @@ def ratios(results: Results) -> Drawing:
         title="Rounds over the lower bound",
         caption="Rounds to the formation divided by the fewest in which anybody could have built the agreed plan, of "
         "the trials that formed (how many, at the right); 1 cannot be beaten by much, since the bound is rounded up. "
-        "Box: quartiles, bar: median, line: smallest to largest, dots: trials.",
+        "Box: quartiles, sign: median, line: smallest to largest, dots: trials.",
         figure=boxes(
             panels, results.protocols, "rounds / lower bound", (min(0.9, _least(results)), 0.9 + (most - 0.9) * 1.22)
         ),

@@ -121,7 +121,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
                     _curve(axes, curve, series)
                 above = rows[number - 1][1] if number else ()
                 repeated = len(above) > at and above[at].title == facet.title
-                axes.set_title("" if repeated else facet.title)
+                axes.set_title("" if repeated else _folded(facet.title, 34))
                 axes.set_ylim(bottom=0)
                 axes.margins(x=0)
             for axes in grid[number][len(panels) :]:
@@ -129,7 +129,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
             if name:
                 last = grid[number][len(panels) - 1]
                 last.annotate(
-                    name, (1.03, 0.5), xycoords="axes fraction", rotation=270, ha="left", va="center", size=8
+                    _folded(name, 30), (1.03, 0.5), xycoords="axes fraction", rotation=270, ha="left", va="center", size=8
                 )
         for axes in grid[-1]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
@@ -151,7 +151,7 @@ def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks:
             for number, curve in enumerate(facet.marks):
                 shift = 0.0 if ticks is None else 0.07 * (number - (len(facet.marks) - 1) / 2)
                 _whiskered(axes, curve, series, shift)
-            axes.set_title(facet.title)
+            axes.set_title(_folded(facet.title, 34))
             if ticks is not None:
                 turn: dict[str, Any] = {"rotation": 30, "ha": "right"} if max(map(len, ticks)) > 6 else {}
                 axes.set_xticks(range(len(ticks)), [_shortened(tick, 24) for tick in ticks], **turn)
@@ -180,7 +180,7 @@ def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[f
 
 
 def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float | None, float | None]) -> Figure:
-    """Quartiles, a line for the median, whiskers to the ends, and every value as a dot (up to 300 of them)."""
+    """Quartiles, a sign for the median, whiskers to the ends, and every value as a dot (up to 300 of them)."""
 
     def draw(axes: Axes, mark: Sample, at: float, look: _Look) -> None:
         if mark.note:
@@ -196,7 +196,7 @@ def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[
         shown = values if len(values) <= 300 else values[np.linspace(0, len(values) - 1, 300).astype(int)]
         scatter = np.random.default_rng(0).uniform(-0.045, 0.045, len(shown))
         axes.scatter(shown, at + scatter, s=3, color=look.colour, linewidths=0, alpha=0.6)
-        axes.plot([middle, middle], [at - 0.09, at + 0.09], color=INK, linewidth=1.6, solid_capstyle="butt")
+        axes.plot([middle], [at], ls="", marker=look.marker, ms=5, color=look.colour, mec=INK, mew=0.6)
 
     return _lined(panels, series, x, limits, draw)
 
@@ -219,7 +219,7 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
                 look = _look(series, mark.series)
                 axes.hist(mark.values, bins=bins, histtype="stepfilled", color=look.colour, alpha=0.15)
                 axes.hist(mark.values, bins=bins, histtype="step", color=look.colour, ls=look.line, linewidth=1.4)
-            axes.set_title(facet.title)
+            axes.set_title(_folded(facet.title, 34))
             axes.margins(x=0)
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
@@ -284,7 +284,7 @@ def _lined(
     with house_style():
         names = list(dict.fromkeys(mark.row for facet in panels for mark in facet.marks))
         labelled = names != [""]
-        left = 0.3 + LETTER_INCHES * min(30, max(map(len, names), default=0)) if labelled else 0.3
+        left = 0.3 + LETTER_INCHES * min(26, max(map(len, names), default=0)) if labelled else 0.3
         columns = min(4, len(panels))
         lines = math.ceil(len(panels) / columns)
         # A gap of half a line between rows.
@@ -299,16 +299,16 @@ def _lined(
             for mark in facet.marks:
                 line = names.index(mark.row) * step + series.index(mark.series)
                 draw(axes, mark, line * 0.2, _look(series, mark.series))
-            axes.set_title(facet.title)
+            axes.set_title(_folded(facet.title, 34))
             middles = [(k * step + (len(series) - 1) / 2) * 0.2 for k in range(len(names))]
-            axes.set_yticks(middles if labelled else [], [_shortened(n, 30) for n in names] if labelled else [])
+            axes.set_yticks(middles if labelled else [], [_folded(n, 26) for n in names] if labelled else [])
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
         figure.supxlabel(x, size=8)
-        _legend(figure, series, columns)
+        _legend(figure, series, columns, solid=True)
         return figure
 
 
@@ -320,16 +320,24 @@ def _frame(axes: Axes, grid: str = "both") -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _legend(figure: Figure, series: Sequence[str], columns: int, *, band: bool = False, line_only: bool = False) -> None:
+def _legend(
+    figure: Figure,
+    series: Sequence[str],
+    columns: int,
+    *,
+    band: bool = False,
+    line_only: bool = False,
+    solid: bool = False,
+) -> None:
     handles: list[Line2D | Patch] = []
     for name in series:
         look = _look(series, name)
         marker = "" if line_only else look.marker
-        style: dict[str, Any] = {"ls": look.line, "lw": 1.4, "marker": marker, "ms": 4.5, "mec": INK, "mew": 0.4}
+        style: dict[str, Any] = {"ls": "-" if solid else look.line, "lw": 1.4, "marker": marker, "ms": 4.5, "mec": INK, "mew": 0.4}
         handles.append(Line2D([], [], color=look.colour, label=_shortened(name, 44), **style))
     if band:
         handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=_legend_columns(series, columns))
+    figure.legend(handles=handles, loc="outside upper center", ncols=_legend_columns(series, columns))
 
 
 def _legend_columns(series: Sequence[str], columns: int) -> int:
@@ -348,6 +356,17 @@ def _bins(values: Sequence[float], edge: float | None) -> Numbers:
     if edge:
         step = edge / max(1, round(edge / step))
     return np.arange(0.0, top + step, step)
+
+
+def _folded(text: str, width: int) -> str:
+    """A label on two lines at most, broken behind a sign between its parts where there is one."""
+    if "\n" in text:
+        return "\n".join(_folded(line, width) for line in text.split("\n"))
+    if len(text) <= width:
+        return text
+    cut = max(text.rfind(sign, 0, width) for sign in " ,:/·-") + 1
+    cut = cut if cut > width // 4 else width
+    return f"{text[:cut].rstrip()}\n{_shortened(text[cut:].lstrip(), width)}"
 
 
 def _shortened(text: str, most: int) -> str:
