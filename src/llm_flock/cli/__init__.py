@@ -34,6 +34,9 @@ app = typer.Typer(
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
 
+ResultsPath = Annotated[Path, typer.Argument(metavar="DIR", help="Directory of results, as sweep makes it")]
+
+
 @app.command()
 @with_config_flags()
 def run(
@@ -186,6 +189,62 @@ def inspect(
         show_overview(found)
     else:
         show_conversation(found, robot, round_number)
+
+
+@app.command()
+def report(
+    folder: ResultsPath,
+    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
+    interval: Annotated[str, typer.Option(help="Intervals of means: student or bootstrap")] = "student",
+    reference: Annotated[
+        str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
+    ] = None,
+    gallery: Annotated[int, typer.Option(min=0, help="Trials in the gallery of failures")] = 6,
+    formats: Annotated[str, typer.Option(help="Files of each figure: some of svg, pdf, png")] = "svg,pdf,png",
+    fly_again: Annotated[
+        bool,
+        typer.Option(
+            "--fly-again/--no-fly-again",
+            help="Fly failed trials of simulated models once more where no record was kept, to show what happened",
+        ),
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
+) -> None:
+    """Write the report of a sweep: one HTML page that needs nothing else, the same in Markdown, and all figures.
+
+    A report of a sweep that still runs shows the trials that are finished. An older report is replaced.
+    """
+    from llm_flock.experiments.statistics import METHODS
+    from llm_flock.report.page import write_report
+
+    method = next((name for name in METHODS if name == interval), None)
+    if method is None:
+        raise InputError("interval", interval, " or ".join(METHODS))
+    written = write_report(
+        folder,
+        out or folder / "report",
+        method=method,
+        reference=reference,
+        most=gallery,
+        formats=[ending.strip() for ending in formats.split(",")],
+        fly_again=fly_again,
+        on_step=lambda step: None if quiet else print(step, file=sys.stderr),
+    )
+    for path in written:
+        if path.suffix in (".html", ".md"):
+            print(path)
+
+
+@app.command()
+def export(
+    folder: ResultsPath,
+    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR]", show_default=False)] = None,
+) -> None:
+    """Write the two tables of a sweep as CSV: trials.csv and rounds.csv. Older ones are replaced."""
+    from llm_flock.report.export import export_csv
+
+    for path in export_csv(folder, out or folder):
+        print(path)
 
 
 @app.command()

@@ -86,7 +86,7 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
                 caption=" ".join(
                     [
                         f"Mean distance to the ideal shape after each round, over all trials of a cell; bands are the "
-                        f"{INTERVALS[method]} of the mean. A trial that ended early keeps its last error.",
+                        f"{INTERVALS[method]} of the mean. A trial that ended early keeps its last error; bands are cut at 0.",
                         *filter(None, about),
                         f"{missing} of {total} trials have no error at any round and no part in this figure."
                         if missing
