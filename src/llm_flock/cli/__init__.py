@@ -9,7 +9,7 @@ import shutil
 import sys
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -195,7 +195,7 @@ def inspect(
 def report(
     folder: ResultsPath,
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
-    interval: Annotated[str, typer.Option(help="Intervals of means: student or bootstrap")] = "student",
+    interval: Annotated[Literal["student", "bootstrap"], typer.Option(help="Intervals of means")] = "student",
     reference: Annotated[
         str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
     ] = None,
@@ -214,16 +214,12 @@ def report(
 
     A report of a sweep that still runs shows the trials that are finished. An older report is replaced.
     """
-    from llm_flock.experiments.statistics import METHODS
     from llm_flock.report.page import write_report
 
-    method = next((name for name in METHODS if name == interval), None)
-    if method is None:
-        raise InputError("interval", interval, " or ".join(METHODS))
     written = write_report(
         folder,
         out or folder / "report",
-        method=method,
+        method=interval,
         reference=reference,
         most=gallery,
         formats=[ending.strip() for ending in formats.split(",")],

@@ -159,7 +159,8 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
         lean = float(cubes[k]) / (6 * spread**1.5)
         for ends, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
             shifted = bias + float(ndtri(share))
-            ends[k] = np.quantile(means[:, k], float(ndtr(bias + shifted / (1 - lean * shifted))))
+            place = float(ndtr(bias + shifted / (1 - lean * shifted)))
+            ends[k] = np.quantile(means[:, k], place)
     return low, high
 
 

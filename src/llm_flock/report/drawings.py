@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from llm_flock.experiments.statistics import Estimate, Method, mean_bands, mean_interval, wilson
-from llm_flock.report.findings import CellLine, cell_lines, known
-from llm_flock.report.results import Cell, Results, Team, TrialRow, as_number
+from llm_flock.report.findings import ERROR, CellLine, PairLine, cell_lines, known, pair_lines
+from llm_flock.report.results import Cell, Results, TrialRow, as_number
 from llm_flock.viz.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
 
 COLUMNS = 4
@@ -39,11 +39,12 @@ class Drawing:
     figure: Figure = field(repr=False)
 
 
-def draw_all(results: Results, method: Method = "student") -> Iterator[Drawing]:
-    """Every figure that the results have something to say in, in the order of the page."""
-    yield from errors_over_time(results, method)
+def draw_all(results: Results, reference: str, method: Method = "student") -> Iterator[Drawing]:
+    """Every figure that the results have something to say in; protocols are compared with the reference."""
     lines = cell_lines(results, method)
     yield success(results, lines)
+    yield from errors_over_time(results, method)
+    yield from compared(results, reference, method)
     yield from along_axes(results, method)
     if any(trial.ratio is not None for trial in results.trials):
         yield ratios(results)
@@ -86,7 +87,8 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
                 caption=" ".join(
                     [
                         f"Mean distance to the ideal shape after each round, over all trials of a cell; bands are the "
-                        f"{INTERVALS[method]} of the mean. A trial that ended early keeps its last error; bands are cut at 0.",
+                        f"{INTERVALS[method]} of the mean. A trial that ended early keeps its last error; bands are "
+                        "cut at 0.",
                         *filter(None, about),
                         f"{missing} of {total} trials have no error at any round and no part in this figure."
                         if missing
@@ -97,9 +99,7 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
             )
 
 
-def _curves(
-    results: Results, found: dict[str, list[TrialRow]], length: int, method: Method
-) -> tuple[list[Curve], int]:
+def _curves(results: Results, found: dict[str, list[TrialRow]], length: int, method: Method) -> tuple[list[Curve], int]:
     """A curve for each series, all of one length, and how many trials have none."""
     curves: list[Curve] = []
     lost = 0
@@ -118,16 +118,57 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
     return Drawing(
         name="success",
         section="success",
-        title="Success",
+        title="Share of trials that formed",
         caption="Share of all trials that formed, with Wilson's 95 % interval. Trials that broke off or ran out of "
         "their budget count as not formed.",
         figure=dots(
-            _dot_panels(results, lines, lambda line: line.formed, 100.0),
+            _dot_panels(results, [(line.cell, line.formed) for line in lines], 100.0),
             results.protocols,
             "formed [% of all trials]",
             (-3, 103),
         ),
     )
+
+
+def compared(results: Results, reference: str, method: Method) -> Iterator[Drawing]:
+    """Protocols against the reference on the same seeds: success, and the error at the end."""
+    lines = pair_lines(results, reference, method)
+    others = [name for name in results.protocols if name != reference]
+    kinds: tuple[tuple[str, str, str, Callable[[PairLine], Estimate | None], float], ...] = (
+        (
+            "success",
+            "formed, difference [% points]",
+            "Newcombe's 95 % interval",
+            lambda line: line.formed.difference,
+            100,
+        ),
+        ("error", "error at the end, difference [units]", INTERVALS[method], _error_difference, 1),
+    )
+    for name, x, how, get, factor in kinds:
+        found = [(line.cell, get(line)) for line in lines]
+        if any(estimate is not None for _, estimate in found):
+            yield Drawing(
+                name=f"paired-{name}",
+                section="paired",
+                title=f"{name.capitalize()}, difference from {reference}",
+                caption=f"This minus {reference} on the same seeds, with {how}; right of the dashed line is more.",
+                figure=dots(
+                    _dot_panels(results, found, factor, edge=0.0), others, x, _limits([e for _, e in found], factor)
+                ),
+            )
+
+
+def _error_difference(line: PairLine) -> Estimate | None:
+    means = line.means[ERROR]
+    return None if means is None else means.difference
+
+
+def _limits(estimates: Sequence[Estimate | None], factor: float) -> tuple[float, float]:
+    """From the lowest to the highest end, zero among them, and a little more."""
+    ends = [end for e in estimates if e is not None for end in (e.value, e.low, e.high) if end is not None]
+    low, high = factor * min(0.0, *ends, 0.0), factor * max(0.0, *ends, 0.0)
+    room = 0.04 * (high - low)
+    return (low - room if low < 0 else 0.0, high + room)
 
 
 def ratios(results: Results) -> Drawing:
@@ -186,8 +227,8 @@ def separations(results: Results) -> Drawing:
         name="separation",
         section="separation",
         title="Smallest separation",
-        caption="Smallest distance of any two robots in a trial, along their paths too. Left of the dashed line, in the "
-        f"shaded part, two robots came nearer than the safe distance.{pooled}",
+        caption="Smallest distance of any two robots in a trial, along their paths too. Left of the dashed line, in "
+        f"the shaded part, two robots came nearer than the safe distance.{pooled}",
         figure=histograms(panels, results.protocols, "smallest distance of two robots in a trial [units]", "trials"),
     )
 
@@ -200,15 +241,17 @@ def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Ite
         ("cost", "Cost", "cost of a mission [US dollars]", lambda line: line.cost),
     )
     for name, title, x, get in kinds:
-        if all(estimate is None or estimate.value == 0 for estimate in map(get, lines)):
+        found = [(line.cell, get(line)) for line in lines]
+        if all(estimate is None or estimate.value == 0 for _, estimate in found):
             continue
+        limits = _limits([estimate for _, estimate in found], 1.0)
         yield Drawing(
             name=name,
             section="spending",
             title=title,
             caption=f"Mean over all trials and its {INTERVALS[method]}; retries of answers that could not be used are "
             "counted." + (" Tokens of simulated models are estimates." if results.simulated else ""),
-            figure=dots(_dot_panels(results, lines, get, 1.0), results.protocols, x, (0, None)),
+            figure=dots(_dot_panels(results, found, 1.0), results.protocols, x, (0.0, limits[1])),
         )
 
 
@@ -240,7 +283,11 @@ def _along(
 ) -> Iterator[Drawing]:
     kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
         ("formed", "formed [% of all trials]", _formed_percent),
-        ("error", "error at the end [units]", lambda found: mean_interval(known(t.error for t in found), method=method)),
+        (
+            "error",
+            "error at the end [units]",
+            lambda found: mean_interval(known(t.error for t in found), method=method),
+        ),
         (
             "calls",
             "model calls a robot",
@@ -255,7 +302,9 @@ def _along(
                 marks=[
                     curve
                     for one in series
-                    if len((curve := _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate)).x)
+                    if len(
+                        (curve := _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate)).x
+                    )
                 ],
             )
             for title, found in panels.items()
@@ -302,20 +351,18 @@ def _formed_percent(trials: list[TrialRow]) -> Estimate:
 
 
 def _dot_panels(
-    results: Results, lines: Sequence[CellLine], get: Callable[[CellLine], Estimate | None], factor: float
+    results: Results, found: Sequence[tuple[Cell, Estimate | None]], factor: float, edge: float | None = None
 ) -> list[Facet]:
-    def dot(line: CellLine) -> Dot:
-        found = get(line)
-        ends = (None, None) if found is None else (found.low, found.high)
-        low, high = (None if end is None else factor * end for end in ends)
-        value = None if found is None else factor * found.value
-        return Dot(series=line.cell.protocol, row=_row(results, line.cell), value=value, low=low, high=high)
+    def dot(cell: Cell, estimate: Estimate | None) -> Dot:
+        ends = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
+        value, low, high = (None if end is None else factor * end for end in ends)
+        return Dot(series=cell.protocol, row=_row(results, cell), value=value, low=low, high=high)
 
-    return [Facet(title=str(team), marks=[dot(line) for line in lines if line.cell.team == team]) for team in _in(lines)]
-
-
-def _in(lines: Sequence[CellLine]) -> list[Team]:
-    return list(dict.fromkeys(line.cell.team for line in lines))
+    teams = dict.fromkeys(cell.team for cell, _ in found)
+    return [
+        Facet(title=str(team), marks=[dot(cell, estimate) for cell, estimate in found if cell.team == team], edge=edge)
+        for team in teams
+    ]
 
 
 def _row(results: Results, cell: Cell) -> str:
@@ -344,5 +391,7 @@ def _shapes(results: Results) -> list[str]:
 def _consensus_words(results: Results) -> str:
     """Which rule each protocol chooses its plan by."""
     rules = {trial.cell.protocol: trial.figures["consensus"] for trial in results.trials if trial.figures["consensus"]}
-    words = [f"{name}: {'without consensus' if rule == 'none' else f'{rule} consensus'}" for name, rule in rules.items()]
+    words = [
+        f"{name}: {'without consensus' if rule == 'none' else f'{rule} consensus'}" for name, rule in rules.items()
+    ]
     return "; ".join(words) + "." if words else ""

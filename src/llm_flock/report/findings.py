@@ -66,8 +66,10 @@ class PairLine:
     means: Mapping[str, PairedMeans | None]
 
 
+ERROR = "error at the end [units]"
+
 COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
-    "error at the end [units]": lambda trial: trial.error,
+    ERROR: lambda trial: trial.error,
     "smallest separation [units]": lambda trial: trial.figures["min_separation"],
     "rounds to the formation": lambda trial: trial.figures["rounds_to_formed"] if trial.formed else None,
     "calls a robot": lambda trial: trial.per_robot("model_calls"),

@@ -133,7 +133,9 @@ def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
             return Failure(trial=trial, reason=reason, source=source)
         faults = guilty(record)
         told = {fault.round for fault in faults[:2] if fault.round is not None}
-        rounds = {0, record.rounds} | told if len({0, record.rounds} | told) > 2 else {0, record.rounds // 2, record.rounds}
+        rounds = (
+            {0, record.rounds} | told if len({0, record.rounds} | told) > 2 else {0, record.rounds // 2, record.rounds}
+        )
         figure = snapshots(record, sorted(k for k in rounds if k <= record.rounds))
         stories = tuple(map(_story, faults))
         return Failure(trial=trial, reason=reason, source=source, stories=stories, figure=figure)

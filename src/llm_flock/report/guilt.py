@@ -51,11 +51,9 @@ def _unanswered(record: RunRecord) -> Guilt | None:
         return None
     entry = failed[-1]
     what = "The budget was used up" if stopped == "budget" else f"Robot {entry.robot} got no answer"
-    return Guilt(
-        sentence=f"{what} in round {entry.round}: {entry.error}.",
-        round=entry.round,
-        entries=_thread(record, entry),
-    )
+    # A call that the budget refused was never made: there is no conversation to show.
+    thread = () if stopped == "budget" else _thread(record, entry)
+    return Guilt(sentence=f"{what} in round {entry.round}: {entry.error}.", round=entry.round, entries=thread)
 
 
 def _crash(record: RunRecord) -> Guilt | None:

@@ -8,10 +8,10 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import METHODS, Method
@@ -30,8 +30,8 @@ PICTURE_DPI = 130
 """Of the snapshots on the page; the files have more."""
 
 SECTIONS = {
-    "error": "Error over time",
     "success": "Success",
+    "error": "Error over time",
     "paired": "Protocols compared",
     "axes": "Along the grid",
     "rounds": "Rounds over the lower bound",
@@ -124,10 +124,11 @@ def write_report(
         on_step(name)
 
     sections = {name: Section(name=name, title=title) for name, title in SECTIONS.items()}
-    for drawing in draw_all(results, method):
+    reference = reference or usual_reference(results)
+    for drawing in draw_all(results, reference, method):
         sections[drawing.section].drawings.append(_shown(drawing))
         keep(drawing.figure, drawing.name)
-    _fill_sheets(results, sections, method, reference or usual_reference(results))
+    _fill_sheets(results, sections, method, reference)
     for failure in gallery(results, most, fly_again=fly_again):
         sections["failures"].failures.append(_pictured(failure))
         if failure.figure is not None:
@@ -168,7 +169,7 @@ def _fill_sheets(results: Results, sections: dict[str, Section], method: Method,
     sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))
     sections["spending"].sheets.append(sheets.spending_sheet(results, lines, method))
     if pairs:
-        sections["paired"].sheets.append(sheets.pair_sheet(results, pairs, method))
+        sections["paired"].sheets += sheets.pair_sheets(results, pairs, method)
 
 
 def _shown(drawing: Drawing) -> ShownDrawing:
@@ -208,8 +209,8 @@ def _warnings(results: Results) -> Iterator[str]:
     if results.simulated:
         every = all(trial.figures["simulated"] for trial in results.trials)
         yield (
-            f"{'Simulated language models' if every else 'Some of the language models are simulated'}: these figures say "
-            "something about the protocol, and nothing about language models."
+            f"{'Simulated language models' if every else 'Some of the language models are simulated'}: these figures "
+            "say something about the protocol, and nothing about language models."
         )
     bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
     if bad:
@@ -248,9 +249,14 @@ def _environment() -> jinja2.Environment:
         autoescape=lambda name: name is not None and name.endswith(".html.j2"),
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["md"] = _markdown
-    environment.filters["fenced"] = _fenced
+    filters = cast("dict[str, Any]", environment.filters)  # pyright: ignore[reportUnknownMemberType]
+    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced}
     return environment
+
+
+def _breakable(text: str) -> Markup:
+    """Words of a cell that may be broken behind the signs between their parts."""
+    return Markup(re.sub(r"(?<=[,:@/])", "<wbr>", str(escape(text))))
 
 
 def _markdown(text: str) -> str:

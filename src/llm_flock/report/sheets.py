@@ -11,7 +11,8 @@ from llm_flock.report.drawings import INTERVALS
 from llm_flock.report.findings import COMPARED, CellLine, PairLine, known
 from llm_flock.report.results import OUTCOMES, Cell, Results
 
-NOT_KNOWN = "–"
+NOT_KNOWN = "-"
+MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +75,8 @@ def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) ->
             for line in lines
         ),
         words=len(_cell_names(results)),
-        note="Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of the "
-        f"easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the trials "
+        note="Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
+        f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the trials "
         "that have one, formed or not.",
     )
 
@@ -109,34 +110,48 @@ def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) 
     )
 
 
-def pair_sheet(results: Results, lines: Sequence[PairLine], method: Method) -> Sheet:
-    """Protocols against the reference, on the same seeds."""
+def pair_sheets(results: Results, lines: Sequence[PairLine], method: Method) -> list[Sheet]:
+    """Protocols against the reference on the same seeds: success, then every other figure that any pair has."""
     reference = lines[0].reference
-    return Sheet(
-        title=f"Compared with {reference} on the same seeds",
-        header=(
-            *_cell_names(results),
-            "pairs",
-            "formed, difference in % points",
-            f"only this / only {reference}",
-            *(f"{name}: difference" for name in COMPARED),
-        ),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
-                str(line.formed.pairs),
-                interval(line.formed.difference, 1, 100.0, signed=True),
-                f"{line.formed.only_first} / {line.formed.only_second}",
-                *(_paired(line.means[name], line.formed.pairs) for name in COMPARED),
-            )
+    names = _cell_names(results)
+    found = [
+        Sheet(
+            title=f"Success compared with {reference}, seed by seed",
+            header=(*names, "pairs", "difference in % points [95 %]", "formed: only this", f"only {reference}"),
+            rows=tuple(
+                (
+                    *_cell_words(results, line.cell),
+                    str(line.formed.pairs),
+                    interval(line.formed.difference, 1, 100.0, signed=True),
+                    str(line.formed.only_first),
+                    str(line.formed.only_second),
+                )
+                for line in lines
+            ),
+            words=len(names),
+            note=f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
+            f"which started from the same positions; differences are this minus {reference}. The interval is "
+            "Newcombe's for paired shares.",
+        )
+    ]
+    for name in COMPARED:
+        rows = tuple(
+            (*_cell_words(results, line.cell), *_paired(line.means[name]))
             for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note=f"Each trial is compared with the trial of {reference} of the same team, model and seed, which started from "
-        f"the same positions; differences are this minus {reference}. Success: difference of shares with Newcombe's 95 % "
-        f"interval for pairs. Means: difference, {INTERVALS[method]}; g: the difference in standard deviations of the "
-        "differences (Hedges' correction), with its 95 % interval; n: pairs that have the figure, where not all have.",
-    )
+            if line.means[name] is not None
+        )
+        if rows:
+            found.append(
+                Sheet(
+                    title=f"{name[0].upper()}{name[1:]}, compared with {reference}, seed by seed",
+                    header=(*names, "pairs", "mean difference [95 %]", "effect size g [95 %]"),
+                    rows=rows,
+                    words=len(names),
+                    note=f"Pairs: seeds on which both have the figure. Mean difference: {INTERVALS[method]}. g: the "
+                    "mean difference in standard deviations of the differences, with Hedges' correction for few pairs.",
+                )
+            )
+    return found
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
@@ -150,8 +165,8 @@ def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
         (f"{formed:,}", f"formed ({100 * formed / total:.1f} %)"),
         (f"{sum(line.too_near for line in lines):,}", "with robots too near"),
         (number(ratio, 2), "rounds over the bound (median)"),
-        (f"{sum(known(trial.figures['model_calls'] for trial in results.trials)):,.0f}", "model calls"),
-        (f"{sum(known(trial.figures['tokens'] for trial in results.trials)):,.0f}", "tokens"),
+        (_compact(sum(known(trial.figures["model_calls"] for trial in results.trials))), "model calls"),
+        (_compact(sum(known(trial.figures["tokens"] for trial in results.trials))), "tokens"),
         (NOT_KNOWN if None in costs else f"{sum(known(costs)):,.2f} $", "cost"),
     ]
 
@@ -170,18 +185,24 @@ def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, sig
     form = f"{'+' if signed else ''},.{digits}f"
     # Adding zero, and rounding first, takes away a minus before nothing.
     value, *ends = (
-        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", "−")
+        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
         for x in (estimate.value, estimate.low, estimate.high)
     )
     return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
-def _paired(means: PairedMeans | None, pairs: int) -> str:
-    if means is None:
-        return NOT_KNOWN
-    effect = "" if means.effect is None else f"; g {interval(means.effect, 2, signed=True)}"
-    count = "" if means.pairs == pairs else f"; n {means.pairs}"
-    return interval(means.difference, 2, signed=True) + effect + count
+def _paired(means: PairedMeans | None) -> tuple[str, str, str]:
+    assert means is not None, "rows are made of pairs that have the figure"
+    effect = NOT_KNOWN if means.effect is None else interval(means.effect, 2, signed=True)
+    return (str(means.pairs), interval(means.difference, 2, signed=True), effect)
+
+
+def _compact(value: float) -> str:
+    """A count in a few letters: 12,345, 1.23 M."""
+    for unit, size in (("G", 1e9), ("M", 1e6)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value:,.0f}"
 
 
 def _cell_names(results: Results) -> tuple[str, ...]:

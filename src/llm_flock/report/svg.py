@@ -29,7 +29,7 @@ VARIABLES: dict[str, tuple[str, str]] = {
 def page_colours() -> tuple[dict[str, str], dict[str, str]]:
     """Value of every variable on a light and on a dark page."""
     light = {name: colour for colour, (name, _) in VARIABLES.items()}
-    return light, {name: dark for name, dark in VARIABLES.values()}
+    return light, dict(VARIABLES.values())
 
 
 def svg_text(figure: Figure) -> str:

@@ -129,7 +129,13 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
             if name:
                 last = grid[number][len(panels) - 1]
                 last.annotate(
-                    _folded(name, 30), (1.03, 0.5), xycoords="axes fraction", rotation=270, ha="left", va="center", size=8
+                    _folded(name, 30),
+                    (1.03, 0.5),
+                    xycoords="axes fraction",
+                    rotation=270,
+                    ha="left",
+                    va="center",
+                    size=8,
                 )
         for axes in grid[-1]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
@@ -168,9 +174,7 @@ def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[f
 
     def draw(axes: Axes, mark: Dot, at: float, look: _Look) -> None:
         if mark.value is None:
-            axes.annotate(
-                "not known", (0.02, at), xycoords=("axes fraction", "data"), va="center", size=6, color=FAINT
-            )
+            axes.annotate("not known", (0.02, at), xycoords=("axes fraction", "data"), va="center", size=6, color=FAINT)
             return
         low, high = (mark.value if end is None else end for end in (mark.low, mark.high))
         axes.plot([low, high], [at, at], color=look.colour, linewidth=1.6, solid_capstyle="butt")
@@ -333,7 +337,14 @@ def _legend(
     for name in series:
         look = _look(series, name)
         marker = "" if line_only else look.marker
-        style: dict[str, Any] = {"ls": "-" if solid else look.line, "lw": 1.4, "marker": marker, "ms": 4.5, "mec": INK, "mew": 0.4}
+        style: dict[str, Any] = {
+            "ls": "-" if solid else look.line,
+            "lw": 1.4,
+            "marker": marker,
+            "ms": 4.5,
+            "mec": INK,
+            "mew": 0.4,
+        }
         handles.append(Line2D([], [], color=look.colour, label=_shortened(name, 44), **style))
     if band:
         handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
