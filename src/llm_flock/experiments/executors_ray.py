@@ -8,8 +8,10 @@ environment: keys are never sent over the cluster.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,8 @@ from llm_flock.llm.limits import Budget
 from llm_flock.llm.port import Call, Reply, Usage
 from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
 
-RETRIES = 2
-"""So often a trial is flown again because its worker was lost."""
+TRIES = 3
+"""So often a trial is flown, if its worker is lost each time."""
 
 CALLS_AT_ONCE = 100_000
 """Calls that may stand before the gate."""
@@ -68,26 +70,37 @@ async def _fly(ray: Any, flights: Sequence[Flight], session: Session, jobs: int 
     count = jobs or max(1, int(ray.cluster_resources().get("CPU", 1)))
     count = min(count, len(flights))
     shared = ray.remote(max_concurrency=CALLS_AT_ONCE, num_cpus=0)(_GateActor).remote(session.budget, session.rates)
-    make = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=RETRIES, max_concurrency=session.at_once)(_Worker)
-    workers = [make.remote(session.keep, shared) for _ in range(count)]
-    version = await workers[0].version.remote()
+    make = ray.remote(num_cpus=1, max_concurrency=session.at_once)(_Worker)
+    names = itertools.count()
+
+    def hire() -> _Hired:
+        name = next(names)
+        return _Hired(name=name, actor=make.remote(session.keep, shared, name))
+
+    workers = [hire() for _ in range(count)]
+    version = await workers[0].actor.version.remote()
     if version != code_version():
         raise InputError("cluster", version, f"a cluster with the version that is here: {code_version()}")
-    free: asyncio.Queue[Any] = asyncio.Queue()
-    # A worker is in the queue once for each trial that it may have: in turns, so that all have as many.
+    # A worker's place is in the queue once for each trial that it may have: in turns, so that all have as many.
+    free: asyncio.Queue[int] = asyncio.Queue()
     for _ in range(-(-session.at_once // count)):
-        for worker in workers:
-            free.put_nowait(worker)
+        for place in range(count):
+            free.put_nowait(place)
 
     async def fly_it(flight: Flight, earlier: tuple[Earlier, ...]) -> tuple[StoredTrial, bytes | None]:
-        worker = await free.get()
-        try:
-            data, record = await worker.fly.remote(flight, earlier)
-        except ray.exceptions.RayActorError as error:
-            raise FlockError(f"a worker of the cluster was lost with {flight.spec.cell}: {error}") from None
-        finally:
-            free.put_nowait(worker)
-        return msgspec.json.decode(data, type=StoredTrial), record
+        for _ in range(TRIES):
+            place = await free.get()
+            worker = workers[place]
+            try:
+                data, record = await worker.actor.fly.remote(flight, earlier)
+                return msgspec.json.decode(data, type=StoredTrial), record
+            except ray.exceptions.RayActorError:
+                if workers[place] is worker:  # the first of its trials to notice
+                    await shared.forget.remote(worker.name)
+                    workers[place] = hire()
+            finally:
+                free.put_nowait(place)
+        raise FlockError(f"workers of the cluster were lost {TRIES} times with {flight.spec.cell}")
 
     books = _RemoteBooks(shared)
     await books.refresh()
@@ -100,12 +113,20 @@ async def _fly(ray: Any, flights: Sequence[Flight], session: Session, jobs: int 
         session.watcher.spent(books.spent, books.reason)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Hired:
+    """A worker, and the name by which the gate knows it."""
+
+    name: int
+    actor: Any
+
+
 class _Worker:
     """Flies trials on its own event loop."""
 
-    def __init__(self, keep: KeepRecords, shared: Any) -> None:
+    def __init__(self, keep: KeepRecords, shared: Any, name: int) -> None:
         self._keep: KeepRecords = keep
-        self._gate = _RemoteGate(shared)
+        self._gate = _RemoteGate(shared, name)
         self._pools = Pools()
 
     async def version(self) -> str:
@@ -132,6 +153,7 @@ class _GateActor:
     def __init__(self, budget: Budget, rates: Mapping[str, Rate]) -> None:
         self._arguments = budget, rates
         self._made: SharedGate | None = None
+        self._tickets: dict[int, int] = {}
 
     @property
     def _gate(self) -> SharedGate:
@@ -140,16 +162,24 @@ class _GateActor:
             self._made = SharedGate(*self._arguments)
         return self._made
 
-    async def enter(self, model: str, chars: int, again: bool) -> int | str:
+    async def enter(self, worker: int, model: str, chars: int, again: bool) -> int | str:
         """A ticket, or why there is none."""
         try:
-            return await self._gate.enter_sized(model, chars, again=again)
+            ticket = await self._gate.enter_sized(model, chars, again=again)
         except BudgetExceeded as error:
             return error.detail
+        self._tickets[ticket] = worker
+        return ticket
 
     async def leave(self, ticket: int, usage: Usage | None, cost: float | None) -> None:
         """The call is over."""
-        self._gate.leave_with(ticket, usage, cost)
+        if self._tickets.pop(ticket, None) is not None:
+            self._gate.leave_with(ticket, usage, cost)
+
+    async def forget(self, worker: int) -> None:
+        """A worker was lost, and its calls with it."""
+        for ticket in [ticket for ticket, owner in self._tickets.items() if owner == worker]:
+            await self.leave(ticket, None, None)
 
     async def state(self, elsewhere: Spent | None) -> tuple[Spent, str | None, bool]:
         """What was spent, which limit is used up, and whether a new call would be turned away."""
@@ -161,12 +191,13 @@ class _GateActor:
 class _RemoteGate:
     """A worker's side of the gate."""
 
-    def __init__(self, shared: Any) -> None:
+    def __init__(self, shared: Any, worker: int) -> None:
         self._shared = shared
+        self._worker = worker
 
     async def enter(self, model: str, call: Call, *, again: bool) -> int:
         """See `Gate`."""
-        found = await self._shared.enter.remote(model, sum(len(m.text) for m in call.messages), again)
+        found = await self._shared.enter.remote(self._worker, model, sum(len(m.text) for m in call.messages), again)
         if isinstance(found, str):
             raise BudgetExceeded(found)
         return found

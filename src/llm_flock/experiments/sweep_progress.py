@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from llm_flock.experiments.executors import Flight, Landed
 from llm_flock.experiments.store import StoredTrial
@@ -51,15 +52,17 @@ class Tally:
 
     def begin(self, flown: Mapping[str, Sequence[StoredTrial]], pending: Sequence[Flight]) -> None:
         """See `sweep.Display`."""
+        for cell, trials in flown.items():
+            self._size[cell] = max(_size(trial.config) for trial in trials)
         again = {flight.spec.id for flight in pending}
         for cell, trials in flown.items():
             for trial in trials:
                 if trial.id not in again:
                     self._count_in(cell, Landed.of(trial, fresh=False))
         for flight in pending:
-            cell, config = flight.spec.cell, flight.spec.config
+            cell = flight.spec.cell
             self._left[cell] += 1
-            self._size[cell] = config.mission.n_robots * config.trial.rounds
+            self._size[cell] = flight.spec.config.mission.n_robots * flight.spec.config.trial.rounds
         self.trials = self.over + len(pending)
         self._began = self._clock()
 
@@ -116,9 +119,14 @@ class Tally:
             used, count = self._used[cell], self._count[cell]
             return Spent(calls=used.calls // count, tokens=used.tokens // count, cost_usd=used.cost_usd / count)
         known = self._expected.get(cell)
-        if known is None:
+        if known is not None:
+            return Spent(calls=round(known.calls), tokens=round(known.tokens), cost_usd=known.cost_usd or 0.0)
+        # As the other cells, by its size.
+        size = sum(self._size.get(other, 0.0) * count for other, count in self._count.items())
+        if not size:
             return Spent()
-        return Spent(calls=round(known.calls), tokens=round(known.tokens), cost_usd=known.cost_usd or 0.0)
+        share, used = self._size[cell] / size, sum(self._used.values(), Spent())
+        return Spent(calls=round(share * used.calls), tokens=round(share * used.tokens), cost_usd=share * used.cost_usd)
 
     def _work(self, cell: str) -> float:
         """How much there is to do in one trial, in calls, or by its size where nothing else is known."""
@@ -127,3 +135,8 @@ class Tally:
     def _part(self, cell: str, now: Progress) -> float:
         """How much of a trial under way is done."""
         return min(NEARLY, max(now.model_calls / max(1.0, self._work(cell)), now.round / max(1, now.rounds)))
+
+
+def _size(config: Mapping[str, Any]) -> float:
+    """Robots times rounds at most."""
+    return config["mission"]["n_robots"] * config["trial"]["rounds"]
