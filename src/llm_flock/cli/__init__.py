@@ -17,6 +17,7 @@ from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.sweep import sweep
 from llm_flock.errors import FlockError, InputError
 
 EXIT_FAILED = 1
@@ -120,6 +121,9 @@ def compare(
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if not complete:
         raise typer.Exit(EXIT_FAILED)
+
+
+app.command()(sweep)
 
 
 @app.command()

@@ -14,6 +14,8 @@ Several processes may work on one directory, also on several machines that share
 from __future__ import annotations
 
 import os
+import time
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +24,7 @@ from typing import Any, Self
 import msgspec
 
 from llm_flock.errors import InputError, RecordError
+from llm_flock.llm.sharing import Spent
 
 try:
     import fcntl
@@ -85,13 +88,18 @@ class StoredTrial(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def formed(self) -> bool:
-        """Whether the formation was built."""
-        return self.summary is not None and bool(self.summary["formed"])
+        """Whether the formation was built; a trial that broke off has built none."""
+        return self.error is None and self.summary is not None and bool(self.summary["formed"])
 
     @property
     def stopped(self) -> str:
         """Why it ended, as in `Summary.stopped`."""
-        return "failed" if self.summary is None else str(self.summary["stopped"])
+        return "failed" if self.summary is None or self.error is not None else str(self.summary["stopped"])
+
+    @property
+    def tries(self) -> int:
+        """How often it was flown."""
+        return len(self.earlier) + 1
 
     def as_earlier(self) -> tuple[Earlier, ...]:
         """This try and those before it, for the one that replaces it."""
@@ -165,6 +173,19 @@ class Store:
         """Keep a finished trial. After this returns, no crash of process or machine loses it."""
         write_whole(self.trial_path(trial.id), msgspec.json.encode(trial))
 
+    def keep_record(self, trial: str, record: Path | bytes) -> None:
+        """Put a record, a file in `scratch` or its bytes, where it belongs; before its trial is saved."""
+        target = self.folder / RECORDS / f"{trial}.mcap"
+        if isinstance(record, bytes):
+            write_whole(target, record)
+        else:
+            record.replace(target)
+            sync_folder(target.parent)
+
+    def scratch(self, trial: str) -> Path:
+        """A folder for the record of a trial that is being flown."""
+        return self.folder / RECORDS / f".{trial}"
+
     def claim(self, trial: str) -> Claim | None:
         """The right to fly a trial; None while another process has it."""
         path = self.folder / CLAIMS / trial
@@ -183,6 +204,32 @@ class Store:
             except FileNotFoundError:
                 pass
             os.close(handle)  # the one who had it took the file away in between: this lock is on nothing
+
+    def wait_for(self, name: str) -> Claim:
+        """`claim`, as soon as nobody else has it."""
+        while (claim := self.claim(name)) is None:
+            time.sleep(0.02)
+        return claim
+
+
+class Ledger:
+    """What this process has spent, where others on the same directory see it, and what they have."""
+
+    def __init__(self, store: Store) -> None:
+        self._folder = store.folder / SPENT
+        self._own = self._folder / f"{uuid.uuid4().hex}.json"
+        self._written = Spent()
+
+    def write(self, spent: Spent) -> None:
+        """All that this process has spent so far."""
+        if spent != self._written:
+            write_whole(self._own, msgspec.json.encode(spent))
+            self._written = spent
+
+    def others(self) -> Spent:
+        """All that others have spent, now or in earlier sessions."""
+        paths = [path for path in self._folder.glob("[!.]*.json") if path != self._own]
+        return sum((msgspec.json.decode(path.read_bytes(), type=Spent) for path in paths), Spent())
 
 
 def trial_files(folder: Path) -> Iterator[Path]:
@@ -215,7 +262,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         RecordError: the disk does not take it.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.partial")
     try:
         with partial.open("wb") as file:
             file.write(data)
