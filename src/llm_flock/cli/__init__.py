@@ -9,7 +9,7 @@ import shutil
 import sys
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -17,6 +17,7 @@ from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.report import export, report
 from llm_flock.cli.sweep import sweep
 from llm_flock.errors import FlockError, InputError
 
@@ -33,9 +34,6 @@ app = typer.Typer(
 )
 
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
-
-
-ResultsPath = Annotated[Path, typer.Argument(metavar="DIR", help="Directory of results, as sweep makes it")]
 
 
 @app.command()
@@ -195,56 +193,8 @@ def inspect(
         show_conversation(found, robot, round_number)
 
 
-@app.command()
-def report(
-    folder: ResultsPath,
-    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
-    interval: Annotated[Literal["student", "bootstrap"], typer.Option(help="Intervals of means")] = "student",
-    reference: Annotated[
-        str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
-    ] = None,
-    gallery: Annotated[int, typer.Option(min=0, help="Trials in the gallery of failures")] = 6,
-    formats: Annotated[str, typer.Option(help="Files of each figure: some of svg, pdf, png")] = "svg,pdf,png",
-    fly_again: Annotated[
-        bool,
-        typer.Option(
-            "--fly-again/--no-fly-again",
-            help="Fly failed trials of simulated models once more where no record was kept, to show what happened",
-        ),
-    ] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
-) -> None:
-    """Write the report of a sweep: one HTML page that needs nothing else, the same in Markdown, and all figures.
-
-    A report of a sweep that still runs shows the trials that are finished. An older report is replaced.
-    """
-    from llm_flock.report.page import write_report
-
-    written = write_report(
-        folder,
-        out or folder / "report",
-        method=interval,
-        reference=reference,
-        most=gallery,
-        formats=[ending.strip() for ending in formats.split(",")],
-        fly_again=fly_again,
-        on_step=lambda step: None if quiet else print(step, file=sys.stderr),
-    )
-    for path in written:
-        if path.suffix in (".html", ".md"):
-            print(path)
-
-
-@app.command()
-def export(
-    folder: ResultsPath,
-    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR]", show_default=False)] = None,
-) -> None:
-    """Write the two tables of a sweep as CSV: trials.csv and rounds.csv. Older ones are replaced."""
-    from llm_flock.report.export import export_csv
-
-    for path in export_csv(folder, out or folder):
-        print(path)
+app.command()(report)
+app.command()(export)
 
 
 @app.command()

@@ -145,7 +145,7 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
     count, width = values.shape
     rng = np.random.default_rng(0)
     shares = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES) / count
-    means = np.sort(shares @ values, axis=0)
+    means: NDArray[np.float64] = np.sort(shares @ values, axis=0)
     middle = values.mean(axis=0)
     off = values - middle
     cubes, squares = (off**3).sum(axis=0), (off**2).sum(axis=0)
@@ -160,7 +160,7 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
         for ends, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
             shifted = bias + float(ndtri(share))
             place = float(ndtr(bias + shifted / (1 - lean * shifted)))
-            ends[k] = np.quantile(means[:, k], place)
+            ends[k] = float(np.quantile(means[:, k], place))
     return low, high
 
 

@@ -76,8 +76,8 @@ def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) ->
         ),
         words=len(_cell_names(results)),
         note="Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
-        f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the trials "
-        "that have one, formed or not.",
+        f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the "
+        "trials that have one, formed or not.",
     )
 
 
