@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri, stdtrit
+from scipy.special import ndtri, stdtrit
 
 from llm_flock.errors import InputError
 
@@ -159,7 +159,7 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
         lean = float(cubes[k]) / (6 * spread**1.5)
         for ends, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
             shifted = bias + float(ndtri(share))
-            place = float(ndtr(bias + shifted / (1 - lean * shifted)))
+            place: float = 0.5 * math.erfc(-(bias + shifted / (1 - lean * shifted)) / math.sqrt(2))
             ends[k] = float(np.quantile(means[:, k], place))
     return low, high
 

@@ -3,40 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from llm_flock.experiments.statistics import Estimate, Method, mean_bands, mean_interval, wilson
+from llm_flock.experiments.statistics import Estimate, Method, mean_bands
+from llm_flock.report.along import along_axes
+from llm_flock.report.drawing import INTERVALS, Drawing
 from llm_flock.report.findings import ERROR, CellLine, PairLine, cell_lines, known, pair_lines
-from llm_flock.report.results import Cell, Results, TrialRow, as_number
-from llm_flock.viz.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
+from llm_flock.report.results import Cell, Results, Team, TrialRow
+from llm_flock.viz.charts import Curve, Dot, Facet, Sample, bands, boxes, dots, histograms
 
 COLUMNS = 4
-MOST_CONDITIONS = 6
-"""Of so many conditions the curves are drawn; of more, those of the first, and the page says so."""
-
-INTERVALS = {"student": "95 % Student-t interval", "bootstrap": "95 % bootstrap interval (BCa)"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawing:
-    """One figure of the report.
-
-    Attributes:
-        name: of its files.
-        section: where on the page it belongs.
-        title: what it shows.
-        caption: how it is to be read.
-        figure: drawn, on white.
-    """
-
-    name: str
-    section: str
-    title: str
-    caption: str
-    figure: Figure = field(repr=False)
+MOST_ROWS = 12
+"""Of so many rows curves are drawn; of more, those of the first condition, and the page says so."""
 
 
 def draw_all(results: Results, reference: str, method: Method = "student") -> Iterator[Drawing]:
@@ -55,48 +34,48 @@ def draw_all(results: Results, reference: str, method: Method = "student") -> It
 
 def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
     """The error over time: of each model under every protocol, and of each protocol with every model."""
-    kinds: tuple[tuple[str, str, Sequence[str], Callable[[Cell], str], Sequence[str], Callable[[Cell], str]], ...] = (
-        ("model", "Error over time, by model", results.models, _model, results.protocols, _protocol),
-        ("protocol", "With and without consensus", results.protocols, _protocol, results.models, _model),
+    kinds: tuple[tuple[str, str, Sequence[str], Callable[[Cell], str], Callable[[Cell], str]], ...] = (
+        ("model", "Error over time, by model", results.models, _model, _protocol),
+        ("protocol", "With and without consensus", results.protocols, _protocol, _model),
     )
-    for by, title, series, serial, rows, rowed in kinds:
-        shown = results.conditions if len(results.conditions) <= MOST_CONDITIONS else results.conditions[:1]
-        for number, condition in enumerate(shown):
-            grid: list[tuple[str, list[Facet]]] = []
-            missing = total = 0
-            length = results.longest(t for t in results.trials if t.cell.condition == condition)
-            for row in rows:
-                cells = {c: t for c, t in results.cells.items() if c.condition == condition and rowed(c) == row}
-                facets: list[Facet] = []
-                for team in results.teams:
-                    found = {serial(c): t for c, t in cells.items() if c.team == team}
-                    curves, lost = _curves(results, found, length, method)
-                    missing, total = missing + lost, total + sum(map(len, found.values()))
-                    facets.append(Facet(title=str(team), marks=curves))
-                name = row if len(rows) > 1 else ""
-                grid += [(name, facets[k : k + COLUMNS]) for k in range(0, len(facets), COLUMNS)]
-            if not any(facet.marks for _, facets in grid for facet in facets):
-                continue
-            about = [f"Condition: {condition}." if condition else "", _consensus_words(results)]
-            if len(shown) < len(results.conditions):
-                about.append(f"Curves of the other {len(results.conditions) - 1} conditions are not drawn.")
-            yield Drawing(
-                name=f"error-by-{by}" + (f"-{number + 1}" if len(shown) > 1 else ""),
-                section="error",
-                title=title,
-                caption=" ".join(
-                    [
-                        f"Mean distance to the ideal shape after each round, over all trials of a cell; bands are the "
-                        f"{INTERVALS[method]} of the mean. A trial that ended early keeps its last error; bands are "
-                        "cut at 0.",
-                        *filter(None, about),
-                        f"{missing} of {total} trials have no error at any round and no part in this figure."
-                        if missing
-                        else "",
-                    ]
-                ).strip(),
-                figure=bands(grid, list(series), "round", "mean distance to the ideal shape [units]"),
-            )
+    length = results.longest(results.trials)
+    for by, title, series, serial, rowed in kinds:
+        rows = list(dict.fromkeys((rowed(cell), cell.condition) for cell in results.cells))
+        shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row[1] == results.conditions[0]]
+        several = len({name for name, _ in rows}) > 1
+        grid: list[tuple[str, list[Facet]]] = []
+        missing = total = 0
+        for name, condition in shown:
+            facets: list[Facet] = []
+            for team in results.teams:
+                cells = {serial(c): t for c, t in results.cells.items() if _is(c, team, condition, rowed, name)}
+                curves, lost = _curves(results, cells, length, method)
+                missing, total = missing + lost, total + sum(map(len, cells.values()))
+                facets.append(Facet(title=str(team), marks=curves))
+            label = " · ".join(part for part in (name if several else "", condition) if part)
+            grid += [(label, facets[k : k + COLUMNS]) for k in range(0, len(facets), COLUMNS)]
+        if not any(facet.marks for _, facets in grid for facet in facets):
+            continue
+        words = [
+            "Mean distance to the ideal shape after each round, over all trials of a cell; bands are the "
+            f"{INTERVALS[method]} of the mean, cut at 0. A trial that ended early keeps its last error.",
+            _consensus_words(results),
+        ]
+        if len(shown) < len(rows):
+            words.append(f"Only {results.conditions[0]}; {len(results.conditions) - 1} other conditions are not drawn.")
+        if missing:
+            words.append(f"{missing} of {total} trials have no error at any round and no part in this figure.")
+        yield Drawing(
+            name=f"error-by-{by}",
+            section="error",
+            title=title,
+            caption=" ".join(filter(None, words)),
+            figure=bands(grid, list(series), "round", "mean distance to the ideal shape [units]"),
+        )
+
+
+def _is(cell: Cell, team: Team, condition: str, rowed: Callable[[Cell], str], row: str) -> bool:
+    return (cell.team, cell.condition, rowed(cell)) == (team, condition, row)
 
 
 def _curves(results: Results, found: dict[str, list[TrialRow]], length: int, method: Method) -> tuple[list[Curve], int]:
@@ -255,101 +234,6 @@ def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Ite
         )
 
 
-def along_axes(results: Results, method: Method) -> Iterator[Drawing]:
-    """Success and error along every further axis of the grid, and along the size of the team."""
-    for axis, values in results.axes.items():
-        numbers = [as_number(value) for value in values]
-        x = [float(k) if number is None else number for k, number in enumerate(numbers)]
-        words = None if None not in numbers else list(values)
-        panels = {str(team): [t for t in results.trials if t.cell.team == team] for team in results.teams}
-        where = dict(zip(values, x, strict=True))
-        yield from _along(
-            results, axis, panels, lambda t, a=axis, w=where: w.get(t.figures[f"axis_{a}"] or ""), words, method
-        )
-    sizes = {shape: {team.n_robots for team in results.teams if team.shape == shape} for shape in _shapes(results)}
-    scaled = [shape for shape, found in sizes.items() if len(found) > 2]
-    if scaled:
-        panels = {shape: [t for t in results.trials if t.cell.team.shape == shape] for shape in scaled}
-        yield from _along(results, "number of robots", panels, lambda t: float(t.cell.team.n_robots), None, method)
-
-
-def _along(
-    results: Results,
-    axis: str,
-    panels: dict[str, list[TrialRow]],
-    place: Callable[[TrialRow], float | None],
-    words: list[str] | None,
-    method: Method,
-) -> Iterator[Drawing]:
-    kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
-        ("formed", "formed [% of all trials]", _formed_percent),
-        (
-            "error",
-            "error at the end [units]",
-            lambda found: mean_interval(known(t.error for t in found), method=method),
-        ),
-        (
-            "calls",
-            "model calls a robot",
-            lambda found: mean_interval(known(t.per_robot("model_calls") for t in found), method=method),
-        ),
-    )
-    series = list(dict.fromkeys(_series(results, cell) for cell in results.cells))
-    for name, y, estimate in kinds:
-        facets = [
-            Facet(
-                title=title,
-                marks=[
-                    curve
-                    for one in series
-                    if len(
-                        (curve := _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate)).x
-                    )
-                ],
-            )
-            for title, found in panels.items()
-        ]
-        if not any(facet.marks for facet in facets):
-            continue
-        how = "Wilson's 95 % interval" if name == "formed" else INTERVALS[method]
-        others = "Trials that differ in other axes are taken together. " if len(results.axes) > 1 else ""
-        slug = "".join(letter if letter.isalnum() else "-" for letter in axis)
-        yield Drawing(
-            name=f"{name}-along-{slug}",
-            section="axes",
-            title=f"{'Success' if name == 'formed' else y.partition(' [')[0].capitalize()} along {axis}",
-            caption=f"{others}Bars: {how}.",
-            figure=along(facets, series, axis, y, words),
-        )
-
-
-def _line(
-    series: str,
-    trials: Sequence[TrialRow],
-    place: Callable[[TrialRow], float | None],
-    estimate: Callable[[list[TrialRow]], Estimate | None],
-) -> Curve:
-    found: dict[float, list[TrialRow]] = {}
-    for trial in trials:
-        at = place(trial)
-        if at is not None:
-            found.setdefault(at, []).append(trial)
-    points = [(at, known_estimate) for at in sorted(found) if (known_estimate := estimate(found[at])) is not None]
-    return Curve(
-        series=series,
-        x=np.array([at for at, _ in points]),
-        mean=np.array([e.value for _, e in points]),
-        low=np.array([e.value if e.low is None else e.low for _, e in points]),
-        high=np.array([e.value if e.high is None else e.high for _, e in points]),
-    )
-
-
-def _formed_percent(trials: list[TrialRow]) -> Estimate:
-    share = wilson(sum(trial.formed for trial in trials), len(trials))
-    low, high = (None if end is None else 100 * end for end in (share.low, share.high))
-    return Estimate(value=100 * share.value, low=low, high=high)
-
-
 def _dot_panels(
     results: Results, found: Sequence[tuple[Cell, Estimate | None]], factor: float, edge: float | None = None
 ) -> list[Facet]:
@@ -371,21 +255,12 @@ def _row(results: Results, cell: Cell) -> str:
     return " · ".join(part for part in (model, cell.condition) if part)
 
 
-def _series(results: Results, cell: Cell) -> str:
-    """What tells the lines of a panel apart: protocol and model, where there are several."""
-    return " · ".join([cell.protocol] + ([cell.model] if len(results.models) > 1 else []))
-
-
 def _model(cell: Cell) -> str:
     return cell.model
 
 
 def _protocol(cell: Cell) -> str:
     return cell.protocol
-
-
-def _shapes(results: Results) -> list[str]:
-    return list(dict.fromkeys(team.shape for team in results.teams))
 
 
 def _consensus_words(results: Results) -> str:

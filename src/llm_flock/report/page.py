@@ -16,7 +16,8 @@ from markupsafe import Markup, escape
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import METHODS, Method
 from llm_flock.report import sheets
-from llm_flock.report.drawings import Drawing, draw_all
+from llm_flock.report.drawing import Drawing
+from llm_flock.report.drawings import draw_all
 from llm_flock.report.findings import cell_lines, pair_lines, usual_reference
 from llm_flock.report.gallery import Failure, Story, gallery
 from llm_flock.report.results import OUTCOMES, Results, TrialRow
@@ -137,7 +138,8 @@ def write_report(
     sections["data"].lines += _data_words(results)
     light, dark = page_colours()
     page = {
-        "title": folder.resolve().name,
+        "title": results.name,
+        "about": results.about,
         "subtitle": _subtitle(results),
         "warnings": _warnings(results),
         "facts": sheets.facts(results, cell_lines(results, method)),
@@ -216,6 +218,12 @@ def _warnings(results: Results) -> Iterator[str]:
     if bad:
         words = "; ".join(f"{n} {name} ({OUTCOMES[name]})" for name, n in bad.items())
         yield f"Trials that came to no proper end: {words}. They are counted as not formed."
+    missing = (results.planned or 0) - len(results.trials)
+    if missing > 0:
+        yield f"The sweep is not finished: {missing:,} of {results.planned:,} trials are still to be flown."
+    codes = {str(trial.figures["code"]) for trial in results.trials}
+    if len(codes) > 1:
+        yield f"The trials were flown by different versions of the code: {', '.join(sorted(codes))}."
     cut = sum(bool(trial.figures.get("cut")) for trial in results.trials)
     if cut:
         yield f"The budget of the sweep ended {_counted(cut, 'trial')}: continue the sweep with a larger one."

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
+import msgspec
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from llm_flock.errors import InputError
 from llm_flock.experiments import tables
 from llm_flock.experiments.compare import TOLERANCE
+from llm_flock.experiments.sweep import PLAN_NAME, SWEEP_NAME
 from llm_flock.runtime.rules import PRESETS
 
 OUTCOMES: Mapping[str, str] = {
@@ -114,11 +117,17 @@ class Results:
         folder: where it is.
         frame: a row a trial.
         rounds: a row a round.
+        name: of the sweep.
+        about: what it is about; empty where its file does not say.
+        planned: trials of the whole sweep; None where nobody knows.
     """
 
     folder: Path
     frame: pl.DataFrame = field(repr=False)
     rounds: pl.DataFrame = field(repr=False)
+    name: str = ""
+    about: str = ""
+    planned: int | None = None
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -131,7 +140,15 @@ class Results:
         frame = tables.read_trials(folder)
         if frame.is_empty():
             raise InputError("dir", str(folder), "a directory with at least one finished trial")
-        return cls(folder, frame, tables.read_rounds(folder))
+        name, about = _title(folder)
+        planned = _planned(folder)
+        if planned is not None:
+            # The grid's own order: models and conditions are shown as the file of the sweep has them.
+            order = pl.DataFrame({"trial": planned, "place": range(len(planned))})
+            frame = frame.join(order, on="trial", how="left").sort("place", nulls_last=True, maintain_order=True)
+            frame = frame.drop("place")
+        count = None if planned is None else len(planned)
+        return cls(folder, frame, tables.read_rounds(folder), name, about, count)
 
     @cached_property
     def trials(self) -> tuple[TrialRow, ...]:
@@ -262,6 +279,23 @@ def as_number(text: str) -> float | None:
     try:
         return float(text)
     except ValueError:
+        return None
+
+
+def _title(folder: Path) -> tuple[str, str]:
+    """Name of the sweep, and what it is about, from its file; the folder's name where there is no such file."""
+    try:
+        found = cast("dict[str, Any]", tomllib.loads((folder / SWEEP_NAME).read_text(encoding="utf-8"))["sweep"])
+    except (OSError, ValueError, KeyError):
+        found = {}
+    return str(found.get("name") or folder.resolve().name), str(found.get("about") or "")
+
+
+def _planned(folder: Path) -> list[str] | None:
+    """Ids of all trials of the sweep, in the order of its grid."""
+    try:
+        return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
+    except (OSError, msgspec.MsgspecError):
         return None
 
 

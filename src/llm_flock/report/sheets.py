@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from llm_flock.experiments.paired import PairedMeans
 from llm_flock.experiments.statistics import Estimate, Method, median
-from llm_flock.report.drawings import INTERVALS
+from llm_flock.report.drawing import INTERVALS
 from llm_flock.report.findings import COMPARED, CellLine, PairLine, known
 from llm_flock.report.results import OUTCOMES, Cell, Results
 

@@ -15,20 +15,22 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
-from llm_flock.viz.style import FAINT, GRID, INK, LINES, MARKERS, SERIES, house_style
-
-DPI = 160
-LETTER_INCHES = 0.062
-"""Width of a letter of a tick label, about."""
-
-Numbers = NDArray[np.float64]
+from llm_flock.viz.chart_parts import (
+    LETTER_INCHES,
+    Look,
+    Numbers,
+    bins_for,
+    folded,
+    frame,
+    legend,
+    legend_inches,
+    look_of,
+    new_figure,
+)
+from llm_flock.viz.style import FAINT, GRID, INK, house_style
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,16 +114,16 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
     """
     with house_style():
         columns = max(len(panels) for _, panels in rows)
-        figure = _figure(max(5.2, 0.7 + 2.3 * columns), 0.75 + 1.95 * len(rows) + _legend_inches(series, columns))
+        figure = new_figure(max(5.2, 0.7 + 2.3 * columns), 0.75 + 1.95 * len(rows) + legend_inches(series, columns))
         grid = figure.subplots(len(rows), columns, squeeze=False, sharex=True, sharey=True)
         for number, (name, panels) in enumerate(rows):
             for at, (axes, facet) in enumerate(zip(grid[number], panels, strict=False)):
-                _frame(axes)
+                frame(axes)
                 for curve in facet.marks:
                     _curve(axes, curve, series)
                 above = rows[number - 1][1] if number else ()
                 repeated = len(above) > at and above[at].title == facet.title
-                axes.set_title("" if repeated else _folded(facet.title, 34))
+                axes.set_title("" if repeated else folded(facet.title, 34))
                 axes.set_ylim(bottom=0)
                 axes.margins(x=0)
             for axes in grid[number][len(panels) :]:
@@ -129,7 +131,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
             if name:
                 last = grid[number][len(panels) - 1]
                 last.annotate(
-                    _folded(name, 30),
+                    folded(name, 30),
                     (1.03, 0.5),
                     xycoords="axes fraction",
                     rotation=270,
@@ -141,38 +143,42 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
         figure.supxlabel(x, size=8)
         figure.supylabel(y, size=8)
-        _legend(figure, series, columns, band=True)
+        legend(figure, series, columns, band=True)
         return figure
 
 
 def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks: Sequence[str] | None = None) -> Figure:
-    """Values along an axis of the grid, with bars for their intervals; `ticks` names the places 0, 1, ... of words."""
+    """Values along an axis of the grid, with bars for their intervals.
+
+    Where `ticks` names the places 0, 1, ..., these are words, and no line joins them.
+    """
     with house_style():
         columns = min(4, len(panels))
         lines = math.ceil(len(panels) / columns)
-        figure = _figure(max(5.2, 0.7 + 2.4 * columns), 0.7 + 2.1 * lines + _legend_inches(series, columns))
+        figure = new_figure(max(5.2, 0.7 + 2.4 * columns), 0.7 + 2.1 * lines + legend_inches(series, columns))
         grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
         for axes, facet in zip(grid.ravel(), panels, strict=False):
-            _frame(axes)
+            frame(axes)
             for number, curve in enumerate(facet.marks):
                 shift = 0.0 if ticks is None else 0.07 * (number - (len(facet.marks) - 1) / 2)
-                _whiskered(axes, curve, series, shift)
-            axes.set_title(_folded(facet.title, 34))
+                _whiskered(axes, curve, series, shift, joined=ticks is None)
+            axes.set_title(folded(facet.title, 34))
+            axes.set_ylim(bottom=0)
             if ticks is not None:
                 turn: dict[str, Any] = {"rotation": 30, "ha": "right"} if max(map(len, ticks)) > 6 else {}
-                axes.set_xticks(range(len(ticks)), [_shortened(tick, 24) for tick in ticks], **turn)
+                axes.set_xticks(range(len(ticks)), [shortened(tick, 24) for tick in ticks], **turn)
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
         figure.supxlabel(x, size=8)
         figure.supylabel(y, size=8)
-        _legend(figure, series, columns)
+        legend(figure, series, columns, solid=ticks is not None)
         return figure
 
 
 def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float | None, float | None]) -> Figure:
     """A line of dots with intervals for every row and series; panels stand side by side and share their rows."""
 
-    def draw(axes: Axes, mark: Dot, at: float, look: _Look) -> None:
+    def draw(axes: Axes, mark: Dot, at: float, look: Look) -> None:
         if mark.value is None:
             axes.annotate("not known", (0.02, at), xycoords=("axes fraction", "data"), va="center", size=6, color=FAINT)
             return
@@ -186,7 +192,7 @@ def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[f
 def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float | None, float | None]) -> Figure:
     """Quartiles, a sign for the median, whiskers to the ends, and every value as a dot (up to 300 of them)."""
 
-    def draw(axes: Axes, mark: Sample, at: float, look: _Look) -> None:
+    def draw(axes: Axes, mark: Sample, at: float, look: Look) -> None:
         if mark.note:
             axes.annotate(
                 mark.note, (0.985, at), xycoords=("axes fraction", "data"), ha="right", va="center", size=6, zorder=5
@@ -210,48 +216,32 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
     with house_style():
         columns = min(4, len(panels))
         lines = math.ceil(len(panels) / columns)
-        figure = _figure(max(5.2, 0.7 + 2.4 * columns), 0.8 + 1.9 * lines + _legend_inches(series, columns))
+        figure = new_figure(max(5.2, 0.7 + 2.4 * columns), 0.8 + 1.9 * lines + legend_inches(series, columns))
         grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
         everything = [value for facet in panels for mark in facet.marks for value in mark.values]
-        bins = _bins(everything, next((f.edge for f in panels if f.edge is not None), None))
+        bins = bins_for(everything, next((f.edge for f in panels if f.edge is not None), None))
         for axes, facet in zip(grid.ravel(), panels, strict=False):
-            _frame(axes)
+            frame(axes)
             if facet.edge is not None:
                 axes.axvspan(bins[0], facet.edge, color=GRID, alpha=0.6, linewidth=0, zorder=0)
                 axes.axvline(facet.edge, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
             for mark in facet.marks:
-                look = _look(series, mark.series)
+                look = look_of(series, mark.series)
                 axes.hist(mark.values, bins=bins, histtype="stepfilled", color=look.colour, alpha=0.15)
                 axes.hist(mark.values, bins=bins, histtype="step", color=look.colour, ls=look.line, linewidth=1.4)
-            axes.set_title(_folded(facet.title, 34))
+            axes.set_title(folded(facet.title, 34))
             axes.margins(x=0)
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
         grid[0][0].yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
         figure.supxlabel(x, size=8)
         figure.supylabel(y, size=8)
-        _legend(figure, series, columns, line_only=True)
+        legend(figure, series, columns, line_only=True)
         return figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    colour: str
-    line: str
-    marker: str
-
-
-def _look(series: Sequence[str], name: str) -> _Look:
-    number = series.index(name)
-    return _Look(
-        colour=SERIES[number % len(SERIES)],
-        line=LINES[number % len(LINES)],
-        marker=MARKERS[number % len(MARKERS)],
-    )
-
-
 def _curve(axes: Axes, curve: Curve, series: Sequence[str]) -> None:
-    look = _look(series, curve.series)
+    look = look_of(series, curve.series)
     axes.fill_between(curve.x, curve.low, curve.high, color=look.colour, alpha=0.22, linewidth=0)
     every = max(1, len(curve.x) // 8)
     # Markers of different series begin at different rounds, so that none hides another.
@@ -270,11 +260,12 @@ def _curve(axes: Axes, curve: Curve, series: Sequence[str]) -> None:
     )
 
 
-def _whiskered(axes: Axes, curve: Curve, series: Sequence[str], shift: float) -> None:
-    look = _look(series, curve.series)
+def _whiskered(axes: Axes, curve: Curve, series: Sequence[str], shift: float, *, joined: bool) -> None:
+    look = look_of(series, curve.series)
+    line = look.line if joined else ""
     x = curve.x + shift
     axes.vlines(x, curve.low, curve.high, color=look.colour, linewidth=1.2)
-    axes.plot(x, curve.mean, color=look.colour, ls=look.line, lw=1.2, marker=look.marker, ms=4, mec=INK, mew=0.3)
+    axes.plot(x, curve.mean, color=look.colour, ls=line, lw=1.2, marker=look.marker, ms=4, mec=INK, mew=0.3)
 
 
 def _lined(
@@ -282,7 +273,7 @@ def _lined(
     series: Sequence[str],
     x: str,
     limits: tuple[float | None, float | None],
-    draw: Callable[[Axes, Any, float, _Look], None],
+    draw: Callable[[Axes, Any, float, Look], None],
 ) -> Figure:
     """Panels side by side with the same rows, in each row a line for every series."""
     with house_style():
@@ -294,97 +285,25 @@ def _lined(
         # A gap of half a line between rows.
         step = len(series) + 0.8
         tall = max(0.95, 0.18 * step * len(names) + 0.15)
-        figure = _figure(max(5.2, left + 2.2 * columns), (tall + 0.45) * lines + 0.5 + _legend_inches(series, columns))
+        figure = new_figure(
+            max(5.2, left + 2.2 * columns), (tall + 0.45) * lines + 0.5 + legend_inches(series, columns)
+        )
         grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
         for axes, facet in zip(grid.ravel(), panels, strict=False):
-            _frame(axes, "x")
+            frame(axes, "x")
             if facet.edge is not None:
                 axes.axvline(facet.edge, color=INK, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
             for mark in facet.marks:
                 line = names.index(mark.row) * step + series.index(mark.series)
-                draw(axes, mark, line * 0.2, _look(series, mark.series))
-            axes.set_title(_folded(facet.title, 34))
+                draw(axes, mark, line * 0.2, look_of(series, mark.series))
+            axes.set_title(folded(facet.title, 34))
             middles = [(k * step + (len(series) - 1) / 2) * 0.2 for k in range(len(names))]
-            axes.set_yticks(middles if labelled else [], [_folded(n, 26) for n in names] if labelled else [])
+            axes.set_yticks(middles if labelled else [], [folded(n, 26) for n in names] if labelled else [])
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
         figure.supxlabel(x, size=8)
-        _legend(figure, series, columns, solid=True)
+        legend(figure, series, columns, solid=True)
         return figure
-
-
-def _frame(axes: Axes, grid: str = "both") -> None:
-    which: Any = grid
-    axes.grid(axis=which, color=GRID, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(length=2)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _legend(
-    figure: Figure,
-    series: Sequence[str],
-    columns: int,
-    *,
-    band: bool = False,
-    line_only: bool = False,
-    solid: bool = False,
-) -> None:
-    handles: list[Line2D | Patch] = []
-    for name in series:
-        look = _look(series, name)
-        marker = "" if line_only else look.marker
-        style: dict[str, Any] = {
-            "ls": "-" if solid else look.line,
-            "lw": 1.4,
-            "marker": marker,
-            "ms": 4.5,
-            "mec": INK,
-            "mew": 0.4,
-        }
-        handles.append(Line2D([], [], color=look.colour, label=_shortened(name, 44), **style))
-    if band:
-        handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=_legend_columns(series, columns))
-
-
-def _legend_columns(series: Sequence[str], columns: int) -> int:
-    room = 2.3 * columns / (0.55 + LETTER_INCHES * max(map(len, series), default=1))
-    return max(1, min(len(series) + 1, int(room)))
-
-
-def _legend_inches(series: Sequence[str], columns: int) -> float:
-    return 0.2 * math.ceil((len(series) + 1) / _legend_columns(series, columns))
-
-
-def _bins(values: Sequence[float], edge: float | None) -> Numbers:
-    """Forty bins at most, of a round width, one of which ends at the edge."""
-    top = max([*values, 1e-9 if edge is None else edge]) * 1.02
-    step = top / 30
-    if edge:
-        step = edge / max(1, round(edge / step))
-    return np.arange(0.0, top + step, step)
-
-
-def _folded(text: str, width: int) -> str:
-    """A label on two lines at most, broken behind a sign between its parts where there is one."""
-    if "\n" in text:
-        return "\n".join(_folded(line, width) for line in text.split("\n"))
-    if len(text) <= width:
-        return text
-    cut = max(text.rfind(sign, 0, width) for sign in " ,:/·-") + 1
-    cut = cut if cut > width // 4 else width
-    return f"{text[:cut].rstrip()}\n{_shortened(text[cut:].lstrip(), width)}"
-
-
-def _shortened(text: str, most: int) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
