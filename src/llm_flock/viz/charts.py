@@ -29,6 +29,7 @@ from llm_flock.viz.chart_parts import (
     legend_inches,
     look_of,
     new_figure,
+    shortened,
 )
 from llm_flock.viz.style import FAINT, GRID, INK, house_style
 
