@@ -45,7 +45,7 @@ class Tally:
         self._left: Counter[str] = Counter()
         self._size: dict[str, float] = {}
         self._under_way: dict[str, tuple[str, Progress]] = {}
-        self._done = 0.0
+        self._flown: Counter[str] = Counter()
         self.trials = self.over = self.formed = self.broken = self.cut = 0
         self.spent = Spent()
         self.reason: str | None = None
@@ -75,8 +75,7 @@ class Tally:
         cell = flight.spec.cell
         self._under_way.pop(flight.spec.id, None)
         self._left[cell] -= 1
-        if landed.fresh:
-            self._done += self._work(cell)
+        self._flown[cell] += landed.fresh
         self._count_in(cell, landed)
 
     def account(self, spent: Spent, reason: str | None) -> None:
@@ -101,8 +100,10 @@ class Tally:
     @property
     def eta_s(self) -> float | None:
         """Time that is left [s]; None before anything can be said."""
-        done = self._done + sum(self._part(cell, now) * self._work(cell) for cell, now in self._under_way.values())
-        left = sum(count * self._work(cell) for cell, count in self._left.items()) + self._done - done
+        flown = sum(count * self._work(cell) for cell, count in self._flown.items())
+        part = sum(self._part(cell, now) * self._work(cell) for cell, now in self._under_way.values())
+        left = sum(count * self._work(cell) for cell, count in self._left.items()) - part
+        done = flown + part
         return left * (self._clock() - self._began) / done if done > 0 else None
 
     def _count_in(self, cell: str, landed: Landed) -> None:

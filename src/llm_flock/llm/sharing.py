@@ -161,7 +161,7 @@ class SharedGate:
         self._changed = asyncio.Event()
         self._tickets = itertools.count()
         self._under_way: dict[int, _Pass] = {}
-        self._answers: defaultdict[str, tuple[int, int]] = defaultdict(lambda: (0, 0))
+        self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
 
     async def enter(self, model: str, call: Call, *, again: bool) -> int:
         """See `Gate`. Calls of one provider go in the order in which they came."""
@@ -200,8 +200,8 @@ class SharedGate:
         if usage is not None:
             found.logged[1] = float(usage.total)
             self.spent += Spent(tokens=usage.total, cost_usd=cost or 0.0)
-            calls, output = self._answers[found.model]
-            self._answers[found.model] = (calls + 1, output + usage.output)
+            calls, output, paid = self._answers[found.model]
+            self._answers[found.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
         self._changed.set()
 
     def told_of(self, elsewhere: Spent) -> None:
@@ -246,14 +246,15 @@ class SharedGate:
         return float("inf") if over else 0.0
 
     def _expected(self, model: str, chars: int) -> tuple[int, float]:
-        """Tokens and money that a call is expected to use; no money where no price is known."""
-        calls, output = self._answers[model]
+        """Tokens and money that a call is expected to use; by list price, or as those before it."""
+        calls, output, paid = self._answers[model]
         usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else FIRST_GUESS)
         provider, _, name = model.partition(":")
         if self.budget.max_cost_usd is None:
             return usage.total, 0.0
         price_id = next((info.price_id for info in known_providers() if info.name == provider), None)
-        return usage.total, cost_usd(price_id, name, usage) or 0.0
+        listed = cost_usd(price_id, name, usage)
+        return usage.total, listed if listed is not None else paid / max(1, calls)
 
 
 class Lane:
