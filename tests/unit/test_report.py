@@ -259,3 +259,9 @@ def test_csv_holds_the_same_tables(results: Results, tmp_path: Path) -> None:
     assert [row["trial"] for row in rows] == tables.read_trials(results.folder)["trial"].to_list()
     again = pl.read_csv(rounds, schema=tables.read_rounds(results.folder).schema)
     assert again.equals(tables.read_rounds(results.folder))
+
+
+def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:
+    Store(tmp_path).save(trial("circle", 10, "flock", 0, simulated=True))
+    for drawing in draw_all(Results.read(tmp_path), "flock"):
+        assert [legend.get_title().get_text() for legend in drawing.figure.legends] == ["simulated language models"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from matplotlib.font_manager import FontProperties
 
 from llm_flock.experiments.statistics import Estimate, Method, mean_bands
 from llm_flock.report.along import along_axes
@@ -19,7 +20,18 @@ MOST_ROWS = 12
 
 
 def draw_all(results: Results, reference: str, method: Method = "student") -> Iterator[Drawing]:
-    """Every figure that the results have something to say in; protocols are compared with the reference."""
+    """Every figure that the results have something to say in; protocols are compared with the reference.
+
+    Figures go their own ways: where any model was simulated, each of them says so.
+    """
+    for drawing in _draw_all(results, reference, method):
+        if results.simulated:
+            for legend in drawing.figure.legends:
+                legend.set_title("simulated language models", prop=FontProperties(size=7.5, style="italic"))
+        yield drawing
+
+
+def _draw_all(results: Results, reference: str, method: Method) -> Iterator[Drawing]:
     lines = cell_lines(results, method)
     yield success(results, lines)
     yield from errors_over_time(results, method)

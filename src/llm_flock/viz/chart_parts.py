@@ -91,7 +91,7 @@ def legend_columns(series: Sequence[str], columns: int) -> int:
 
 def legend_inches(series: Sequence[str], columns: int) -> float:
     """Height of the legend."""
-    return 0.2 * math.ceil((len(series) + 1) / legend_columns(series, columns))
+    return 0.15 + 0.2 * math.ceil((len(series) + 1) / legend_columns(series, columns))
 
 
 def bins_for(values: Sequence[float], edge: float | None) -> Numbers:
