@@ -1,6 +1,7 @@
 """A grid in a file becomes trials: every one once, under an address that is its content."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sweeps import small, small_file
@@ -88,7 +89,7 @@ def test_the_address_is_the_content_wherever_files_are_put(tmp_path: Path) -> No
         ({"more": "seed = 3"}, "seed"),
     ],
 )
-def test_what_is_not_allowed_is_named(tmp_path: Path, options: dict[str, str], field: str) -> None:
+def test_what_is_not_allowed_is_named(tmp_path: Path, options: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as error:
         small(tmp_path, **options)
     assert error.value.field.split(".")[-1] == field.split(".")[-1], error.value
