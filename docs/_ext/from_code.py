@@ -4,6 +4,8 @@
 `cli-options`   every command of the command line with its arguments and options
 `config-fields` every field of the configuration file with default and description
 `summary-keys`  every key that `run --json` prints
+`sweep-fields`  every field of a sweep's own tables
+`result-columns TABLE` every column of `trials` or `rounds`, the tables of a sweep
 """
 
 from __future__ import annotations
@@ -197,6 +199,45 @@ class SummaryKeys(SphinxDirective):
         return [table(("Key", "Meaning"), attributes(Summary), 1)]
 
 
+class SweepFields(SphinxDirective):
+    """The fields of the tables that only a sweep's file has."""
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.experiments import sweep_file
+
+        tables = {
+            "sweep": sweep_file.SweepTable,
+            "budget": sweep_file.BudgetTable,
+            "providers.NAME": sweep_file.ProviderTable,
+            "expect": sweep_file.ExpectTable,
+        }
+        rows = [
+            (f"[{name}]", field, _default(detail), detail.description or "")
+            for name, model in tables.items()
+            for field, detail in model.model_fields.items()
+        ]
+        return [table(("Table", "Field", "Default", "Meaning"), rows, 3)]
+
+
+def _default(detail: Any) -> str:
+    if detail.is_required() or detail.default is None:
+        return ""
+    return str(detail.default)
+
+
+class ResultColumns(SphinxDirective):
+    """The data dictionary of one table."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.experiments import tables
+
+        columns = {"trials": tables.TRIALS, "rounds": tables.ROUNDS}[self.arguments[0]]
+        rows = [(column.name, column.kind, column.unit, column.meaning) for column in columns]
+        return [table(("Column", "Type", "Unit", "Meaning"), rows, 1)]
+
+
 def attributes(documented: type) -> list[tuple[str, str]]:
     """Name and meaning of each attribute in a class's docstring, in their order."""
     found: list[tuple[str, str]] = []
@@ -215,4 +256,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("cli-options", CliOptions)
     app.add_directive("config-fields", ConfigFields)
     app.add_directive("summary-keys", SummaryKeys)
+    app.add_directive("sweep-fields", SweepFields)
+    app.add_directive("result-columns", ResultColumns)
     return {"parallel_read_safe": True}

@@ -12,6 +12,7 @@ import pytest
 import typer.main
 
 from llm_flock.cli import app
+from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.result import Summary
 
@@ -89,10 +90,15 @@ def test_linked_files_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
-def test_configuration_examples_are_valid(page: Path) -> None:
+def test_configuration_examples_are_valid(page: Path, tmp_path: Path) -> None:
     for language, body in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "toml":
-            RunConfig.model_validate(tomllib.loads(body))
+            found = tomllib.loads(body)
+            if "sweep" in found:
+                (tmp_path / "sweep.toml").write_text(body, encoding="utf-8")
+                assert load_sweep(tmp_path / "sweep.toml").trials
+            else:
+                RunConfig.model_validate(found)
 
 
 def test_tests_that_pages_name_exist() -> None:
@@ -101,7 +107,7 @@ def test_tests_that_pages_name_exist() -> None:
         for file in (ROOT / "tests").rglob("test_*.py")
         for name in (file.name, *re.findall(r"^def (test_\w+)\(", file.read_text(encoding="utf-8"), re.MULTILINE))
     }
-    examples = {"test_my_rule"}
+    examples = {"test_my_rule", "test_my_model", "test_my_prompts", "test_my_shape"}
     for page in PAGES:
         named = {Path(span).name for span in SPAN.findall(FENCE.sub("", page.read_text(encoding="utf-8")))}
         assert {name for name in named if name.startswith("test_")} <= existing | examples, page.name

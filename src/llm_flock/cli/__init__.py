@@ -17,6 +17,8 @@ from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.report import export, report
+from llm_flock.cli.sweep import sweep
 from llm_flock.errors import FlockError, InputError
 
 EXIT_FAILED = 1
@@ -119,6 +121,9 @@ def compare(
         raise typer.Exit(EXIT_FAILED)
 
 
+app.command()(sweep)
+
+
 @app.command()
 def figure(
     records: Annotated[list[Path], typer.Argument(help="One or more records (run.mcap), or folders that hold one")],
@@ -186,6 +191,10 @@ def inspect(
         show_overview(found)
     else:
         show_conversation(found, robot, round_number)
+
+
+app.command()(report)
+app.command()(export)
 
 
 @app.command()

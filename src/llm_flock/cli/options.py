@@ -29,6 +29,9 @@ NOT_FLAGS = frozenset({"points"})
 SET_BY_COMPARE = frozenset({"protocol", "shape", "n_robots", "seed", "out", "record_llm"})
 """Fields that `compare` sets itself: they differ between its cells or trials, or are files of a single run."""
 
+SET_BY_SWEEP = SET_BY_COMPARE
+"""Fields that a sweep sets itself: axes of its grid, and the directory of its results."""
+
 PANELS = {
     "mission": "Mission",
     "protocol": "Protocol",

@@ -74,10 +74,10 @@ def run_trials(
         return []
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(configs)), mp_context=context, initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(min(jobs, len(configs)), mp_context=context, initializer=end_with_parent)
     outcomes: list[Outcome] = []
     try:
-        with _interrupts_held():
+        with interrupts_held():
             futures = [pool.submit(_fly, config) for config in configs]
         for future in futures:
             outcome = future.result()
@@ -111,7 +111,7 @@ def _fly(config: RunConfig) -> Outcome | _Refused:
 
 
 @contextmanager
-def _interrupts_held() -> Generator[None]:
+def interrupts_held() -> Generator[None]:
     """Hold back Ctrl-C while workers start: they inherit that for life, so that only the parent takes it.
 
     A terminal sends Ctrl-C to the whole group of processes, and each worker would print a traceback of its own.
@@ -126,7 +126,7 @@ def _interrupts_held() -> Generator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Let a worker end when its parent is gone, however that came about."""
     parent = multiprocessing.parent_process()
     assert parent is not None, "runs in workers only"

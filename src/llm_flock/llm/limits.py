@@ -7,11 +7,15 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError
 from llm_flock.llm.port import Call, LanguageModel, Reply, Usage
+
+if TYPE_CHECKING:
+    from llm_flock.llm.sharing import Gate
 
 FINAL = frozenset({"refused", "budget"})
 """Kinds of ModelError that asking again cannot cure."""
@@ -156,6 +160,7 @@ class Limits:
         timeout_s: longest try, from the moment it is sent; the queue does not count [s].
         retry: how patiently faults are met.
         meter: the run's budget and counters.
+        gate: what this run shares with others; None for nothing.
         rng: chance for the jitter of waits.
         clock: seconds, only differences matter.
         sleep: waits that many seconds.
@@ -168,6 +173,7 @@ class Limits:
         timeout_s: float = 120.0,
         retry: RetryPolicy | None = None,
         meter: BudgetMeter | None = None,
+        gate: Gate | None = None,
         rng: np.random.Generator,
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
@@ -180,6 +186,7 @@ class Limits:
         self.timeout_s = timeout_s
         self.retry = retry or RetryPolicy()
         self.meter = meter or BudgetMeter()
+        self.gate = gate
         self.rng = rng
         self.clock = clock
         self.sleep = sleep
@@ -213,17 +220,25 @@ class Limited:
         started: float | None = None
         while True:
             async with limits.slots:
-                if started is None:
-                    started = limits.clock()
+                ticket: int | None = None
                 try:
                     # Much may have been spent while this call stood in the queue.
                     limits.meter.check()
+                    if limits.gate is not None:
+                        ticket = await limits.gate.enter(self.name, call, again=bool(faults))
                 except BudgetExceeded as error:
                     if not faults:
                         limits.meter.release()
                     error.faults = faults
                     raise
-                outcome = await self._try(call)
+                if started is None:
+                    started = limits.clock()
+                outcome: Reply | ModelError | None = None
+                try:
+                    outcome = await self._try(call)
+                finally:
+                    if limits.gate is not None and ticket is not None:
+                        limits.gate.leave(ticket, outcome if isinstance(outcome, Reply) else None)
             if isinstance(outcome, Reply):
                 limits.meter.settle(outcome)
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)

@@ -125,6 +125,63 @@ class NullWriter:
         """Nothing to close."""
 
 
+class Tee:
+    """Hands everything to two sinks, the first one first."""
+
+    def __init__(self, first: RecordSink, second: RecordSink) -> None:
+        self._both = (first, second)
+
+    def run(self, info: RunInfo) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.run(info)
+
+    def mission(self, info: MissionInfo) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.mission(info)
+
+    def plan(self, info: PlanInfo) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.plan(info)
+
+    def state(self, state: State) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.state(state)
+
+    def event(self, event: ProtocolEvent) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.event(event)
+
+    def llm(self, entry: LlmEntry) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.llm(entry)
+
+    def metrics(self, row: MetricsRow) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.metrics(row)
+
+    def end_round(self, number: int) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.end_round(number)
+
+    def summary(self, result: Mapping[str, Any]) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.summary(result)
+
+    def close(self) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.close()
+
+
 class RecordWriter:
     """Writes one MCAP file; a context manager.
 

@@ -10,12 +10,13 @@ from typing import Any
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.replay import CassetteWriter
+from llm_flock.llm.sharing import Lane
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.assignment import AssignmentRule
 from llm_flock.protocol.consensus import ConsensusRule
 from llm_flock.record.schema import RunInfo
-from llm_flock.record.writer import NullWriter, RecordWriter
+from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import SimulatedTeam, check_start, draw_start
 from llm_flock.runtime import provenance
 from llm_flock.runtime.config import RunConfig, build_config
@@ -43,6 +44,8 @@ async def run_async(
     assignment: str | AssignmentRule | None = None,
     config: RunConfig | None = None,
     on_round: Callable[[Progress], None] | None = None,
+    sink: RecordSink | None = None,
+    lane: Lane | None = None,
     **options: Any,
 ) -> RunResult:
     """Run one trial.
@@ -53,6 +56,8 @@ async def run_async(
         assignment: name of a rule, or a rule of one's own.
         config: a whole configuration instead of a mission and options.
         on_round: told after each round.
+        sink: takes note of all that a record would hold, whether there is one or not.
+        lane: the way to what this run shares with others: a budget, rates of providers, connections.
         options: any field of the configuration by its name (`model=`, `rounds=`, `seed=`, `loss=`, `out=`, ...).
 
     Returns:
@@ -92,11 +97,15 @@ async def run_async(
             gaps=protocol.gaps,
         )
 
-    return await _fly(config, mind, on_round)
+    return await _fly(config, mind, on_round, sink, lane)
 
 
 async def _fly(
-    config: RunConfig, mind: Callable[[int], Agent], on_round: Callable[[Progress], None] | None
+    config: RunConfig,
+    mind: Callable[[int], Agent],
+    on_round: Callable[[Progress], None] | None,
+    sink: RecordSink | None,
+    lane: Lane | None,
 ) -> RunResult:
     """Build every part, refusing what is wrong; only then open files, and fly."""
     mission, seed = config.mission, config.trial.seed
@@ -105,7 +114,7 @@ async def _fly(
     start = draw_start(mission, rule, stream(seed, Stream.START)) if given is None else check_start(mission, given)
     bodies = SimulatedTeam(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
     transport = MemoryTransport(mission.n_robots, config.links, stream(seed, Stream.LINKS))
-    thinkers = Thinkers(config)
+    thinkers = Thinkers(config, lane)
     schedule = config.schedule()
     roster = Roster(mind, mission.n_robots, schedule.asleep)
     with ExitStack() as stack:
@@ -119,7 +128,9 @@ async def _fly(
             if cassette is not None:
                 cassette.unlink()  # this run made it a moment ago, and nothing is in it
             raise
-        journal = Journal(mission, writer, remakes=config.protocol.gaps == "remake")
+        journal = Journal(
+            mission, writer if sink is None else Tee(writer, sink), remakes=config.protocol.gaps == "remake"
+        )
         thinkers.listen(journal.attempt)
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
             writer.run(_run_info(config, thinkers))

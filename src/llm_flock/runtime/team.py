@@ -21,6 +21,7 @@ from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
+from llm_flock.llm.sharing import Lane
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.steps import check_answer
 from llm_flock.protocol.verification import check_proposal
@@ -33,12 +34,13 @@ class Thinkers:
 
     Args:
         config: says which models, how they are asked, and what they may use.
+        lane: the way to what this run shares with others; None for a run of its own.
 
     Raises:
         InputError: anything that would keep a model from working, as far as that is known before asking.
     """
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, lane: Lane | None = None) -> None:
         model, limits, n = config.model, config.limits, config.mission.n_robots
         self.names = parse_models(model.model, n)
         self._sinks: list[AttemptSink] = []
@@ -48,13 +50,18 @@ class Thinkers:
         )
         base_urls = parse_base_urls(model.base_url, self.names)
         check_priced(limits.max_cost, self.names, base_urls)
-        self._pool = ModelPool(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
+        self._lane = lane
+        shared = None if lane is None else lane.pools
+        make = ModelPool if shared is None else shared.pool
+        self._pool = make(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
+        self._own_pool = shared is None
         seed = config.trial.seed
         self._limits = Limits(
             max_concurrent=limits.max_concurrent,
             timeout_s=limits.timeout_s,
             retry=RetryPolicy(max_tries=limits.max_tries),
             meter=self._meter,
+            gate=lane,
             rng=stream(seed, Stream.BACKOFF),
         )
         settings = parse_settings(
@@ -108,8 +115,8 @@ class Thinkers:
 
     @property
     def exhausted(self) -> bool:
-        """Whether the budget is used up."""
-        return self._meter.exhausted
+        """Whether the budget is used up, the run's own or the one that it shares."""
+        return self._meter.exhausted or (self._lane is not None and self._lane.cut)
 
     def listen(self, sink: AttemptSink) -> None:
         """Tell `sink` of every model call from now on."""
@@ -121,7 +128,8 @@ class Thinkers:
 
     async def close(self) -> None:
         """Close connections and cassettes."""
-        await self._pool.aclose()
+        if self._own_pool:
+            await self._pool.aclose()
         for replay in self._replays.values():
             replay.close()
 

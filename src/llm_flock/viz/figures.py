@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,6 +27,9 @@ CONFIDENCE = 0.95
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
 DPI = 160
+
+UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+"""No date goes into a file: the same figure is the same file whenever it is drawn."""
 
 
 def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
@@ -125,7 +129,7 @@ def save(figure: Figure, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with house_style():
-            figure.savefig(path, dpi=DPI)
+            figure.savefig(path, dpi=DPI, metadata=UNDATED.get(path.suffix.lower()))
     except OSError as error:
         raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
 

@@ -23,6 +23,13 @@ BRIGHT = 0.6
 LETTERS_AN_INCH = 15
 """Letters of a title that fit into an inch, with some room to spare."""
 
+GRID = "#E4E4E4"
+SERIES: tuple[str, ...] = ("#0072B2", "#D55E00", "#009E73", "#A8548A", "#B07A00", "#3D8FBF", "#757575")
+"""Colours of curves and dots: of the same making as those of plans, each dark enough for a thin line on white."""
+
+SERIES_ON_DARK: tuple[str, ...] = ("#5AB0EE", "#FF8B4D", "#3CC99A", "#E49BC6", "#F0B840", "#9AD4F5", "#B8B8B8")
+"""What stands for each of them on a dark page."""
+
 LINES: tuple[str, ...] = ("-", "--", "-.", ":")
 MARKERS: tuple[str, ...] = ("o", "s", "^", "D", "v", "P", "X", "*")
 

@@ -1,14 +1,6 @@
-"""Conformance tests for rules of one's own: call them from a test; they raise AssertionError with what is wrong.
-
-from llm_flock.testing import check_assignment_rule, check_consensus_rule
-
-def test_my_rule():
-    check_consensus_rule(MyRule())
-"""
+"""Conformance tests for consensus and assignment rules."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -135,6 +127,3 @@ def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
         offer=claim.offer,
     )
     return decode(encode(message), n, 2)
-
-
-__all__: Sequence[str] = ("check_assignment_rule", "check_consensus_rule", "random_message", "random_plan")

@@ -1,0 +1,63 @@
+"""`llm-flock report` and `llm-flock export`: what is made of a directory of results."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+Results = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` makes it", show_default=False)
+]
+
+
+def report(
+    folder: Results,
+    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
+    interval: Annotated[Literal["student", "bootstrap"], typer.Option(help="Intervals of means")] = "student",
+    reference: Annotated[
+        str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
+    ] = None,
+    gallery: Annotated[int, typer.Option(min=0, help="Trials in the gallery of failures")] = 6,
+    formats: Annotated[str, typer.Option(help="Files of each figure: some of svg, pdf, png")] = "svg,pdf,png",
+    fly_again: Annotated[
+        bool,
+        typer.Option(
+            "--fly-again/--no-fly-again",
+            help="Fly failed trials of simulated models once more where no record was kept, to show what happened",
+        ),
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
+) -> None:
+    """Write the report of a sweep: one HTML page that needs nothing else, the same in Markdown, and all figures.
+
+    A report of a sweep that still runs shows the trials that are finished. An older report is replaced.
+    """
+    from llm_flock.report.page import write_report
+
+    written = write_report(
+        folder,
+        out or folder / "report",
+        method=interval,
+        reference=reference,
+        most=gallery,
+        formats=[ending.strip() for ending in formats.split(",")],
+        fly_again=fly_again,
+        on_step=lambda step: None if quiet else print(step, file=sys.stderr),
+    )
+    for path in written:
+        if path.suffix in (".html", ".md"):
+            print(path)
+
+
+def export(
+    folder: Results,
+    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR]", show_default=False)] = None,
+) -> None:
+    """Write the two tables of a sweep as CSV: trials.csv and rounds.csv. Older ones are replaced."""
+    from llm_flock.report.export import export_csv
+
+    for path in export_csv(folder, out or folder):
+        print(path)

@@ -1,0 +1,128 @@
+"""`llm-flock sweep`: all trials of a grid, each of them once."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+from rich.console import Console
+
+from llm_flock.cli.options import SET_BY_SWEEP, parse_flags, with_config_flags
+from llm_flock.errors import InputError
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+PANEL = "Sweep"
+
+
+@with_config_flags(without=SET_BY_SWEEP)
+def sweep(
+    file: Annotated[Path, typer.Argument(help="The sweep (TOML)", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="Directory of results; one that exists goes on [runs/NAME]")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print trials and expected calls, tokens and cost; ask no model")
+    ] = False,
+    variables: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Value of a variable of the file; repeat it for a list", metavar="NAME=VALUE"),
+    ] = None,
+    executor: Annotated[
+        str, typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: what fits each")
+    ] = "auto",
+    cluster: Annotated[
+        str | None, typer.Option(help="Fly on this Ray cluster: HOST:PORT, auto or ray://HOST:PORT")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes of the pool, or workers [one for each core]")
+    ] = None,
+    at_once: Annotated[int, typer.Option(min=1, help="Trials under way at once that wait for answers")] = 256,
+    keep_records: Annotated[
+        str | None, typer.Option(help="Trials whose record is kept: all, failed or none [as the file says]")
+    ] = None,
+    again: Annotated[bool, typer.Option("--again", help="Fly trials again that broke off; the table says so")] = False,
+    budget_calls: Annotated[int | None, typer.Option(min=1, help="Budget of the sweep: model calls")] = None,
+    budget_tokens: Annotated[int | None, typer.Option(min=1, help="Budget of the sweep: tokens in and out")] = None,
+    budget_cost: Annotated[float | None, typer.Option(help="Budget of the sweep: cost [US dollars]")] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
+    **flags: Any,
+) -> None:
+    """Fly all trials of a grid, each of them once, on one machine or a cluster; go on where it was broken off.
+
+    Flags of the configuration hold for all trials and replace an axis of the same name. Press Ctrl-C, or pull the plug:
+    the same command goes on. Exit codes: 0 when all trials are there, 1 when some are left or broke off.
+    """
+    from llm_flock.cli.sweep_display import SweepLine, show_expected, show_standing
+    from llm_flock.experiments.store import Store
+    from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
+    from llm_flock.experiments.sweep_expect import expect_cells
+    from llm_flock.experiments.sweep_file import KeepRecords, load_sweep
+
+    executor = _one_of("executor", executor, ("auto", "one", "pool"))
+    keep = None if keep_records is None else _one_of("keep_records", keep_records, ("all", "failed", "none"))
+    budget = {"max_calls": budget_calls, "max_tokens": budget_tokens, "max_cost": budget_cost}
+    found = load_sweep(file, variables=_variables(variables or []), budget=budget, **parse_flags(flags))
+    folder = out or Path("runs") / found.file.sweep.name
+    flown = load_flown(found, Store(folder)) if (folder / "trials").is_dir() else {}
+    left = Counter(spec.cell for spec in found.trials if spec.id not in flown or flown[spec.id].cut)
+    cells: defaultdict[str, list[Any]] = defaultdict(list)
+    for trial in flown.values():
+        cells[trial.cell].append(trial)
+    show = not quiet and not json_output
+    console = Console(stderr=True)
+
+    def note(cell: str) -> None:
+        if show and console.is_terminal:
+            console.print(f"rehearsing {cell} with a stand-in", style="dim", markup=False, highlight=False)
+
+    # Trials that compute tell by themselves, soon enough, what the others will use.
+    ask = dry_run or any(spec.waits for spec in found.trials)
+    expected = expect_cells(found, flown=cells, on_cell=note) if ask else {}
+    if dry_run:
+        show_expected(found, expected, dict(left), as_json=json_output)
+        return
+    try:
+        with SweepLine(found.file.sweep.name, expected, enabled=show) as line:
+            standing = fly_sweep(
+                found,
+                folder,
+                executor=cast("Executor", executor),
+                cluster=cluster,
+                jobs=jobs or (1 if cluster else os.cpu_count() or 1),
+                at_once=at_once,
+                keep=cast("KeepRecords | None", keep),
+                again=again,
+                display=line,
+            )
+    except KeyboardInterrupt:
+        print(f"interrupted; finished trials are in {folder}, and the same command goes on", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    show_standing(standing, folder, as_json=json_output)
+    if standing.broken or not standing.complete:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _one_of(field: str, value: str, allowed: tuple[str, ...]) -> str:
+    if value not in allowed:
+        raise InputError(field, value, f"one of {', '.join(allowed)}")
+    return value
+
+
+def _variables(given: list[str]) -> dict[str, list[Any]]:
+    """`NAME=VALUE`, repeated; a value that is a JSON number or true or false is one."""
+    found: dict[str, list[Any]] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError("set", text, "NAME=VALUE")
+        try:
+            parsed = json.loads(value)
+        except ValueError:
+            parsed = value
+        found.setdefault(name.strip(), []).append(parsed if isinstance(parsed, int | float) else value)
+    return found

@@ -1,0 +1,174 @@
+"""What the terminal shows of a sweep: what it is expected to use, how far it has come, and how it ended."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, SpinnerColumn, TextColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from llm_flock.experiments.executors import Flight, Landed
+from llm_flock.experiments.store import StoredTrial
+from llm_flock.experiments.sweep import Standing
+from llm_flock.experiments.sweep_expect import Expected
+from llm_flock.experiments.sweep_file import Sweep
+from llm_flock.experiments.sweep_progress import Tally
+from llm_flock.llm.sharing import Spent
+from llm_flock.runtime.trial import Progress
+
+REDRAW_S = 0.2
+PLAIN_S = 10.0
+"""Where the output is no terminal, a line is printed so often [s]."""
+
+
+class SweepLine:
+    """One line on stderr: trials, ETA, and calls, tokens and money, spent and expected."""
+
+    def __init__(self, name: str, expected: Mapping[str, Expected], *, enabled: bool) -> None:
+        self.tally = Tally(expected)
+        self._console = Console(stderr=True)
+        self._redraw = enabled and self._console.is_terminal
+        self._plain = enabled and not self._redraw
+        self._shown = 0.0
+        self._bar = Bar(
+            SpinnerColumn(),
+            TextColumn("{task.fields[label]}", style="bold", markup=False),
+            BarColumn(bar_width=20),
+            TextColumn("{task.description}", markup=False),
+            console=self._console,
+            disable=not self._redraw,
+        )
+        self._task = self._bar.add_task("", total=None, label=name)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._show(force=True)
+        self._bar.stop()
+
+    def begin(self, flown: Mapping[str, Sequence[StoredTrial]], pending: Sequence[Flight]) -> None:
+        """See `sweep.Display`."""
+        self.tally.begin(flown, pending)
+        self._show(force=True)
+
+    def progress(self, flight: Flight, now: Progress) -> None:
+        """See `executors.Watcher`."""
+        self.tally.progress(flight, now)
+        self._show()
+
+    def landed(self, flight: Flight, landed: Landed | None) -> None:
+        """See `executors.Watcher`."""
+        if landed is not None:
+            self.tally.landed(flight, landed)
+        self._show()
+
+    def spent(self, spent: Spent, reason: str | None) -> None:
+        """See `executors.Watcher`."""
+        self.tally.account(spent, reason)
+        self._show()
+
+    def _show(self, *, force: bool = False) -> None:
+        now = time.monotonic()
+        if not force and now - self._shown < (REDRAW_S if self._redraw else PLAIN_S):
+            return
+        self._shown = now
+        text = progress_text(self.tally)
+        self._bar.update(self._task, description=text, completed=self.tally.over, total=max(1, self.tally.trials))
+        if self._plain:
+            self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+def progress_text(tally: Tally) -> str:
+    """The line, without its bar."""
+    spent, forecast, eta = tally.spent, tally.forecast, tally.eta_s
+    parts = [f"{tally.over}/{tally.trials} trials", f"{tally.formed} formed"]
+    parts += [f"{tally.broken} broken off"] if tally.broken else []
+    parts += [f"{tally.cut} cut by the budget"] if tally.cut else []
+    if tally.over < tally.trials:
+        parts += ["ETA " + ("?" if eta is None else duration(eta))]
+    parts += [f"calls {spent.calls:,} of ~{forecast.calls:,}", f"tokens {spent.tokens:,} of ~{forecast.tokens:,}"]
+    if forecast.cost_usd:
+        parts += [f"{spent.cost_usd:.2f} of ~{forecast.cost_usd:.2f} USD"]
+    return " · ".join(parts)
+
+
+def duration(seconds: float) -> str:
+    """Hours, minutes and seconds, the largest two that matter."""
+    whole = round(seconds)
+    hours, minutes, rest = whole // 3600, whole % 3600 // 60, whole % 60
+    if hours:
+        return f"{hours} h {minutes:02} min"
+    return f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
+
+
+def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[str, int], *, as_json: bool) -> None:
+    """What the trials that are left are expected to use, cell by cell and together; on stdout."""
+    total = sum((expected[cell].times(count) for cell, count in left.items()), Expected())
+    if as_json:
+        cells = {cell: {"trials": count, **asdict(expected[cell].times(count))} for cell, count in left.items()}
+        found = {"name": sweep.file.sweep.name, "trials": len(sweep.trials), "left": sum(left.values())}
+        print(json.dumps({**found, "expected": asdict(total), "cells": cells}, allow_nan=False))
+        return
+    table = Table(title=escape(sweep.file.sweep.name), title_justify="left")
+    table.add_column("cell", overflow="fold")
+    for name in ("trials left", "calls", "at most", "tokens in", "tokens out", "cost [USD]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for cell, count in left.items():
+        table.add_row(escape(cell), *_figures(count, expected[cell].times(count)))
+    table.add_section()
+    table.add_row(f"all {len(left)} cells", *_figures(sum(left.values()), total))
+    console = Console()
+    console.print(table)
+    console.print(
+        f"{len(sweep.trials)} trials, {len(sweep.trials) - sum(left.values())} of them flown.", highlight=False
+    )
+    if any(spec.waits for spec in sweep.trials):
+        console.print(
+            f"Assumed: {sweep.file.expect.output_tokens} tokens an answer, and answers as useful as those of "
+            f"simulated:{sweep.file.expect.profile}; cells with flown trials go on as these did. Prices are list "
+            "prices. Nothing was asked of any model.",
+            highlight=False,
+        )
+    budget = sweep.file.budget
+    limits = {"calls": budget.max_calls, "tokens": budget.max_tokens, "US dollars": budget.max_cost}
+    shown = ", ".join(f"{value:,} {unit}" for unit, value in limits.items() if value is not None)
+    console.print(f"Budget: {shown or 'none'}.", highlight=False)
+
+
+def _figures(count: int, found: Expected) -> list[str]:
+    cost = "not known" if found.cost_usd is None else f"{found.cost_usd:,.2f}"
+    plain = (count, found.calls, found.at_most, found.tokens_input, found.tokens_output)
+    return [*map(short, plain), cost]
+
+
+def short(number: float) -> str:
+    """A count that fits into a column: 12,345 or 1.23 M."""
+    return f"{round(number):,}" if number < 1e6 else f"{number / 1e6:,.2f} M"
+
+
+def show_standing(standing: Standing, folder: Path, *, as_json: bool) -> None:
+    """How a sweep ended."""
+    if as_json:
+        print(json.dumps({"dir": str(folder), **asdict(standing), "complete": standing.complete}))
+        return
+    left = standing.trials - standing.finished
+    print(f"{standing.finished} of {standing.trials} trials: {standing.formed} formed, {standing.broken} broken off")
+    print(folder)
+    if standing.other_code:
+        print(f"{standing.other_code} of them were flown by other code (column `code`)", file=sys.stderr)
+    if standing.reason is not None:
+        print(f"{standing.reason}; {left} trials are left ({standing.cut} were cut short)", file=sys.stderr)

@@ -1,0 +1,199 @@
+"""What a sweep is expected to use before any of it is flown: each cell is rehearsed once by a stand-in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+from llm_flock.experiments.store import StoredTrial
+from llm_flock.experiments.sweep_file import ExpectTable, Sweep, TrialSpec
+from llm_flock.llm.models import parse_base_urls, parse_models
+from llm_flock.llm.port import Usage
+from llm_flock.llm.prices import cost_usd
+from llm_flock.llm.providers import parse_model
+from llm_flock.runtime.api import run
+from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.trial import Progress
+
+REHEARSAL_S = 5.0
+"""A rehearsal is broken off after so long, and what it used is taken on to the last round [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expected:
+    """What one trial, or a number of them, is expected to use.
+
+    Attributes:
+        calls: model calls, retries of rejected answers included.
+        tokens_input: tokens in.
+        tokens_output: tokens out, reasoning included.
+        cost_usd: by list prices [US dollars]; None where the price of a model is not known.
+        at_most: calls if every robot asked for a plan and a step in every round, each as often as is allowed.
+        wall_s: time that the stand-ins took [s].
+    """
+
+    calls: float = 0.0
+    tokens_input: float = 0.0
+    tokens_output: float = 0.0
+    cost_usd: float | None = 0.0
+    at_most: int = 0
+    wall_s: float = 0.0
+
+    @property
+    def tokens(self) -> float:
+        """In and out."""
+        return self.tokens_input + self.tokens_output
+
+    def __add__(self, other: Expected) -> Expected:
+        known = self.cost_usd is not None and other.cost_usd is not None
+        return Expected(
+            calls=self.calls + other.calls,
+            tokens_input=self.tokens_input + other.tokens_input,
+            tokens_output=self.tokens_output + other.tokens_output,
+            cost_usd=(self.cost_usd or 0.0) + (other.cost_usd or 0.0) if known else None,
+            at_most=self.at_most + other.at_most,
+            wall_s=self.wall_s + other.wall_s,
+        )
+
+    def times(self, count: int) -> Expected:
+        """So many of them."""
+        return Expected(
+            calls=count * self.calls,
+            tokens_input=count * self.tokens_input,
+            tokens_output=count * self.tokens_output,
+            cost_usd=None if self.cost_usd is None else count * self.cost_usd,
+            at_most=count * self.at_most,
+            wall_s=count * self.wall_s,
+        )
+
+
+def expect_cells(
+    sweep: Sweep,
+    *,
+    flown: Mapping[str, Iterable[StoredTrial]] | None = None,
+    on_cell: Callable[[str], None] | None = None,
+) -> dict[str, Expected]:
+    """What one trial of each cell is expected to use.
+
+    A cell of which trials are there already is expected to go on as they did. Every other one is rehearsed with its
+    first seed: by its own model if that is a stand-in that does not wait, else by the one in `[expect]`, whose
+    questions are the real ones, and whose answers are taken to have `output_tokens` tokens each.
+
+    Args:
+        sweep: the sweep.
+        flown: trials by cell.
+        on_cell: told of each cell before it is rehearsed.
+    """
+    found: dict[str, Expected] = {}
+    rehearsed: dict[str, Expected] = {}
+    for spec in sweep.trials:
+        if spec.cell in found:
+            continue
+        known = [trial for trial in (flown or {}).get(spec.cell, ()) if not trial.cut and trial.summary is not None]
+        if known:
+            found[spec.cell] = _mean(spec, known)
+            continue
+        stand_in = _stand_in(spec, sweep.file.expect)
+        key = stand_in.model_dump_json()
+        if key not in rehearsed:
+            if on_cell is not None:
+                on_cell(spec.cell)
+            rehearsed[key] = _rehearse(stand_in)
+        found[spec.cell] = _priced(spec, rehearsed[key], sweep.file.expect)
+    return found
+
+
+def _mean(spec: TrialSpec, trials: list[StoredTrial]) -> Expected:
+    def mean(name: str) -> float:
+        return sum((trial.summary or {})[name] for trial in trials) / len(trials)
+
+    priced = all((trial.summary or {})["cost_usd"] is not None for trial in trials)
+    return Expected(
+        calls=mean("model_calls"),
+        tokens_input=mean("tokens_input"),
+        tokens_output=mean("tokens_output"),
+        cost_usd=mean("cost_usd") if priced else None,
+        at_most=_at_most(spec.config),
+        wall_s=mean("wall_s"),
+    )
+
+
+def _stand_in(spec: TrialSpec, expect: ExpectTable) -> RunConfig:
+    """The configuration with a model that answers at once and for nothing, its budget and its files left out."""
+    config, model = spec.config, spec.config.model
+    kinds = {parse_model(name).kind for name in spec.models}
+    if spec.waits or "replay" in kinds:
+        plain = {"model": f"simulated:{expect.profile}", "base_url": None, "reasoning_effort": None}
+        model = model.model_copy(update={**plain, "temperature": None, "model_seed": None})
+    limits = config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None})
+    return config.model_copy(update={"model": model, "limits": limits})
+
+
+class _LongEnough(Exception):
+    """A rehearsal takes too long."""
+
+
+def _rehearse(config: RunConfig) -> Expected:
+    """One trial of a stand-in, or what is to be thought of it where it takes long."""
+    began = time.perf_counter()
+    last: list[Progress] = []
+
+    def note(now: Progress) -> None:
+        last[:] = [now]
+        if time.perf_counter() - began > REHEARSAL_S:
+            raise _LongEnough
+
+    with suppress(_LongEnough):
+        summary = run(config=config, on_round=note).summary
+        return Expected(
+            calls=summary.model_calls,
+            tokens_input=summary.tokens_input,
+            tokens_output=summary.tokens_output,
+            at_most=_at_most(config),
+            wall_s=summary.wall_s,
+        )
+    (now,) = last
+    factor = now.rounds / max(1, now.round)
+    return Expected(
+        calls=factor * now.model_calls,
+        tokens_input=factor * now.tokens,
+        at_most=_at_most(config),
+        wall_s=factor * (time.perf_counter() - began),
+    )
+
+
+def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
+    """The same for the models that are meant, each robot taken to use as much as any other."""
+    config = spec.config
+    names = [parse_model(text) for text in parse_models(config.model.model, config.mission.n_robots)]
+    addresses = parse_base_urls(config.model.base_url, spec.models)
+    calls = [found.calls / len(names) if name.kind not in ("geometry", "replay") else 0.0 for name in names]
+    answers = [expect.output_tokens if name.kind == "provider" else 0.0 for name in names]
+    output = sum(count * tokens for count, tokens in zip(calls, answers, strict=True))
+    if not any(answers):
+        output = found.tokens_output
+    share = found.tokens_input / max(1.0, found.calls)
+    cost: float | None = 0.0
+    for name, count, tokens in zip(names, calls, answers, strict=True):
+        if name.kind != "provider" or cost is None:
+            continue
+        known = name.provider not in addresses
+        usage = Usage(input=round(share), output=round(tokens))
+        price = cost_usd(name.info.price_id if known else None, name.model, usage)
+        cost = None if price is None else cost + count * price
+    return Expected(
+        calls=sum(calls),
+        tokens_input=share * sum(calls),
+        tokens_output=output,
+        cost_usd=cost,
+        at_most=found.at_most,
+        wall_s=found.wall_s,
+    )
+
+
+def _at_most(config: RunConfig) -> int:
+    """Every robot asks for a plan and for a step each round, and every answer but the last is sent back."""
+    most = config.mission.n_robots * 2 * config.trial.rounds * (config.model.max_retries + 1)
+    return most if config.limits.max_calls is None else min(most, config.limits.max_calls)

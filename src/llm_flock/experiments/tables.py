@@ -1,0 +1,267 @@
+"""The two tables of a sweep: a row for each trial, and a row for each of its rounds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from llm_flock.errors import InputError
+from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
+from llm_flock.experiments.store import StoredTrial, read_trial, sync_folder, trial_files
+from llm_flock.protocol.events import Origin
+
+TRIALS_NAME = "trials.parquet"
+ROUNDS_NAME = "rounds.parquet"
+
+AXIS = "axis_"
+"""What the names of columns for further axes of a grid begin with."""
+
+WAYPOINTS = "waypoints_"
+"""What the names of columns that count waypoints by their maker begin with."""
+
+KINDS: Mapping[type[pl.DataType], str] = {
+    pl.String: "text",
+    pl.Int64: "integer",
+    pl.Float64: "number",
+    pl.Boolean: "true or false",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        name: its name.
+        dtype: what its values are; any of them may be null.
+        unit: of its values; empty where they have none.
+        meaning: in words.
+    """
+
+    name: str
+    dtype: type[pl.DataType]
+    unit: str
+    meaning: str
+
+    @property
+    def kind(self) -> str:
+        """The type in everyday words."""
+        return KINDS[self.dtype]
+
+
+def _text(name: str, meaning: str) -> Column:
+    return Column(name=name, dtype=pl.String, unit="", meaning=meaning)
+
+
+def _count(name: str, meaning: str, unit: str = "") -> Column:
+    return Column(name=name, dtype=pl.Int64, unit=unit, meaning=meaning)
+
+
+def _number(name: str, unit: str, meaning: str) -> Column:
+    return Column(name=name, dtype=pl.Float64, unit=unit, meaning=meaning)
+
+
+def _flag(name: str, meaning: str) -> Column:
+    return Column(name=name, dtype=pl.Boolean, unit="", meaning=meaning)
+
+
+_MAKERS = tuple(origin.value for origin in Origin if origin is not Origin.START)
+
+TRIALS: tuple[Column, ...] = (
+    _text("trial", "address of the trial, made of its resolved configuration; name of its file"),
+    _text("cell", "everything but the seed, in a few words: trials of one cell differ in their seed only"),
+    _count("seed", "seed of the trial; the same seed has the same starts in every cell of a shape and size"),
+    _text("shape", "the mission's shape"),
+    _count("n_robots", "team size N"),
+    _text("protocol", "preset of rules"),
+    _text("consensus", "rule that chose the plan"),
+    _text("assignment", "rule that chose the places"),
+    _flag("shield", "whether the safety shield was on"),
+    _text("model", "models as configured"),
+    _text("models", "the models that thought for the robots, each once"),
+    _flag("simulated", "whether any of them was a simulated stand-in"),
+    _text("stopped", "why it ended: formed, rounds, budget, no_answers or failed"),
+    _text("reason", "the last failure, in words, where it ended by no_answers or failed"),
+    _flag("formed", "whether the formation was built in time (see Metrics); false for trials that broke off"),
+    _flag("cut", "the budget of the whole sweep ran out while it flew: it says nothing about its cell"),
+    _count("rounds", "motion rounds flown", "rounds"),
+    _count("rounds_to_formed", "first round in which the formation stood, in time or not; null if none did", "rounds"),
+    _count("lower_bound_rounds", "fewest rounds in which anybody could have built it; null without one plan", "rounds"),
+    _number("procrustes_mean", "units", "mean distance to the ideal shape at the end; null without ideal"),
+    _number("procrustes_mean_squared", "units^2", "mean squared distance to it"),
+    _number("min_separation", "units", "smallest distance of two robots over the whole trial, along segments too"),
+    _count("start_violations", "pairs nearer than the safe distance at the start"),
+    _count("rounds_to_separate", "first round at whose end these had come apart; null if they never did", "rounds"),
+    _number("min_separation_after_start", "units", "as min_separation, these pairs counted from when they came apart"),
+    _number("min_clearance", "units", "smallest distance of a robot's centre to an obstacle; null without obstacles"),
+    _number("safe_distance", "units", "smallest distance allowed"),
+    _number("spacing", "units", "distance of neighbours in the formation"),
+    _count("plans_in_use", "different plans at the end"),
+    _count("distinct_goals", "different goals at the end"),
+    _count("robots_without_plan", "robots that never got a plan"),
+    _count("gaps", "places that are nobody's at the end; null without one plan"),
+    _count("spares", "robots awake at the end without a place; null without one plan"),
+    _count("model_calls", "calls, retries of rejected answers included", "calls"),
+    _count("calls_rejected", "answers that could not be used", "calls"),
+    _count("calls_failed", "calls that got no answer", "calls"),
+    _text("faults", "transport faults on the way, retried ones included: kind=count"),
+    _count("tokens", "tokens in and out", "tokens"),
+    _count("tokens_input", "tokens in", "tokens"),
+    _count("tokens_output", "tokens out", "tokens"),
+    _count("tokens_cached", "the part of tokens_input that the provider had in its cache", "tokens"),
+    _number("cost_usd", "US dollars", "cost; null where the price of any call is not known"),
+    _number("latency_mean_s", "s", "mean duration of a call, waits included; null without calls"),
+    *(_count(f"{WAYPOINTS}{who}", f"waypoints flown that were made by: {who}", "waypoints") for who in _MAKERS),
+    _count("messages_sent", "broadcasts", "messages"),
+    _number("bytes_per_robot_round", "bytes", "bytes broadcast per robot and round"),
+    _text("messages_rejected", "messages refused on receipt: reason=count"),
+    _text("killed", "robots that died, and in which round: 3@12"),
+    _text("joined", "robots that joined late or again, in the same form"),
+    _count("missions", "missions of the trial"),
+    _number("wall_s", "s", "duration of the trial; it depends on the machine and on what else it did"),
+    _text("error", "what broke the trial off; null where nothing did"),
+    _count("earlier_tries", "times it was flown before, and cut short by the sweep's budget or broken off"),
+    _number("earlier_cost_usd", "US dollars", "what those cost; null where a price is not known"),
+    _text("code", "version of the package that flew it, and revision of its checkout"),
+    _text("record", "its record, relative to the directory; null where none was kept"),
+)
+"""Columns of trials.parquet; `axis_NAME` (text) follows for each further axis of the grid, in their order."""
+
+ROUNDS: tuple[Column, ...] = (
+    _text("trial", "the trial"),
+    _count("round", "motion round, 0 at the start"),
+    _number("error", "units", "mean distance to the ideal shape; null without ideal or where it was not measured"),
+    _number("error_squared", "units^2", "mean squared distance to it"),
+    _number("min_separation", "units", "smallest distance of two robots in this round, along segments too"),
+    _count("plans_in_use", "different plans followed"),
+    _count("distinct_goals", "different goals headed for"),
+    _count("at_goal", "robots within 0.05 spacing of their goal", "robots"),
+    _count("calls", "model calls so far", "calls"),
+    _count("tokens", "tokens in and out so far", "tokens"),
+    _number("cost_usd", "US dollars", "cost so far; null where a price is not known"),
+)
+"""Columns of rounds.parquet."""
+
+
+def read_trials(folder: Path) -> pl.DataFrame:
+    """The row of every finished trial, ordered by cell and seed.
+
+    The file is used where it is as new as the trials are; else the table is built from them, and nothing is written.
+
+    Raises:
+        InputError: this is no directory of results.
+        RecordError: a trial is damaged.
+    """
+    return _read(folder, TRIALS_NAME, trials_frame)
+
+
+def read_rounds(folder: Path) -> pl.DataFrame:
+    """The rows of every finished trial's rounds, in the order of `read_trials`, then by round.
+
+    Raises:
+        InputError: this is no directory of results.
+        RecordError: a trial is damaged.
+    """
+    return _read(folder, ROUNDS_NAME, rounds_frame)
+
+
+def build_tables(folder: Path) -> None:
+    """Write both tables from the finished trials."""
+    trials = load_all(folder)
+    for name, frame in ((TRIALS_NAME, trials_frame(trials)), (ROUNDS_NAME, rounds_frame(trials))):
+        partial = folder / f".{name}.partial"
+        frame.write_parquet(partial)
+        partial.replace(folder / name)
+    sync_folder(folder)
+
+
+def load_all(folder: Path) -> list[StoredTrial]:
+    """Every finished trial, by cell and seed.
+
+    Raises:
+        InputError: this is no directory of results.
+        RecordError: a trial is damaged.
+    """
+    if not (folder / TRIALS_FOLDER).is_dir():
+        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
+    trials = [read_trial(path) for path in trial_files(folder)]
+    return sorted(trials, key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id))
+
+
+def trials_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
+    """The first table, in the order given."""
+    found = list(trials)
+    axes = list(dict.fromkeys(name for trial in found for name in trial.axes))
+    schema: dict[str, type[pl.DataType]] = {column.name: column.dtype for column in TRIALS}
+    schema.update({AXIS + name: pl.String for name in axes})
+    rows = [_row(trial) for trial in found]
+    return pl.DataFrame({name: [row.get(name) for row in rows] for name in schema}, schema=schema)
+
+
+def rounds_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
+    """The second table, in the order given."""
+    columns: dict[str, list[Any]] = {column.name: [] for column in ROUNDS}
+    for trial in trials:
+        columns["trial"] += [trial.id] * len(trial.rounds["round"])
+        for name in columns.keys() - {"trial"}:
+            columns[name] += trial.rounds[name]
+    return pl.DataFrame(columns, schema={column.name: column.dtype for column in ROUNDS})
+
+
+def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
+    path, trials = folder / name, folder / TRIALS_FOLDER
+    if path.exists() and trials.is_dir() and path.stat().st_mtime_ns >= trials.stat().st_mtime_ns:
+        return pl.read_parquet(path)
+    return build(load_all(folder))
+
+
+def _row(trial: StoredTrial) -> dict[str, Any]:
+    """Everything that is known of one trial, by the name of its column."""
+    mission, protocol = trial.config["mission"], trial.config["protocol"]
+    summary: Mapping[str, Any] = trial.summary or {}
+    plain = {column.name: summary.get(column.name) for column in TRIALS}
+    costs = [earlier.cost_usd for earlier in trial.earlier]
+    return {
+        **plain,
+        **{f"{WAYPOINTS}{who}": (summary["waypoints"].get(who, 0) if summary else None) for who in _MAKERS},
+        **{name: _counts(summary.get(name)) for name in ("faults", "messages_rejected")},
+        **{name: _words(summary.get(name)) for name in ("models", "killed", "joined")},
+        "missions": len(summary["missions"]) if summary else None,
+        "trial": trial.id,
+        "cell": trial.cell,
+        "seed": trial.config["trial"]["seed"],
+        "shape": mission["shape"],
+        "n_robots": mission["n_robots"],
+        "safe_distance": mission["safe_distance"],
+        "spacing": mission["spacing"],
+        **{name: protocol[name] for name in ("protocol", "consensus", "assignment", "shield")},
+        "model": trial.config["model"]["model"],
+        "simulated": trial.simulated,
+        "stopped": trial.stopped,
+        "formed": trial.formed,
+        "cut": trial.cut,
+        "error": trial.error,
+        "earlier_tries": len(costs),
+        "earlier_cost_usd": None if None in costs else sum(cost for cost in costs if cost is not None),
+        "code": trial.code,
+        "record": trial.record,
+        **{AXIS + name: value for name, value in trial.axes.items()},
+    }
+
+
+def _counts(counts: Mapping[str, int] | None) -> str | None:
+    return None if counts is None else " ".join(f"{name}={count}" for name, count in counts.items())
+
+
+def _words(words: Iterable[str] | None) -> str | None:
+    return None if words is None else " ".join(words)
+
+
+def _natural(text: str) -> list[tuple[int, int | str]]:
+    """A key that sorts triangle/6 before triangle/10."""
+    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", text)]

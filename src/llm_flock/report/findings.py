@@ -1,0 +1,147 @@
+"""What the trials say, in numbers: a line for each cell, and protocols compared on the same seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from llm_flock.experiments.paired import PairedMeans, PairedShares, paired_means, paired_shares
+from llm_flock.experiments.statistics import Estimate, Method, mean_interval, median, wilson
+from llm_flock.report.results import Cell, Results, TrialRow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellLine:
+    """The figures of one cell.
+
+    Attributes:
+        cell: which.
+        trials: all of them.
+        formed: share of all trials that formed, with Wilson's interval.
+        outcomes: how many trials ended in which way; they add up to `trials`.
+        rounds: median of the rounds to the formation, over the trials that formed.
+        ratio: median of these rounds over the lower bound, over the trials that formed.
+        error: mean distance to the ideal shape at the end [units], over the trials that have one.
+        errors_known: so many have one.
+        min_separation: smallest in any trial [units].
+        too_near: trials in which two robots were nearer than the safe distance.
+        calls: model calls a robot and mission.
+        tokens: tokens a robot and mission.
+        cost: cost of a mission [US dollars]; None where a price is not known.
+        latency: mean duration of a call [s].
+        rejected: share of calls whose answer could not be used; None without calls.
+    """
+
+    cell: Cell
+    trials: int
+    formed: Estimate
+    outcomes: Mapping[str, int]
+    rounds: float | None
+    ratio: float | None
+    error: Estimate | None
+    errors_known: int
+    min_separation: float | None
+    too_near: int
+    calls: Estimate | None
+    tokens: Estimate | None
+    cost: Estimate | None
+    latency: Estimate | None
+    rejected: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairLine:
+    """One protocol against the reference, on the same seeds.
+
+    Attributes:
+        cell: the one that is compared.
+        reference: the protocol that it is compared with.
+        formed: difference of the shares that formed.
+        means: differences of the means, by what is compared; None where no pair has it.
+    """
+
+    cell: Cell
+    reference: str
+    formed: PairedShares
+    means: Mapping[str, PairedMeans | None]
+
+
+ERROR = "error at the end [units]"
+
+COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
+    ERROR: lambda trial: trial.error,
+    "smallest separation [units]": lambda trial: trial.figures["min_separation"],
+    "rounds to the formation": lambda trial: trial.figures["rounds_to_formed"] if trial.formed else None,
+    "calls a robot": lambda trial: trial.per_robot("model_calls"),
+}
+"""What is compared pair by pair, besides success."""
+
+
+def cell_lines(results: Results, method: Method = "student") -> list[CellLine]:
+    """A line for every cell."""
+    return [cell_line(cell, trials, results.outcomes(trials), method) for cell, trials in results.cells.items()]
+
+
+def cell_line(cell: Cell, trials: Sequence[TrialRow], outcomes: Mapping[str, int], method: Method) -> CellLine:
+    """The line of one cell."""
+    costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
+    errors = known(trial.error for trial in trials)
+    calls = sum(known(trial.figures["model_calls"] for trial in trials))
+    return CellLine(
+        cell=cell,
+        trials=len(trials),
+        formed=wilson(sum(trial.formed for trial in trials), len(trials)),
+        outcomes=outcomes,
+        rounds=median(known(trial.figures["rounds_to_formed"] for trial in trials if trial.formed)),
+        ratio=median(known(trial.ratio for trial in trials)),
+        error=mean_interval(errors, method=method),
+        errors_known=len(errors),
+        min_separation=min(known(trial.figures["min_separation"] for trial in trials), default=None),
+        too_near=sum(trial.too_near for trial in trials),
+        calls=mean_interval(known(trial.per_robot("model_calls") for trial in trials), method=method),
+        tokens=mean_interval(known(trial.per_robot("tokens") for trial in trials), method=method),
+        cost=None if None in costs else mean_interval(known(costs), method=method),
+        latency=mean_interval(known(trial.figures["latency_mean_s"] for trial in trials), method=method),
+        rejected=sum(known(trial.figures["calls_rejected"] for trial in trials)) / calls if calls else None,
+    )
+
+
+def known(values: Iterable[float | None]) -> list[float]:
+    """The values that are known."""
+    return [float(value) for value in values if value is not None]
+
+
+def pair_lines(results: Results, reference: str, method: Method = "student") -> list[PairLine]:
+    """Every other protocol against the reference: same team, model and condition, seed by seed.
+
+    A seed that only one of the two flew makes no pair. A trial that broke off is a pair like any other in success: it
+    did not form. In the means a pair counts where both trials have the figure.
+    """
+    lines: list[PairLine] = []
+    for cell, trials in results.cells.items():
+        others = {
+            trial.seed: trial
+            for other, found in results.cells.items()
+            if other.protocol == reference != cell.protocol
+            and (other.team, other.model, other.condition) == (cell.team, cell.model, cell.condition)
+            for trial in found
+        }
+        pairs = [(trial, others[trial.seed]) for trial in trials if trial.seed in others]
+        formed = paired_shares([a.formed for a, _ in pairs], [b.formed for _, b in pairs])
+        if formed is None:
+            continue
+        means = {name: _paired(pairs, figure, method) for name, figure in COMPARED.items()}
+        lines.append(PairLine(cell=cell, reference=reference, formed=formed, means=means))
+    return lines
+
+
+def _paired(
+    pairs: Sequence[tuple[TrialRow, TrialRow]], figure: Callable[[TrialRow], float | None], method: Method
+) -> PairedMeans | None:
+    both = [(a, b) for a, b in ((figure(x), figure(y)) for x, y in pairs) if a is not None and b is not None]
+    return paired_means([a for a, _ in both], [b for _, b in both], method=method)
+
+
+def usual_reference(results: Results) -> str:
+    """The protocol that the others are compared with: the baseline if it was flown, else the last of the presets."""
+    return "baseline" if "baseline" in results.protocols else results.protocols[-1]

@@ -1,0 +1,278 @@
+"""Writes the report: one HTML page that needs nothing else, the same in Markdown, and a folder of figures."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import jinja2
+from markupsafe import Markup, escape
+
+from llm_flock.errors import InputError
+from llm_flock.experiments.statistics import METHODS, Method
+from llm_flock.report import sheets
+from llm_flock.report.drawing import Drawing
+from llm_flock.report.drawings import draw_all
+from llm_flock.report.findings import cell_lines, pair_lines, usual_reference
+from llm_flock.report.gallery import Failure, Story, gallery
+from llm_flock.report.results import OUTCOMES, Results, TrialRow
+from llm_flock.report.sheets import Sheet
+from llm_flock.report.svg import inline_svg, page_colours
+from llm_flock.viz.figures import save
+from llm_flock.viz.style import house_style
+
+FORMATS = ("svg", "pdf", "png")
+PICTURE_DPI = 130
+"""Of the snapshots on the page; the files have more."""
+
+SECTIONS = {
+    "success": "Success",
+    "error": "Error over time",
+    "paired": "Protocols compared",
+    "axes": "Along the grid",
+    "rounds": "Rounds over the lower bound",
+    "separation": "Separation",
+    "spending": "Calls, tokens and money",
+    "failures": "Failures",
+    "data": "Data and code",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownDrawing:
+    """A figure on the page."""
+
+    name: str
+    title: str
+    caption: str
+    svg: Markup
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownFailure:
+    """A trial of the gallery on the page; `picture` is a data address, empty without snapshots."""
+
+    name: str
+    trial: TrialRow
+    reason: str
+    source: str
+    stories: tuple[Story, ...]
+    picture: str
+
+
+@dataclass(slots=True, kw_only=True)
+class Section:
+    """A part of the page."""
+
+    name: str
+    title: str
+    drawings: list[ShownDrawing] = field(default_factory=list[ShownDrawing])
+    sheets: list[Sheet] = field(default_factory=list[Sheet])
+    failures: list[ShownFailure] = field(default_factory=list[ShownFailure])
+    lines: list[str] = field(default_factory=list[str])
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing in it."""
+        return not (self.drawings or self.sheets or self.failures or self.lines)
+
+
+def write_report(
+    folder: Path,
+    out: Path,
+    *,
+    method: Method = "student",
+    reference: str | None = None,
+    most: int = 6,
+    formats: Sequence[str] = FORMATS,
+    fly_again: bool = True,
+    on_step: Callable[[str], None] = lambda step: None,
+) -> list[Path]:
+    """Write the report of a directory of results; files of an older report in the same place are replaced.
+
+    Args:
+        folder: the directory of results.
+        out: where `report.html`, `report.md` and `figures/` go.
+        method: how the intervals of means are found.
+        reference: protocol that the others are compared with; the baseline, where it was flown, if left out.
+        most: trials in the gallery of failures.
+        formats: endings of the figures' files.
+        fly_again: whether trials of simulated models without a record are flown again for the gallery.
+        on_step: told what has been made.
+
+    Returns:
+        the page, the Markdown, and every figure.
+
+    Raises:
+        InputError: no results, or an option out of its range.
+        RecordError: a trial is damaged.
+    """
+    _check(method, formats)
+    results = Results.read(folder)
+    if reference is not None and reference not in results.protocols:
+        raise InputError("reference", reference, f"a protocol of these results: {', '.join(results.protocols)}")
+    written: list[Path] = []
+
+    def keep(figure: Any, name: str) -> None:
+        for ending in formats:
+            save(figure, out / "figures" / f"{name}.{ending}")
+            written.append(out / "figures" / f"{name}.{ending}")
+        on_step(name)
+
+    sections = {name: Section(name=name, title=title) for name, title in SECTIONS.items()}
+    reference = reference or usual_reference(results)
+    for drawing in draw_all(results, reference, method):
+        sections[drawing.section].drawings.append(_shown(drawing))
+        keep(drawing.figure, drawing.name)
+    _fill_sheets(results, sections, method, reference)
+    for failure in gallery(results, most, fly_again=fly_again):
+        sections["failures"].failures.append(_pictured(failure))
+        if failure.figure is not None:
+            keep(failure.figure, failure.name)
+    sections["failures"].lines += _failure_words(results, sections["failures"])
+    sections["data"].lines += _data_words(results)
+    light, dark = page_colours()
+    page = {
+        "title": results.name,
+        "about": results.about,
+        "subtitle": _subtitle(results),
+        "warnings": _warnings(results),
+        "facts": sheets.facts(results, cell_lines(results, method)),
+        "sections": [section for section in sections.values() if not section.empty],
+        "footer": "Made by llm-flock report from trials.parquet and rounds.parquet.",
+        "light": light,
+        "dark": dark,
+        "picture_format": "svg" if "svg" in formats else formats[0],
+    }
+    for name, template in (("report.html", "page.html.j2"), ("report.md", "page.md.j2")):
+        text = _environment().get_template(template).render(page)
+        (out / name).write_text(text, encoding="utf-8")
+        written.insert(0, out / name)
+        on_step(name)
+    return written
+
+
+def _check(method: str, formats: Sequence[str]) -> None:
+    if method not in METHODS:
+        raise InputError("interval", method, " or ".join(METHODS))
+    if not formats or any(ending not in FORMATS for ending in formats):
+        raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
+
+
+def _fill_sheets(results: Results, sections: dict[str, Section], method: Method, reference: str) -> None:
+    lines = cell_lines(results, method)
+    pairs = pair_lines(results, reference, method)
+    sections["success"].sheets.append(sheets.success_sheet(results, lines))
+    sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))
+    sections["spending"].sheets.append(sheets.spending_sheet(results, lines, method))
+    if pairs:
+        sections["paired"].sheets += sheets.pair_sheets(results, pairs, method)
+
+
+def _shown(drawing: Drawing) -> ShownDrawing:
+    svg = inline_svg(drawing.figure, drawing.name, f"{drawing.title}. {drawing.caption}")
+    return ShownDrawing(name=drawing.name, title=drawing.title, caption=drawing.caption, svg=svg)
+
+
+def _pictured(failure: Failure) -> ShownFailure:
+    picture = ""
+    if failure.figure is not None:
+        image = io.BytesIO()
+        with house_style():
+            failure.figure.savefig(image, format="png", dpi=PICTURE_DPI)  # pyright: ignore[reportUnknownMemberType]
+        picture = f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
+    return ShownFailure(
+        name=failure.name,
+        trial=failure.trial,
+        reason=failure.reason,
+        source=failure.source,
+        stories=failure.stories,
+        picture=picture,
+    )
+
+
+def _subtitle(results: Results) -> str:
+    parts = [
+        _counted(len(results.trials), "trial"),
+        ", ".join(f"{team.shape} {team.n_robots}" for team in results.teams),
+        ", ".join(results.protocols),
+        ", ".join(results.models),
+        _counted(len({trial.seed for trial in results.trials}), "seed"),
+    ]
+    return " · ".join(part for part in parts if part)
+
+
+def _warnings(results: Results) -> Iterator[str]:
+    if results.simulated:
+        every = all(trial.figures["simulated"] for trial in results.trials)
+        yield (
+            f"{'Simulated language models' if every else 'Some of the language models are simulated'}: these figures "
+            "say something about the protocol, and nothing about language models."
+        )
+    bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
+    if bad:
+        words = "; ".join(f"{n} {name} ({OUTCOMES[name]})" for name, n in bad.items())
+        yield f"Trials that came to no proper end: {words}. They are counted as not formed."
+    missing = (results.planned or 0) - len(results.trials)
+    if missing > 0:
+        yield f"The sweep is not finished: {missing:,} of {results.planned:,} trials are still to be flown."
+    codes = {str(trial.figures["code"]) for trial in results.trials}
+    if len(codes) > 1:
+        yield f"The trials were flown by different versions of the code: {', '.join(sorted(codes))}."
+    cut = sum(bool(trial.figures.get("cut")) for trial in results.trials)
+    if cut:
+        yield f"The budget of the sweep ended {_counted(cut, 'trial')}: continue the sweep with a larger one."
+
+
+def _failure_words(results: Results, section: Section) -> list[str]:
+    bad = [trial for trial in results.trials if not trial.formed or trial.too_near]
+    if not bad:
+        return ["Every trial formed, and no two robots came nearer than the safe distance."]
+    return [
+        f"{len(bad):,} of {len(results.trials):,} trials did not form or had robots too near; shown are "
+        f"{len(section.failures)} of them, the worst of each protocol and each way to end."
+    ]
+
+
+def _data_words(results: Results) -> list[str]:
+    codes = ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials))
+    return [
+        f"Flown by: {codes}.",
+        "The two tables, trials.parquet and rounds.parquet, lie beside sweep.toml, which repeats the sweep.",
+    ]
+
+
+def _counted(count: int, name: str) -> str:
+    return f"{count:,} {name}{'' if count == 1 else 's'}"
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("llm_flock.report"),
+        autoescape=lambda name: name is not None and name.endswith(".html.j2"),
+        undefined=jinja2.StrictUndefined,
+    )
+    filters = cast("dict[str, Any]", environment.filters)  # pyright: ignore[reportUnknownMemberType]
+    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced}
+    return environment
+
+
+def _breakable(text: str) -> Markup:
+    """Words of a cell that may be broken behind the signs between their parts."""
+    return Markup(re.sub(r"(?<=[,:@/])", "<wbr>", str(escape(text))))
+
+
+def _markdown(text: str) -> str:
+    """Text as it stands, in Markdown: on one line, with no sign that means something there."""
+    return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(str(text).split()))
+
+
+def _fenced(text: str) -> str:
+    """Text as a block, whatever backticks are in it."""
+    fence = "`" * max(3, 1 + max((len(run) for run in re.findall(r"`+", text)), default=0))
+    return f"{fence}text\n{text}\n{fence}"

@@ -1,0 +1,20 @@
+"""Conformance tests for parts of one's own: call them from a test; they raise AssertionError with what is wrong.
+
+from llm_flock.testing import check_assignment_rule, check_consensus_rule, check_model, check_prompts, check_shape
+
+def test_my_rule():
+    check_consensus_rule(MyRule())
+"""
+
+from llm_flock.testing.comparison import check_model, check_prompts, check_shape
+from llm_flock.testing.rules import check_assignment_rule, check_consensus_rule, random_message, random_plan
+
+__all__ = [
+    "check_assignment_rule",
+    "check_consensus_rule",
+    "check_model",
+    "check_prompts",
+    "check_shape",
+    "random_message",
+    "random_plan",
+]

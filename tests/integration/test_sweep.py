@@ -1,0 +1,208 @@
+"""Sweeps from their file to their tables: each trial once, wherever it is flown and whatever comes in between."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from integration.fault_server import running
+from sweeps import results, small, small_file
+
+from llm_flock.errors import InputError
+from llm_flock.experiments import tables
+from llm_flock.experiments.store import StoredTrial, read_trial, trial_files
+from llm_flock.experiments.sweep import fly_sweep
+from llm_flock.experiments.sweep_expect import expect_cells
+from llm_flock.record.reader import read_record
+
+
+def test_one_process_and_a_pool_give_identical_tables(tmp_path: Path) -> None:
+    sweep = small(tmp_path, more="[run.links]\nloss = 0.2")
+    assert fly_sweep(sweep, tmp_path / "one", executor="one").complete
+    assert fly_sweep(sweep, tmp_path / "pool", executor="pool", jobs=2).complete
+    one, pool = results(tmp_path / "one"), results(tmp_path / "pool")
+    assert one[0].equals(pool[0]) and one[1].equals(pool[1])
+    assert one[0].height == 4 and one[0]["formed"].sum() == 2
+    assert one[0]["simulated"].all() and one[0]["code"].null_count() == 0
+
+
+def test_trials_that_take_turns_give_what_they_give_one_by_one(tmp_path: Path) -> None:
+    sweep = small(tmp_path, seeds=2, model="simulated:slow@0.01,flaky@0.02", rounds=4)
+    for name, at_once in (("together", 256), ("alone", 1)):
+        assert fly_sweep(sweep, tmp_path / name, at_once=at_once).complete
+    together, alone = results(tmp_path / "together"), results(tmp_path / "alone")
+    assert together[0].equals(alone[0]) and together[1].equals(alone[1])
+
+
+def test_the_rounds_are_those_of_the_record(tmp_path: Path) -> None:
+    sweep = small(tmp_path, seeds=1, sweep='keep_records = "failed"')
+    fly_sweep(sweep, tmp_path / "out", executor="one")
+    trials, rounds = tables.read_trials(tmp_path / "out"), tables.read_rounds(tmp_path / "out")
+    assert trials["record"].null_count() == 1, "the one that formed"
+    (row,) = trials.filter(~trials["formed"]).to_dicts()
+    record = read_record(tmp_path / "out" / row["record"])
+    mine = rounds.filter(rounds["trial"] == row["trial"])
+    assert mine["round"].to_list() == [entry.round for entry in record.metrics]
+    assert mine["error"].to_list() == [entry.procrustes_mean for entry in record.metrics]
+    assert min(mine["min_separation"].to_list()) == pytest.approx(row["min_separation"])
+    assert mine["calls"][-1] == row["model_calls"] and mine["tokens"][-1] == row["tokens"]
+    assert [path.name for path in (tmp_path / "out/records").iterdir()] == [f"{row['trial']}.mcap"]
+
+
+def test_what_is_finished_is_never_flown_again_and_more_seeds_may_come(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    fly_sweep(small(tmp_path, seeds=1), out, executor="one")
+    before = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
+    standing = fly_sweep(small(tmp_path, seeds=2), out, executor="one")
+    assert (standing.trials, standing.finished) == (4, 4)
+    after = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
+    assert len(after) == 4 and {name: after[name] for name in before} == before
+    with pytest.raises(InputError, match="2 of its 4 trials are not in what was given"):
+        fly_sweep(small(tmp_path, seeds=1), out, executor="one")
+    with pytest.raises(InputError, match="another directory"):
+        fly_sweep(small(tmp_path, seeds=2, rounds=14), out, executor="one")
+    assert (out / "sweep.toml").read_text() == small_file(tmp_path, seeds=2).read_text()
+
+
+def test_trials_that_break_off_are_counted_and_flown_again_only_when_told(tmp_path: Path) -> None:
+    sweep = small(tmp_path, seeds=1, consensus="rules_that_fail:Raising", start="uniform")
+    standing = fly_sweep(sweep, tmp_path / "out", executor="pool")
+    assert (standing.finished, standing.broken, standing.formed, standing.complete) == (2, 2, 0, True)
+    found = tables.read_trials(tmp_path / "out")
+    assert found["error"].to_list() == ["Unpicklable: no choice"] * 2
+    assert found["stopped"].to_list() == ["failed"] * 2 and found["earlier_tries"].to_list() == [0, 0]
+    assert found["model_calls"].to_list() == [3, 3], "what they had used until then"
+    fly_sweep(sweep, tmp_path / "out", executor="one")
+    assert tables.read_trials(tmp_path / "out")["earlier_tries"].to_list() == [0, 0]
+    fly_sweep(sweep, tmp_path / "out", executor="one", again=True)
+    assert tables.read_trials(tmp_path / "out")["earlier_tries"].to_list() == [1, 1]
+
+
+def test_a_budget_ends_a_sweep_and_a_larger_one_goes_on(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    standing = fly_sweep(small(tmp_path, budget={"max_calls": 60}), out, jobs=2)
+    assert not standing.complete and standing.cut == 1
+    assert standing.reason == "max_calls = 60 of the sweep is used up"
+    cut = tables.read_trials(out).filter(tables.read_trials(out)["cut"])
+    assert cut["stopped"].to_list() == ["budget"] and not cut["formed"].any()
+    assert sum(tables.read_trials(out)["model_calls"].to_list()) == 60
+    again = fly_sweep(small(tmp_path, budget={"max_calls": 60}), out)
+    assert again.finished == standing.finished and tables.read_trials(out)["earlier_tries"].sum() == 0
+    assert fly_sweep(small(tmp_path), out, executor="one").complete
+    whole = tables.read_trials(out)
+    assert whole.height == 4 and not whole["cut"].any() and whole["earlier_tries"].sum() == 1
+    with pytest.raises(InputError, match="executor"):
+        fly_sweep(small(tmp_path, budget={"max_calls": 60}), out, executor="pool")
+
+
+def test_two_sweeps_on_one_directory_share_its_trials(tmp_path: Path) -> None:
+    sweep, out = small(tmp_path, seeds=6, model="simulated:slow@0.01"), tmp_path / "out"
+    both = [threading.Thread(target=fly_sweep, args=(sweep, out), kwargs={"at_once": 2}) for _ in range(2)]
+    for thread in both:
+        thread.start()
+    for thread in both:
+        thread.join()
+    found = tables.read_trials(out)
+    assert found.height == 12 and found["earlier_tries"].sum() == 0
+    spent = [json.loads(path.read_bytes())["calls"] for path in (out / "spent").iterdir()]
+    assert len(spent) == 2 and min(spent) > 0 and sum(spent) == found["model_calls"].sum(), "none was flown twice"
+
+
+@pytest.mark.parametrize("executor", ["one", "pool"])
+def test_a_kill_loses_at_most_the_trials_in_flight(tmp_path: Path, executor: str) -> None:
+    path, out = small_file(tmp_path, seeds=10), tmp_path / "out"
+    command = [sys.executable, "-m", "llm_flock", "sweep", str(path), "--out", str(out), "-q", "--executor", executor]
+    process = subprocess.Popen([*command, "--jobs", "2"], cwd=tmp_path, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline and not (out / "trials").is_dir():
+            time.sleep(0.02)
+        while time.monotonic() < deadline and len(list(trial_files(out))) < 8:
+            time.sleep(0.01)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    kept = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
+    begun = {path.name for path in (out / "claims").iterdir()} - {"plan"}
+    assert 8 <= len(kept) < 20
+    lost = begun - {name.removesuffix(".json") for name in kept}
+    assert len(lost) <= (2 if executor == "pool" else 1)
+    assert all(isinstance(read_trial(out / "trials" / name), StoredTrial) for name in kept)
+    assert fly_sweep(small(tmp_path, seeds=10), out, jobs=2).complete
+    assert {path.name: path.stat().st_mtime_ns for path in trial_files(out) if path.name in kept} == kept
+    # A kill between keeping a trial and letting go of it leaves an empty file, which stops nobody.
+    assert {path.name for path in (out / "claims").iterdir()} <= {name.removesuffix(".json") for name in kept}
+
+
+def test_an_interruption_keeps_what_is_finished_in_the_tables(tmp_path: Path) -> None:
+    path, out = small_file(tmp_path, seeds=50), tmp_path / "out"
+    command = [sys.executable, "-m", "llm_flock", "sweep", str(path), "--out", str(out), "-q", "--jobs", "2"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        with contextlib.suppress(OSError):
+            if len(list(trial_files(out))) >= 5:
+                break
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130 and "the same command goes on" in said
+    assert (out / "trials.parquet").exists() and 5 <= tables.read_trials(out).height < 100
+
+
+def test_many_trials_wait_for_one_server_at_once_within_the_rates(tmp_path: Path) -> None:
+    more = "[providers.openai-compatible]\nmax_concurrent = 7\n[variables]\nmodels = ['openai-compatible:x']"
+    with running(latency=0.02) as server:
+        address = server.base_url
+        grid = 'model = "$models"'
+        sweep = small(tmp_path, seeds=4, grid=grid, more=more, base_url=address, rounds=3)
+        assert all(trial.waits for trial in sweep.trials)
+        assert fly_sweep(sweep, tmp_path / "out").complete
+    found = tables.read_trials(tmp_path / "out")
+    assert found.height == 8 and found["calls_failed"].sum() == 0
+    assert not found["simulated"].any()
+
+
+def test_a_missing_key_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    sweep = small(tmp_path, model="openai:gpt-4o")
+    with pytest.raises(InputError, match="OPENAI_API_KEY"):
+        fly_sweep(sweep, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="max_cost"):
+        fly_sweep(small(tmp_path, model="vllm:x", budget={"max_cost": 1.0}), tmp_path / "out")
+
+
+def test_what_real_models_will_cost_is_rehearsed_by_stand_ins(tmp_path: Path) -> None:
+    sweep = small(tmp_path, model="openai:gpt-4o", more="[expect]\noutput_tokens = 100\nprofile = 'ideal'")
+    expected = expect_cells(sweep)
+    free = expect_cells(small(tmp_path))
+    for cell in sweep.cells:
+        found = expected[cell]
+        assert found.calls == free[cell].calls and found.tokens_input == free[cell].tokens_input
+        assert found.tokens_output == 100 * found.calls and found.calls <= found.at_most
+        assert found.cost_usd == pytest.approx(found.tokens_input * 2.5e-6 + found.tokens_output * 1e-5, rel=0.05)
+        assert free[cell].cost_usd == 0
+    unknown = expect_cells(small(tmp_path, model="vllm:x"))
+    assert all(found.cost_usd is None for found in unknown.values())
+    total = sum((found.times(2) for found in expected.values()), start=expected[sweep.cells[0]].times(0))
+    assert total.calls == 2 * sum(found.calls for found in expected.values())
+
+
+def test_cells_with_flown_trials_are_expected_to_go_on_like_that(tmp_path: Path) -> None:
+    sweep = small(tmp_path)
+    fly_sweep(sweep, tmp_path / "out", executor="one")
+    flown: dict[str, list[Any]] = {}
+    for path in trial_files(tmp_path / "out"):
+        trial = msgspec.json.decode(path.read_bytes(), type=StoredTrial)
+        flown.setdefault(trial.cell, []).append(trial)
+    found = tables.read_trials(tmp_path / "out")
+    for cell, expected in expect_cells(sweep, flown=flown).items():
+        assert expected.calls == pytest.approx(found.filter(found["cell"] == cell)["model_calls"].mean())

@@ -1,0 +1,267 @@
+"""The report: what it counts, what it draws, and what it shows of failures."""
+
+from __future__ import annotations
+
+import csv
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from sample_records import FakeRun
+from sample_results import SEEDS, trial, write_results
+
+from llm_flock.errors import InputError
+from llm_flock.experiments import tables
+from llm_flock.experiments.store import Store
+from llm_flock.record.reader import read_record
+from llm_flock.record.writer import RecordWriter
+from llm_flock.report.along import along_axes
+from llm_flock.report.drawings import draw_all, success
+from llm_flock.report.export import export_csv
+from llm_flock.report.findings import ERROR, cell_lines, pair_lines, usual_reference
+from llm_flock.report.gallery import gallery, worst
+from llm_flock.report.guilt import guilty
+from llm_flock.report.page import write_report
+from llm_flock.report.results import OUTCOMES, Results
+from llm_flock.report.sheets import interval, success_sheet
+from llm_flock.report.svg import inline_svg
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return Results.read(write_results(tmp_path_factory.mktemp("results")))
+
+
+def test_every_trial_is_counted_once(results: Results) -> None:
+    counts = results.outcomes()
+    assert list(counts) == list(OUTCOMES)
+    assert counts == {"formed": 12, "not formed": 18, "budget": 4, "no answers": 0, "interrupted": 0, "broke off": 2}
+    lines = cell_lines(results)
+    assert [sum(line.outcomes.values()) for line in lines] == [SEEDS] * 6
+    broken = next(line for line in lines if line.cell.protocol == "baseline")
+    assert broken.formed.value == 0.0 and broken.trials == SEEDS and broken.errors_known == SEEDS - 1
+
+
+def test_cells_come_by_team_then_protocol(results: Results) -> None:
+    assert [(cell.team.n_robots, cell.protocol) for cell in results.cells] == [
+        (n, protocol) for n in (3, 10) for protocol in ("flock", "paper", "baseline")
+    ]
+
+
+def test_a_curve_keeps_its_last_error_and_broken_trials_have_none(results: Results) -> None:
+    flock = next(trials for cell, trials in results.cells.items() if cell.protocol == "flock")
+    table = results.curves(flock, 12)
+    assert table.shape == (SEEDS, 12)
+    assert table[0, 4] == 20 * 0.5**4 and (table[0, 4:] == table[0, 4]).all()
+    baseline = next(trials for cell, trials in results.cells.items() if cell.protocol == "baseline")
+    assert results.curves(baseline, 12).shape == (SEEDS - 1, 12)
+
+
+def test_rounds_without_an_error_are_left_open(tmp_path: Path) -> None:
+    one = trial("circle", 10, "flock", 0)
+    Store(tmp_path).save(trial("circle", 10, "flock", 0, rounds=one.rounds | {"error": [4.0, None, 2.0, 1.0, None]}))
+    found = Results.read(tmp_path)
+    np.testing.assert_array_equal(found.curves(found.trials, 7), [[4.0, np.nan, 2.0, 1.0, np.nan, 1.0, 1.0]])
+
+
+def test_pairs_are_of_one_seed_and_a_broken_trial_is_a_pair_in_success(results: Results) -> None:
+    assert usual_reference(results) == "baseline"
+    lines = pair_lines(results, "baseline")
+    assert [(line.cell.team.n_robots, line.cell.protocol) for line in lines] == [
+        (3, "flock"), (3, "paper"), (10, "flock"), (10, "paper"),
+    ]  # fmt: skip
+    flock = lines[0]
+    assert flock.formed.pairs == SEEDS and flock.formed.difference.value == 1.0
+    means = flock.means[ERROR]
+    assert means is not None and means.pairs == SEEDS - 1
+    expected = np.mean([20 * 0.5 ** (seed + 4) - (20 * 0.5**10 + 3) for seed in range(SEEDS - 1)])
+    assert means.difference.value == pytest.approx(expected)
+    assert flock.means["rounds to the formation"] is None
+
+
+def test_tables_say_how_trials_ended(results: Results) -> None:
+    sheet = success_sheet(results, cell_lines(results))
+    assert sheet.header[:5] == ("shape", "N", "model", "protocol", "trials")
+    row = dict(zip(sheet.header, sheet.rows[2], strict=True))
+    assert (row["protocol"], row["trials"], row["budget"], row["broke off"]) == ("baseline", "6", "1", "1")
+    assert "no answers" not in sheet.header
+
+
+def test_numbers_in_words() -> None:
+    from llm_flock.experiments.statistics import Estimate
+
+    assert interval(None, 2) == "-"
+    assert interval(Estimate(value=-0.001, low=None, high=None), 2, signed=True) == "+0.00"
+    minus = "\N{MINUS SIGN}"
+    assert interval(Estimate(value=0.5, low=-0.25, high=1.0), 1, 100.0) == f"50.0 [{minus}25.0, 100.0]"
+
+
+def test_figures_of_everything_that_was_measured(results: Results) -> None:
+    captions = {drawing.name: drawing.caption for drawing in draw_all(results, "baseline", "bootstrap")}
+    assert list(captions) == [
+        "success", "error-by-model", "error-by-protocol", "paired-success", "paired-error", "rounds-over-bound",
+        "separation", "calls", "tokens", "cost",
+    ]  # fmt: skip
+    assert "2 of 36 trials have no error" in captions["error-by-model"]
+    assert "bootstrap" in captions["calls"] and "baseline: without consensus" in captions["error-by-protocol"]
+
+
+@pytest.mark.parametrize(("values", "ticks"), [(("0.1", "0.3"), False), (("none", "loss"), True)])
+def test_axes_of_the_grid_are_drawn(tmp_path: Path, values: tuple[str, str], ticks: bool) -> None:
+    for number, value in enumerate(values):
+        for seed in range(3):
+            one = trial("circle", 10, "flock", seed)
+            Store(tmp_path).save(
+                trial("circle", 10, "flock", seed, id=f"{number}{seed}", axes={"loss": value}, cell=value)
+            )
+            assert one.axes == {}
+    found = Results.read(tmp_path)
+    assert found.axes == {"loss": values if not ticks else tuple(found.axes["loss"])}
+    drawn = {drawing.name: drawing for drawing in along_axes(found, "student")}
+    assert set(drawn) == {"formed-along-loss", "error-along-loss", "calls-along-loss"}
+    labels = [text.get_text() for text in drawn["formed-along-loss"].figure.axes[0].get_xticklabels()]
+    assert (set(labels) == set(values)) is ticks
+
+
+def test_one_trial_of_one_robot_is_enough(tmp_path: Path) -> None:
+    Store(tmp_path).save(trial("line", 1, "flock", 0))
+    (tmp_path / "sweep.toml").write_text('[sweep]\nname = "small <one>"\nabout = "About | it"\n')
+    (tmp_path / "plan.json").write_text('{"line1flock0": ["a", "0"], "other": ["a", "1"]}')
+    page, markdown = (path.read_text() for path in sorted(write_report(tmp_path, tmp_path / "r", formats=["svg"])[:2]))
+    assert "small &lt;one&gt;" in page and "About \\| it" in markdown
+    assert "1 of 2 trials are still to be flown" in page
+
+
+def test_the_gallery_begins_with_one_of_each_protocol_and_way_to_end(results: Results) -> None:
+    chosen = [(trial.outcome, trial.cell.protocol) for trial in worst(results, 5)]
+    assert chosen == [
+        ("broke off", "baseline"), ("budget", "baseline"), ("budget", "paper"), ("not formed", "baseline"),
+        ("not formed", "paper"),
+    ]  # fmt: skip
+    assert len(worst(results, 100)) == 24 and worst(results, 0) == []
+
+
+def test_a_failure_with_a_record_has_pictures_and_the_guilty_conversation(results: Results) -> None:
+    shown = {failure.trial.id: failure for failure in gallery(results, 100)}
+    failure = shown["circle10paper1"]
+    assert failure.figure is not None and "records/circle10paper1.mcap" in failure.source
+    assert any("plans were in use among 10 robots" in story.sentence for story in failure.stories)
+    talk = next(story.talk for story in failure.stories if story.talk)
+    assert [line.role for line in talk] == ["system", "user", "assistant", "verdict"]
+    assert talk[-1].text == "The answer was taken."
+    without = shown["circle10paper2"]
+    assert without.figure is None and "keep-records" in without.source
+
+
+def test_a_simulated_trial_without_a_record_is_flown_again(tmp_path: Path) -> None:
+    from llm_flock.runtime.api import run
+    from llm_flock.runtime.config import load_config
+
+    config = load_config(None, shape="triangle", n_robots=3, protocol="baseline", rounds=4, seed=2)
+    found = run(config=config).summary.to_dict()
+    one = trial("triangle", 3, "baseline", 2)
+    stored = trial("triangle", 3, "baseline", 2, config=config.model_dump(mode="json"), summary=found, simulated=True)
+    assert one.id == stored.id
+    Store(tmp_path).save(stored)
+    (failure,) = gallery(Results.read(tmp_path), 3)
+    assert failure.figure is not None and failure.source == "No record was kept; flown again from its configuration."
+    (failure,) = gallery(Results.read(tmp_path), 3, fly_again=False)
+    assert failure.figure is None
+
+
+def test_a_damaged_record_is_said_and_hurts_nothing(tmp_path: Path) -> None:
+    write_results(tmp_path)
+    (tmp_path / "records" / "circle10paper1.mcap").write_bytes(b"nonsense")
+    shown = {failure.trial.id: failure for failure in gallery(Results.read(tmp_path), 100)}
+    assert shown["circle10paper1"].source.startswith("There are no pictures: ")
+
+
+def test_a_crash_names_the_pair_and_the_round(tmp_path: Path) -> None:
+    run = FakeRun(n=4, rounds=5)
+    run.start[1] = run.start[0] + [0.5, 0.0]
+    with RecordWriter(tmp_path / "run.mcap") as writer:
+        run.write(writer)
+    first, *_ = guilty(read_record(tmp_path / "run.mcap"))
+    assert first.sentence == "At the start, robots 0 and 1 came within 0.50 units of each other." and first.round == 0
+
+
+class Page(HTMLParser):
+    """What a page would load, and whether its ids are unique."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            elif name in ("src", "data", "srcset") or (name in ("href", "xlink:href") and tag not in ("a", "use")):
+                self.loads.append(value or "")
+            elif name in ("href", "xlink:href"):
+                self.links.append(value or "")
+
+
+def test_the_page_is_whole_in_itself(results: Results, tmp_path: Path) -> None:
+    written = write_report(results.folder, tmp_path, formats=["png"])
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = Page()
+    page.feed(text)
+    assert all(address.startswith(("data:", "#")) for address in page.loads)
+    assert len(page.ids) == len(set(page.ids))
+    assert {link.removeprefix("#") for link in page.links} <= set(page.ids)
+    assert not re.search(r"url\((?!#)", text) and "@import" not in text
+    assert "counted as not formed" in text and "ZeroDivisionError: in a rule" in text
+    markdown = (tmp_path / "report.md").read_text(encoding="utf-8")
+    pictures = re.findall(r"\]\((figures/[^)]+)\)", markdown)
+    assert len(pictures) > 8 and all((tmp_path / picture).exists() for picture in pictures)
+    assert {path.name for path in written} >= {"report.html", "report.md", "success.png"}
+
+
+def test_the_same_results_make_the_same_report(tmp_path: Path) -> None:
+    Store(tmp_path).save(trial("circle", 10, "flock", 0))
+    for name in ("a", "b"):
+        write_report(tmp_path, tmp_path / name, formats=["svg", "pdf"])
+    for path in sorted((tmp_path / "a").rglob("*.*")):
+        assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes(), path.name
+
+
+def test_a_figure_on_a_page_takes_the_pages_colours(results: Results) -> None:
+    drawing = success(results, cell_lines(results))
+    text = str(inline_svg(drawing.figure, "x", 'says "so"'))
+    assert "var(--ink)" in text and "var(--series-0)" in text and 'aria-label="says &#34;so&#34;"' in text
+    assert not re.search(r"#[0-9a-f]{6}\b", text.lower().replace('href="#', ""))
+    assert all(name.startswith("x-") for name in re.findall(r'\bid="([^"]+)"', text))
+
+
+def test_what_is_refused(results: Results, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="directory of results"):
+        write_report(tmp_path / "nothing", tmp_path / "out")
+    (tmp_path / "empty" / "trials").mkdir(parents=True)
+    with pytest.raises(InputError, match="at least one finished trial"):
+        write_report(tmp_path / "empty", tmp_path / "out")
+    with pytest.raises(InputError, match="formats"):
+        write_report(results.folder, tmp_path / "out", formats=["bmp"])
+    with pytest.raises(InputError, match="a protocol of these results"):
+        write_report(results.folder, tmp_path / "out", reference="nobody's")
+    assert not (tmp_path / "out").exists()
+
+
+def test_csv_holds_the_same_tables(results: Results, tmp_path: Path) -> None:
+    trials, rounds = export_csv(results.folder, tmp_path)
+    with trials.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["trial"] for row in rows] == tables.read_trials(results.folder)["trial"].to_list()
+    again = pl.read_csv(rounds, schema=tables.read_rounds(results.folder).schema)
+    assert again.equals(tables.read_rounds(results.folder))
+
+
+def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:
+    Store(tmp_path).save(trial("circle", 10, "flock", 0, simulated=True))
+    for drawing in draw_all(Results.read(tmp_path), "flock"):
+        assert [legend.get_title().get_text() for legend in drawing.figure.legends] == ["simulated language models"]
