@@ -1,12 +1,15 @@
 """What the framework itself costs, apart from the models: `make bench`.
 
-    python -m benchmarks [overhead] [trials] [http] [late] [thousand]
+    python -m benchmarks [overhead] [trials] [http] [late] [thousand] [sweep] [twenty]
 
 `overhead`  an instant simulated model, record on, one core: milliseconds per robot and round at N = 10 and N = 100
 `trials`    whole trials, circle of ten, record off, one core: processor time of one
 `http`      a zero-latency OpenAI-compatible server in a process of its own: milliseconds per robot and round
 `late`      50 robots and a server that takes 1 s to answer: seconds per round, the first (plan and step) left out
 `thousand`  a grid of 1,000 robots, at most 60 rounds, record off: time and memory (only when named, it takes minutes)
+`sweep`     experiments/simulated.toml from scratch, two processes: time and memory (only when named)
+`twenty`    twenty trials of a circle of ten in one process on a server that takes 1 s, beside the longest of them alone
+            (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it.
 """
@@ -23,6 +26,8 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+from benchmarks import sweeps
 
 import llm_flock
 
@@ -126,7 +131,7 @@ def late() -> None:
 
 
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
-LONG = {"thousand": thousand}
+LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or list(PARTS):

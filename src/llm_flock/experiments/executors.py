@@ -25,6 +25,11 @@ from llm_flock.llm.limits import Budget
 from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
 from llm_flock.runtime.trial import Progress
 
+try:
+    import resource
+except ImportError:  # pragma: no cover - systems without such limits
+    resource = None
+
 BOOKKEEPING_S = 1.0
 """What has been spent is written down so often [s]."""
 
@@ -160,7 +165,16 @@ def fly_here(flights: Sequence[Flight], session: Session) -> None:
         KeyboardInterrupt: after all records were brought to a readable end.
     """
     if flights:
+        _allow_open_files()
         asyncio.run(_fly_here(flights, session))
+
+
+def _allow_open_files() -> None:
+    """Every call under way has a connection: take as many open files as the system gives without asking."""
+    if resource is not None:
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        with suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 async def _fly_here(flights: Sequence[Flight], session: Session) -> None:
