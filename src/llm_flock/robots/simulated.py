@@ -60,9 +60,9 @@ def _nearest(placed: Points, draw: Vector) -> float:
 
 def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
     """A point uniform in the ball of radius `reach` about one of the points placed."""
-    about: Vector = placed[int(rng.integers(len(placed)))]
+    about = placed[int(rng.integers(len(placed)))]
     while True:
-        offset: Vector = rng.uniform(-reach, reach, size=placed.shape[1])
+        offset = np.array([rng.uniform(-reach, reach) for _ in about])
         if float(np.linalg.norm(offset)) <= reach:
             return about + offset
 
