@@ -243,6 +243,12 @@ def _unsaid(places: int) -> Table:
     return (UNSAID,) * places
 
 
+@functools.lru_cache(maxsize=65536)
+def _entry(version: int, bid: float, owner: int) -> Entry:
+    """One object for equal entries: they come in many messages, and whoever compares tables need not look inside."""
+    return version, bid, owner
+
+
 @functools.lru_cache(maxsize=4096)
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     """A message from bytes that anybody may have sent.
@@ -305,7 +311,7 @@ def _table(wire: _WireMessage) -> Table | None:
         return None if wire.claims is None else _unsaid(wire.places)
     table = [UNSAID] * wire.places
     for slot, version, bid, owner in wire.claims:
-        table[slot] = (version, bid, owner)
+        table[slot] = _entry(version, bid, owner)
     return tuple(table)
 
 

@@ -120,7 +120,8 @@ class Speech:
         if table is not before:
             self._table = table
             if table is not None and before is not None and len(before) == len(table):
-                changed = frozenset(compress(range(len(table)), map(operator.ne, table, before)))
+                others = compress(range(len(table)), map(operator.is_not, table, before))
+                changed = frozenset(a for a in others if table[a] != before[a])
         self._changed = (*self._changed[-1:], changed)
 
     def _part(self, whole: Message, *, meets: bool, greeting: bool) -> tuple[Table | None, tuple[int, ...] | None]:
