@@ -12,6 +12,7 @@ import math
 import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import compress
 
 import numpy as np
@@ -59,7 +60,7 @@ def merged(mine: Table, others: Iterable[tuple[Table, Sequence[int] | None]]) ->
             their, my = theirs[a], entries[a]
             if their is my or their is UNSAID or their[0] < my[0]:
                 continue
-            if their[0] > my[0] or rank(their) > rank(my):
+            if their[0] > my[0] or ((their[1] >= my[1] or my[2] == NO_OWNER) and rank(their) > rank(my)):
                 entries[a] = their
                 touched.add(a)
     return (tuple(entries) if touched else mine), touched
@@ -173,25 +174,28 @@ def keep_one(robot: int, table: Table, among: Iterable[int]) -> tuple[Table, int
 
 def best_won(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
     """Claim the best slot that can be won, or none."""
-    best: int | None = None
-    for a, (version, bid, owner) in enumerate(table):
-        mine = bids[a]
-        # As `rank` has it, spelled out: this is asked for every slot, and a robot may lose many auctions.
-        winnable = owner == NO_OWNER or (version == 0 and owner != BLOCKED and (mine, -robot) > (bid, -owner))
-        if winnable and (best is None or mine > bids[best]):
-            best = a
-    if best is None:
-        return table, None
-    return changed(table, {best: (table[best][0], bids[best], robot)}), best
+    for a in _preferred(bids):
+        version, bid, owner = table[a]
+        # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
+        if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
+            return changed(table, {a: (version, bids[a], robot)}), a
+    return table, None
+
+
+@lru_cache(maxsize=4096)
+def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
+    """Slots by falling bid, those of equal bids by index."""
+    return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
 def gain(now: Moment, there: Point, mine: int, theirs: int) -> float:
     """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2]."""
+    here = now.position
+    return _cost(now, here, mine) + _cost(now, there, theirs) - _cost(now, here, theirs) - _cost(now, there, mine)
 
-    def cost(here: Point, slot: int) -> float:
-        return way_length(here, now.plan, slot, now.spacing) ** 2
 
-    return cost(now.position, mine) + cost(there, theirs) - cost(now.position, theirs) - cost(there, mine)
+def _cost(now: Moment, here: Point, slot: int) -> float:
+    return way_length(here, now.plan, slot, now.spacing) ** 2
 
 
 def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:
