@@ -6,7 +6,7 @@
 `trials`    whole trials, circle of ten, record off, one core: processor time of one
 `http`      a zero-latency OpenAI-compatible server in a process of its own: milliseconds per robot and round
 `late`      50 robots and a server that takes 1 s to answer: seconds per round, the first (plan and step) left out
-`thousand`  a grid of 1,000 robots, at most 60 rounds, record off: time and memory (only when named, it takes minutes)
+`thousand`  a whole mission of a grid of 1,000 robots, record off: time and memory (only when named, it takes minutes)
 `sweep`     experiments/simulated.toml from scratch, two processes: time and memory (only when named)
 `twenty`    twenty trials of a circle of ten in one process on a server that takes 1 s, beside the longest of them alone
             (only when named)
@@ -84,15 +84,15 @@ def trials() -> None:
 
 
 def thousand() -> None:
-    """A thousand robots in an arena that fits them, starts drawn in all of it; not all is well until `formed`."""
-    mission = llm_flock.Mission(shape="grid", n_robots=1000, center=(240, 240), arena=((0, 0), (480, 480)))
+    """A whole mission of a thousand robots: a grid 6 apart, starts drawn in all of the arena, never nearer than 3."""
+    mission = llm_flock.Mission(shape="grid", n_robots=1000, spacing=6, center=(140, 140), arena=((0, 0), (280, 280)))
     began, cpu = time.perf_counter(), time.process_time()
     summary = llm_flock.run(mission, rounds=60, seed=0).summary
     took, busy = time.perf_counter() - began, time.process_time() - cpu
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(
-        f"grid of 1,000: formed {summary.formed} after {summary.rounds} rounds, {summary.distinct_goals} distinct goals"
-    )
+    print(f"grid of 1,000 on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} (other processes included)")
+    print(f"  formed {summary.formed} in round {summary.rounds_to_formed}, {summary.rounds} rounds flown")
+    print(f"  {summary.distinct_goals} distinct goals, smallest separation {summary.min_separation:.6f}")
     print(f"  {took:.0f} s (processor {busy:.0f} s)   bar 300;   {peak_mib:.0f} MiB   bar 2048", flush=True)
 
 

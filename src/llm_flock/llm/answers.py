@@ -103,7 +103,7 @@ def parse_plan(text: str, n: int, dim: int) -> tuple[Plan, int]:
         )
     lists = _EACH_LIST.findall(found["list"])
     _check_count(len(lists), n)
-    points = [_point(what, _numbers(what, row), dim) for what, row in zip(_names(n), lists, strict=True)]
+    points = [_place(number, row, dim) for number, row in enumerate(lists)]
     index = _last(_INDEX, text)
     if index is None:
         raise AnswerError(
@@ -301,6 +301,17 @@ def _number(what: str, value: object) -> float:
 def _check_count(count: int, n: int) -> None:
     if count != n:
         raise AnswerError(f"the plan holds {count} {'point' if count == 1 else 'points'}, {n} are required.")
+
+
+def _place(number: int, row: str, dim: int) -> Point:
+    """A point of a plan; reasons are worded only where there is something to object to, for plans are long."""
+    spelled = _EACH_NUMBER.findall(row)
+    if len(spelled) == dim and max(map(len, spelled)) <= MAX_DIGITS:
+        values = tuple(map(float, spelled))
+        if all(abs(value) <= MAX_COORDINATE for value in values):
+            return values
+    what = f"point {number} of the plan"
+    return _point(what, _numbers(what, row), dim)
 
 
 def _point(what: str, values: Sequence[float], dim: int) -> Point:

@@ -17,10 +17,15 @@ from llm_flock import formations
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.metrics.plane import longest
+from llm_flock.metrics.resemblance import evident
 from llm_flock.metrics.space import best_in_space
 
 SYMMETRY_TOLERANCE = 1e-12
 """A shape counts as symmetric if a turn moves its points by less than this share of its radius."""
+
+LARGE = 300
+"""For more points it is first tried whether the best correspondence is plain to see: finding it otherwise takes the
+cube of their number, many times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +88,9 @@ class ShapeTarget:
         )
 
     def _best_in_plane(self, rows: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        products = np.conj(_as_complex(rows))[:, None] * self._complex
-        best = longest(products, self._symmetry)
+        best = evident(rows, self._target, self._symmetry) if len(rows) > LARGE else None
+        if best is None:
+            best = longest(np.conj(_as_complex(rows))[:, None] * self._complex, self._symmetry)
         angle = cmath.phase(best.z)
         cos, sin = math.cos(angle), math.sin(angle)
         return best.columns, np.array([[cos, -sin], [sin, cos]])

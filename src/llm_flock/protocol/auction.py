@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import compress
 
 import numpy as np
@@ -44,14 +45,25 @@ def merge(mine: Table, theirs: Table, said: Sequence[int] | None = None) -> Tabl
         theirs: another.
         said: the slots of it that matter, where that is known.
     """
-    if mine is theirs:
-        return mine
-    if said is None:
-        # Tables are long and differ in few slots: those are found without a step of the interpreter for each slot.
-        differ = compress(range(len(mine)), map(operator.ne, mine, theirs))
-    else:
-        differ = (a for a in said if theirs[a] != mine[a])
-    return changed(mine, {a: theirs[a] for a in differ if theirs[a] is not UNSAID and rank(theirs[a]) > rank(mine[a])})
+    return merged(mine, [(theirs, said)])[0]
+
+
+def merged(mine: Table, others: Iterable[tuple[Table, Sequence[int] | None]]) -> tuple[Table, set[int]]:
+    """`merge` with several tables and the slots of them that matter; also the slots that changed."""
+    entries, touched = list(mine), set[int]()
+    for theirs, said in others:
+        # Tables are long, and what is heard is mostly known: entries that were read from the same bytes are the same
+        # object (`llm_flock.protocol.messages`), which costs the least to see.
+        if said is None:
+            said = compress(range(len(entries)), map(operator.is_not, entries, theirs))
+        for a in said:
+            their, my = theirs[a], entries[a]
+            if their is my or their is UNSAID or their[0] < my[0]:
+                continue
+            if their[0] > my[0] or ((their[1] >= my[1] or my[2] == NO_OWNER) and rank(their) > rank(my)):
+                entries[a] = their
+                touched.add(a)
+    return (tuple(entries) if touched else mine), touched
 
 
 def changed(table: Table, new: Mapping[int, Entry]) -> Table:
@@ -101,19 +113,17 @@ class AuctionAssignment:
         """Merge the tables heard; keep the slot, exchange it, or claim another one if it was lost."""
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
-        for message in now.heard:
-            if message.table is not None:
-                table = merge(table, message.table, message.said)
+        table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
         table = surveyed(reclaimed(now.robot, claim, table), now)
         offer, bound = claim.offer, claim.bound - 1
         if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
             offer = None
         if table is claim.table and claim.slot is not None:
             slot = claim.slot
-        elif offer is None:
-            table, slot = settle(now.robot, bids, table)
         else:
-            table, slot = keep_one(now.robot, table)
+            table, slot = keep_one(now.robot, table, touched if claim.slot is None else touched | {claim.slot})
+            if slot is None and offer is None:
+                table, slot = best_won(now.robot, bids, table)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not self.swaps:
             return claim
@@ -149,41 +159,43 @@ def _ended(offer: Offer, robot: int, table: Table) -> bool:
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
-def keep_one(robot: int, table: Table) -> tuple[Table, int | None]:
-    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released."""
-    owners = [owner for _, _, owner in table]
-    times = owners.count(robot)
-    if times < 2:
-        return table, owners.index(robot) if times else None
-    owned = [a for a, owner in enumerate(owners) if owner == robot]
-    keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a))
+def keep_one(robot: int, table: Table, among: Iterable[int]) -> tuple[Table, int | None]:
+    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
+
+    Args:
+        robot: own id.
+        table: all claims known.
+        among: slots that it may own: its own of before, and those in which something has changed since.
+    """
+    owned = [a for a in among if table[a][2] == robot]
+    keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a), default=None)
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
-    """Own exactly one slot: keep one of those owned, or claim the best that can be won, or none."""
-    table, slot = keep_one(robot, table)
-    if slot is not None:
-        return table, slot
-    best: int | None = None
-    for a, (version, bid, owner) in enumerate(table):
-        mine = bids[a]
-        # As `rank` has it, spelled out: this is asked for every slot, and a robot may lose many auctions.
-        winnable = owner == NO_OWNER or (version == 0 and owner != BLOCKED and (mine, -robot) > (bid, -owner))
-        if winnable and (best is None or mine > bids[best]):
-            best = a
-    if best is None:
-        return table, None
-    return changed(table, {best: (table[best][0], bids[best], robot)}), best
+def best_won(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
+    """Claim the best slot that can be won, or none."""
+    for a in _preferred(bids):
+        version, bid, owner = table[a]
+        # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
+        if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
+            return changed(table, {a: (version, bids[a], robot)}), a
+    return table, None
+
+
+@lru_cache(maxsize=4096)
+def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
+    """Slots by falling bid, those of equal bids by index."""
+    return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
 def gain(now: Moment, there: Point, mine: int, theirs: int) -> float:
     """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2]."""
+    here = now.position
+    return _cost(now, here, mine) + _cost(now, there, theirs) - _cost(now, here, theirs) - _cost(now, there, mine)
 
-    def cost(here: Point, slot: int) -> float:
-        return way_length(here, now.plan, slot, now.spacing) ** 2
 
-    return cost(now.position, mine) + cost(there, theirs) - cost(now.position, theirs) - cost(there, mine)
+def _cost(now: Moment, here: Point, slot: int) -> float:
+    return way_length(here, now.plan, slot, now.spacing) ** 2
 
 
 def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:

@@ -31,6 +31,7 @@ class Judge:
         self._any_size = any_size
         self._shield_on = shield_on
         self._refused: set[str] = set()
+        self._last: tuple[Mission, Plan, int] | None = None
 
     def objection(self, plan: Plan | None) -> str | None:
         """Why this plan may not be followed, or None."""
@@ -38,7 +39,12 @@ class Judge:
 
     def plan_class(self, plan: Plan | None) -> int:
         """The plan's place in the order of plans; 0 for all of them where nothing is checked."""
-        return int(plan_class(self._asked_of(plan), plan)) if self.verify and plan is not None else 0
+        if plan is None or not self.verify:
+            return 0
+        # Nearly always the plan that all follow: its class is asked for once a message.
+        if self._last is None or self._last[0] is not self.mission or self._last[1] is not plan:
+            self._last = (self.mission, plan, int(plan_class(self._asked_of(plan), plan)))
+        return self._last[2]
 
     def fitting(self, places: int) -> Mission | None:
         """The mission for a plan of so many places; None where there is no such shape."""

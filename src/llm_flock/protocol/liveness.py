@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 TIME_OUT = 10
 """Rounds without a heartbeat, by whatever way, after which a robot is taken for dead; some flights lead out of
@@ -80,15 +81,15 @@ class Liveness:
         self._advanced[mute] = self._long_ago
         self._look()
 
-    def hear(self, heard: Sequence[Sequence[int]]) -> None:
-        """Take the counters of a tick's messages, each of N numbers.
+    def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
+        """Take the counters of a tick's messages, each of shape (N,).
 
         Who was restarted, and hears of its own former life, counts on from there: otherwise nobody would notice its
         new heartbeats.
         """
         if not heard:
             return
-        highest = np.array(heard, dtype=np.int64).max(axis=0)
+        highest = np.max(heard, axis=0)
         mine = int(highest[self._robot])
         newer = highest > self._beats
         newer[self._robot] = False

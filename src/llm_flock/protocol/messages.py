@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import operator
 from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
 import msgspec
 import msgspec.structs
+import numpy as np
+from numpy.typing import NDArray
 
 from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import MessageError
@@ -185,6 +188,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
 
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(_WireMessage)
+_SLOT, _OWNER = operator.itemgetter(0), operator.itemgetter(3)
 
 
 def max_payload_bytes(n_robots: int) -> int:
@@ -243,6 +247,12 @@ def _unsaid(places: int) -> Table:
     return (UNSAID,) * places
 
 
+@functools.lru_cache(maxsize=2**18)
+def _entry(version: int, bid: float, owner: int) -> Entry:
+    """One object for equal entries: they come in many messages, and whoever compares tables need not look inside."""
+    return version, bid, owner
+
+
 @functools.lru_cache(maxsize=4096)
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     """A message from bytes that anybody may have sent.
@@ -284,7 +294,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         ),
         slot=wire.slot,
         table=_table(wire),
-        said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(c[0] for c in wire.claims),
+        said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(map(_SLOT, wire.claims)),
         table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
         offer=None
         if offer is None
@@ -300,12 +310,26 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     )
 
 
+@functools.lru_cache(maxsize=4096)
+def completed(payload: bytes, n_robots: int, dim: int, plan: Plan, plan_class: int) -> Message:
+    """`decode`, with the plan that is named and how good it is: what all receivers that know both make of the bytes."""
+    return msgspec.structs.replace(decode(payload, n_robots, dim), plan=plan, plan_class=plan_class)
+
+
+@functools.lru_cache(maxsize=4096)
+def heartbeats(payload: bytes, n_robots: int, dim: int) -> NDArray[np.int64] | None:
+    """The heartbeats that `decode` finds, as an array of shape (N,); None where there are none."""
+    beats = decode(payload, n_robots, dim).beats
+    return None if beats is None else np.array(beats, dtype=np.int64)
+
+
 def _table(wire: _WireMessage) -> Table | None:
     if not wire.claims:
         return None if wire.claims is None else _unsaid(wire.places)
     table = [UNSAID] * wire.places
-    for slot, version, bid, owner in wire.claims:
-        table[slot] = (version, bid, owner)
+    slots, versions, bids, owners = zip(*wire.claims, strict=True)
+    for slot, entry in zip(slots, map(_entry, versions, bids, owners), strict=True):
+        table[slot] = entry
     return tuple(table)
 
 
@@ -315,7 +339,8 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
         named.add(wire.pedigree.proposer)
     if wire.offer is not None:
         named.add(wire.offer.to)
-    named.update(owner for _, _, _, owner in wire.claims or ())
+    if wire.claims:
+        named.add(max(map(_OWNER, wire.claims)))
     if max(named) >= n_robots:
         raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
     if max(wire.neighbors, wire.pedigree.neighbors if wire.pedigree else 0) >= n_robots:
@@ -337,7 +362,7 @@ def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
         raise MessageError("wrong_length", "a plan without places")
     if wire.plan is not None and (len(wire.plan) != wire.places or set(map(len, wire.plan)) != {dim}):
         raise MessageError("wrong_length", f"a plan of {wire.places} places has as many points of {dim} coordinates")
-    slots = [claim[0] for claim in wire.claims or ()]
+    slots = [max(map(_SLOT, wire.claims))] if wire.claims else []
     if wire.slot is not None:
         slots.append(wire.slot)
     if wire.offer is not None:

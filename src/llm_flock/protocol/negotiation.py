@@ -13,7 +13,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
-import msgspec.structs
+import numpy as np
+from numpy.typing import NDArray
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError, MessageError
@@ -24,7 +25,7 @@ from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Message, Pedigree, Stamp, decode
+from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Message, Pedigree, Stamp, completed, decode, heartbeats
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.speech import MISSION_FIELDS, Speech
@@ -83,7 +84,7 @@ class Negotiation:
         self._gaps = gaps
         self._speech = Speech()
         self._inbox: dict[int, Message] = {}
-        self._beats: list[tuple[int, ...]] = []
+        self._beats: list[NDArray[np.int64]] = []
         self._plans: dict[str, Plan] = {}
         self._no_plan: NoAnswer | None = None
         self._proposals = 0
@@ -218,7 +219,7 @@ class Negotiation:
             spacing=self.mission.spacing,
             chosen=self._own_slot,
             adopted=adopted,
-            heard=[m for m in heard if m.plan == self.plan],
+            heard=[m for m in heard if m.plan is self.plan or m.plan == self.plan],
             sensed=self._sensed,
             silent=silent if heard else NOTHING,  # who hears nobody is the one that is lost
             blocked=blocked,
@@ -276,8 +277,9 @@ class Negotiation:
 
     def receive(self, payload: bytes) -> list[Note]:
         """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so."""
+        team = self.mission.n_robots, self.mission.dim
         try:
-            message = decode(payload, self.mission.n_robots, self.mission.dim)
+            message = decode(payload, *team)
             if message.sender == self._robot:
                 raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
         except MessageError as error:
@@ -286,8 +288,9 @@ class Negotiation:
         if message.mission_text is not None and message.mission > self.stamp:
             return notes  # refused: who pursues such a mission is not of this team
         self._speech.hear(message)
-        if message.beats is not None:
-            self._beats.append(message.beats)
+        beats = heartbeats(payload, *team)
+        if beats is not None:
+            self._beats.append(beats)
         if message.mission != self.stamp:
             return notes
         plan = message.plan
@@ -301,7 +304,7 @@ class Negotiation:
         known = self._inbox.get(message.sender)
         if known is None or message.sequence >= known.sequence:
             if plan is not None:
-                message = msgspec.structs.replace(message, plan=plan, plan_class=self._judge.plan_class(plan))
+                message = completed(payload, *team, plan, self._judge.plan_class(plan))
             self._inbox[message.sender] = message
         return notes
 

@@ -11,8 +11,8 @@ longer wait. A slot that has been looked at so often is a gap: the team may simp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -139,17 +139,23 @@ def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], cen
     return replace(search, known=(digest, vacant), waited=search.waited if same else 0, way=way)
 
 
-def _nearest(plan: Plan, slot: int, vacant: Sequence[int]) -> int | None:
-    """The vacant slot nearest to the own one."""
-    return min(vacant, key=lambda a: (math.dist(plan.points[slot], plan.points[a]), a), default=None)
+@lru_cache(maxsize=4096)
+def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
+    """The vacant slot nearest to the own one; asked for again a round later, when others are vacant."""
+    points = plan.points
+    here = points[slot]
+    return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
 
 
 def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
     """Vacant slots, each time the nearest to the one before."""
-    left, here, way = plan.array[due], plan.array[slot], list[Point]()
+    places = plan.array[due]
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    to_each = np.linalg.norm(places - plan.array[slot], axis=1)
+    way = list[Point]()
     for _ in due:
-        following = int(np.linalg.norm(left - here, axis=1).argmin())
-        here = left[following]
-        way.append(tuple(here.tolist()))
-        left = np.delete(left, following, axis=0)
+        following = int(to_each.argmin())
+        way.append(plan.points[due[following]])
+        apart[:, following] = math.inf  # it has been visited
+        to_each = apart[following]
     return tuple(way)

@@ -115,12 +115,12 @@ class Speech:
         return self._digested[1]
 
     def _note_changes(self, table: Table | None) -> None:
-        """Which slots changed since the last broadcast."""
+        """Which slots of a large table changed since the last broadcast."""
         before, changed = self._table, frozenset[int]()
         if table is not before:
             self._table = table
-            if table is not None and before is not None and len(before) == len(table):
-                changed = frozenset(compress(range(len(table)), map(operator.ne, table, before)))
+            if table is not None and before is not None and len(before) == len(table) > SMALL:
+                changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
     def _part(self, whole: Message, *, meets: bool, greeting: bool) -> tuple[Table | None, tuple[int, ...] | None]:

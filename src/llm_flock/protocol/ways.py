@@ -38,7 +38,6 @@ BESIDE = 0.6
 """Those who fly along the formation pass its places at so many spacings, on the side of the centre."""
 
 
-@lru_cache(maxsize=CACHED)
 def way_length(here: Point, plan: Plan, slot: int, spacing: float) -> float:
     """Length of the cheapest way to a place, by any others [units].
 
@@ -50,6 +49,11 @@ def way_length(here: Point, plan: Plan, slot: int, spacing: float) -> float:
     """
     if len(plan) > LARGEST:
         return math.dist(here, plan.points[slot])
+    return _by_places(here, plan, slot, spacing)
+
+
+@lru_cache(maxsize=CACHED)
+def _by_places(here: Point, plan: Plan, slot: int, spacing: float) -> float:
     return float((_hops(here, plan, spacing) + _between(plan, spacing)[slot]).min())
 
 
