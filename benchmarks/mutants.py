@@ -55,9 +55,10 @@ class Mutant:
 TALKS, JUDGE = "protocol/negotiation.py", "protocol/judge.py"
 AUCTION, CONSENSUS = "protocol/auction.py", "protocol/consensus.py"
 SHIELD, PROJECTION, ASYNC = "protocol/shield.py", "protocol/projection.py", "protocol/shield_async.py"
-T_AGENT, T_AUCTION, T_THEORY = "unit/test_agent.py", "unit/test_auction.py", "property/test_theory.py"
+T_AUCTION, T_THEORY = "unit/test_auction.py", "property/test_theory.py"
+T_AGENT, T_PLACES, T_VERIFIED = "unit/test_agent.py", "unit/test_agent_places.py", "unit/test_agent_verification.py"
 SPEECH, LIVENESS, PILOT = "protocol/speech.py", "protocol/liveness.py", "protocol/pilot.py"
-T_TALKS, T_SPEECH = "unit/test_negotiation.py", "unit/test_speech.py"
+T_TALKS, T_SPEECH, T_SURVEY = "unit/test_negotiation.py", "unit/test_speech.py", "unit/test_survey.py"
 T_SEARCH, T_CONSENSUS, T_SHIELD = "unit/test_search.py", "unit/test_consensus.py", "property/test_shield.py"
 
 MUTANTS: Sequence[Mutant] = (
@@ -75,7 +76,7 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("class", "A better class beats influence", "plans are compared without their class"),
         *(CONSENSUS, "        plan_class,\n", "        0,\n"),
-        f"{T_AGENT}::test_an_exact_plan_beats_a_crude_one_of_higher_influence",
+        f"{T_VERIFIED}::test_an_exact_plan_beats_a_crude_one_of_higher_influence",
     ),
     Mutant(
         *("influence", "Influence belongs to the plan", "the proposer's influence is left out of the order"),
@@ -100,12 +101,12 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("heard-plans", "No refused plan is followed or forwarded", "plans that are heard are not verified"),
         *(TALKS, "objection = self._judge.objection(plan)", "objection = None"),
-        f"{T_AGENT}::test_a_received_plan_that_fails_dies_with_its_author",
+        f"{T_VERIFIED}::test_a_received_plan_that_fails_dies_with_its_author",
     ),
     Mutant(
         *("own-plans", "No refused plan is proposed", "a robot's own plan is not verified"),
         *(JUDGE, "if not isinstance(answer, PlanAnswer) or not self.verify:", "if True:"),
-        f"{T_AGENT}::test_an_own_plan_that_fails_is_not_followed",
+        f"{T_VERIFIED}::test_an_own_plan_that_fails_is_not_followed",
     ),
     Mutant(
         *("residual", "A plan resembles its shape", "the limit of the residual is a thousand times larger"),
@@ -147,7 +148,7 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("other-plans", "Tables of different plans never merge", "all tables that are heard are merged"),
         *(TALKS, "heard=[m for m in heard if m.plan is self.plan or m.plan == self.plan],", "heard=list(heard),"),
-        f"{T_AGENT}::test_claims_on_another_plan_are_not_merged",
+        f"{T_PLACES}::test_claims_on_another_plan_are_not_merged",
     ),
     Mutant(
         *("worthless-offer", "An offer lowers the sum of squares", "any exchange with a sensed robot is offered"),
@@ -198,12 +199,12 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("silent-places", "The place of a silent robot is free", "it stays the silent robot's"),
         *(AUCTION, "elif owner in now.silent or (", "elif ("),
-        f"{T_TALKS}::test_the_place_of_who_falls_silent_is_free_with_a_raised_version",
+        f"{T_SURVEY}::test_the_place_of_who_falls_silent_is_free_with_a_raised_version",
     ),
     Mutant(
         *("taken-back", "A robot wrongly suspected takes its place back", "it leaves it to others"),
         *(AUCTION, "table = surveyed(reclaimed(now.robot, claim, table), now)", "table = surveyed(table, now)"),
-        f"{T_TALKS}::test_who_was_taken_for_dead_takes_its_place_back",
+        f"{T_SURVEY}::test_who_was_taken_for_dead_takes_its_place_back",
     ),
     Mutant(
         *("former-life", "A robot that begins again counts on", "it counts from one"),
@@ -212,13 +213,13 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("blocked", "A place under a still body is nobody's", "such places are not noted"),
-        *(TALKS, "return under(self.bodies), ", "return NOTHING, "),
-        f"{T_TALKS}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
+        *("protocol/survey.py", "return under(still), ", "return frozenset[int](), "),
+        f"{T_SURVEY}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
     ),
     Mutant(
         *("unblocked", "A place without a body is free again", "only who met bodies itself looks"),
         *(TALKS, "if self.bodies or self._told_of_bodies:", "if self.bodies:"),
-        f"{T_TALKS}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
+        f"{T_SURVEY}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
     ),
     Mutant(
         *("stamp", "The mission of highest stamp is in force", "the last one heard is"),
@@ -232,7 +233,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("radio-fields", "No message names a robot's limits", "any field of a mission is taken"),
-        *(TALKS, "if not fields.keys() <= MISSION_FIELDS:", "if False:"),
+        *(SPEECH, "if not fields.keys() <= MISSION_FIELDS:", "if False:"),
         f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
     ),
     Mutant(

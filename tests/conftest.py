@@ -44,6 +44,13 @@ def suite_of(path: Path) -> str:
     return path.relative_to(TESTS).parts[0]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Property tests run lines again and again that unit tests have covered: tracing them takes twice their time."""
+    for item in items:
+        if suite_of(item.path) == "property":
+            item.add_marker("no_cover")
+
+
 @pytest.fixture(autouse=True)
 def no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keys of real providers are out of reach, so that a test gives the same result everywhere."""

@@ -30,9 +30,9 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.negotiation import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
+from llm_flock.protocol.remaking import Gaps
 from llm_flock.transport.memory import LinkFaults, MemoryTransport
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))

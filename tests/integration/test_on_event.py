@@ -13,7 +13,7 @@ from llm_flock.record.reader import read_record
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.result import Summary
 
-SEEDS = range(20)
+SEEDS = range(12)
 
 
 def fly(seed: int = 0, **options: Any) -> Summary:
@@ -24,6 +24,7 @@ def slowness(summary: Summary) -> float:
     return (summary.rounds_to_formed or 0) / max(1, summary.lower_bound_rounds or 0)
 
 
+@pytest.mark.no_cover
 def test_a_third_of_the_calls_as_fast_and_as_safe() -> None:
     frugal = [fly(seed) for seed in SEEDS]
     asked = [fly(seed, decide="every-round") for seed in SEEDS]

@@ -1,13 +1,7 @@
 """Sweeps from their file to their tables: each trial once, wherever it is flown and whatever comes in between."""
 
-import contextlib
 import json
-import os
-import signal
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +12,19 @@ from sweeps import results, small, small_file
 
 from llm_flock.errors import InputError
 from llm_flock.experiments import tables
-from llm_flock.experiments.store import StoredTrial, read_trial, trial_files
+from llm_flock.experiments.store import StoredTrial, trial_files
 from llm_flock.experiments.sweep import fly_sweep
 from llm_flock.experiments.sweep_expect import expect_cells
 from llm_flock.record.reader import read_record
 
 
 def test_one_process_and_a_pool_give_identical_tables(tmp_path: Path) -> None:
-    sweep = small(tmp_path, more="[run.links]\nloss = 0.2")
+    sweep = small(tmp_path, seeds=1, more="[run.links]\nloss = 0.2")
     assert fly_sweep(sweep, tmp_path / "one", executor="one").complete
     assert fly_sweep(sweep, tmp_path / "pool", executor="pool", jobs=2).complete
     one, pool = results(tmp_path / "one"), results(tmp_path / "pool")
     assert one[0].equals(pool[0]) and one[1].equals(pool[1])
-    assert one[0].height == 4 and one[0]["formed"].sum() == 2
+    assert one[0].height == 2 and one[0]["formed"].sum() == 1
     assert one[0]["simulated"].all() and one[0]["code"].null_count() == 0
 
 
@@ -114,48 +108,6 @@ def test_two_sweeps_on_one_directory_share_its_trials(tmp_path: Path) -> None:
     assert found.height == 12 and found["earlier_tries"].sum() == 0
     spent = [json.loads(path.read_bytes())["calls"] for path in (out / "spent").iterdir()]
     assert len(spent) == 2 and min(spent) > 0 and sum(spent) == found["model_calls"].sum(), "none was flown twice"
-
-
-@pytest.mark.parametrize("executor", ["one", "pool"])
-def test_a_kill_loses_at_most_the_trials_in_flight(tmp_path: Path, executor: str) -> None:
-    path, out = small_file(tmp_path, seeds=10), tmp_path / "out"
-    command = [sys.executable, "-m", "llm_flock", "sweep", str(path), "--out", str(out), "-q", "--executor", executor]
-    process = subprocess.Popen([*command, "--jobs", "2"], cwd=tmp_path, start_new_session=True)
-    try:
-        deadline = time.monotonic() + 120
-        while time.monotonic() < deadline and not (out / "trials").is_dir():
-            time.sleep(0.02)
-        while time.monotonic() < deadline and len(list(trial_files(out))) < 8:
-            time.sleep(0.01)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    kept = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
-    begun = {path.name for path in (out / "claims").iterdir()} - {"plan"}
-    assert 8 <= len(kept) < 20
-    lost = begun - {name.removesuffix(".json") for name in kept}
-    assert len(lost) <= (2 if executor == "pool" else 1)
-    assert all(isinstance(read_trial(out / "trials" / name), StoredTrial) for name in kept)
-    assert fly_sweep(small(tmp_path, seeds=10), out, jobs=2).complete
-    assert {path.name: path.stat().st_mtime_ns for path in trial_files(out) if path.name in kept} == kept
-    # A kill between keeping a trial and letting go of it leaves an empty file, which stops nobody.
-    assert {path.name for path in (out / "claims").iterdir()} <= {name.removesuffix(".json") for name in kept}
-
-
-def test_an_interruption_keeps_what_is_finished_in_the_tables(tmp_path: Path) -> None:
-    path, out = small_file(tmp_path, seeds=50), tmp_path / "out"
-    command = [sys.executable, "-m", "llm_flock", "sweep", str(path), "--out", str(out), "-q", "--jobs", "2"]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        with contextlib.suppress(OSError):
-            if len(list(trial_files(out))) >= 5:
-                break
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130 and "the same command goes on" in said
-    assert (out / "trials.parquet").exists() and 5 <= tables.read_trials(out).height < 100
 
 
 def test_many_trials_wait_for_one_server_at_once_within_the_rates(tmp_path: Path) -> None:

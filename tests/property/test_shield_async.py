@@ -88,7 +88,7 @@ def fly(seed: int, n: int, *, oldest_s: float, error: float, segments: bool, cro
     return smallest
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 8), oldest_s=st.floats(0, 1.0), error=st.floats(0, 0.2))
 def test_no_schedule_and_no_stale_reading_brings_two_bodies_too_near(
     seed: int, n: int, oldest_s: float, error: float

@@ -11,7 +11,7 @@ from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.experiments.arena import fitted_arena
 from llm_flock.experiments.compare import Cell, build_cells, compare, parse_teams, row
-from llm_flock.experiments.report import SHOWN_SEEDS, TrialFile, markdown
+from llm_flock.experiments.comparison_table import SHOWN_SEEDS, TrialFile, markdown
 from llm_flock.experiments.trials import Outcome, run_trials
 from llm_flock.mission import Mission
 from llm_flock.runtime.config import build_config

@@ -91,12 +91,12 @@ def test_many_panels_go_into_rows(record: RunRecord) -> None:
 
 def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -> None:
     curves = [np.array([4.0, 2.0, 1.0]), np.array([6.0, 4.0]), np.array([5.0, 6.0, 3.0])]
-    mean, half = figures.mean_and_interval(curves)
+    mean, lows, highs = figures.mean_and_interval(curves)
     assert mean == pytest.approx([5.0, 4.0, 8.0 / 3.0])
     for k, sample in enumerate([[4, 6, 5], [2, 4, 6], [1, 4, 3]]):
         low, high = stats.t.interval(0.95, 2, loc=np.mean(sample), scale=stats.sem(sample))
-        assert (mean[k] - half[k], mean[k] + half[k]) == pytest.approx((low, high))
-    alone, none = figures.mean_and_interval(curves[:1])
+        assert (lows[k], highs[k]) == pytest.approx((low, high))
+    alone, *none = figures.mean_and_interval(curves[:1])
     assert alone.tolist() == [4.0, 2.0, 1.0] and np.isnan(none).all()
 
 

@@ -26,7 +26,8 @@ def star(seed: int) -> tuple[tuple[float, float], ...]:
     return corners if seed % 2 else corners[::-1]
 
 
-@settings(max_examples=150, deadline=None)
+@pytest.mark.no_cover
+@settings(max_examples=100, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_pieces_are_convex_and_make_up_the_polygon(seed: int) -> None:
     corners = star(seed)
@@ -48,6 +49,7 @@ def test_pieces_are_convex_and_make_up_the_polygon(seed: int) -> None:
         assert abs(obstacle.distance(foot)) < 1e-9
 
 
+@pytest.mark.no_cover
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_distance_of_a_way_is_that_of_its_nearest_point(seed: int) -> None:
@@ -58,11 +60,11 @@ def test_the_distance_of_a_way_is_that_of_its_nearest_point(seed: int) -> None:
     ball = Obstacle(center=(1.0, -2.0), radius=2.0)
     for obstacle in (Obstacle(polygon=corners), ball):
         start, end = rng.uniform(-12, 12, (2, 2))
-        sampled = min(obstacle.distance(tuple((start + s * (end - start)).tolist())) for s in np.linspace(0, 1, 400))
+        sampled = min(obstacle.distance(tuple((start + s * (end - start)).tolist())) for s in np.linspace(0, 1, 160))
         exact = obstacle.segment_distance(tuple(start.tolist()), tuple(end.tolist()))
         assert exact <= max(sampled, 0.0) + 1e-9
-        # Samples are at most 0.04 from the nearest point of the way.
-        assert exact >= sampled - 0.1 if sampled > 0.0 else exact <= 0.0
+        # Samples are at most 0.11 from the nearest point of the way.
+        assert exact >= sampled - 0.11 if sampled > 0.0 else exact <= 0.0
 
 
 def test_a_convex_polygon_is_one_piece_and_a_u_is_three() -> None:

@@ -140,7 +140,8 @@ def dense(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return starts, goals
 
 
-@pytest.mark.parametrize("first", range(0, 500, 50))
+@pytest.mark.no_cover
+@pytest.mark.parametrize("first", range(0, 200, 50))
 def test_any_crowd_separates_within_eight_rounds_and_no_pair_gets_worse(first: int) -> None:
     for seed in range(first, first + 50):
         team = Team(*dense(seed))

@@ -1,6 +1,7 @@
 """A directory of results: whole files only, one flyer for each trial, tables that drop nothing."""
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,26 @@ def test_the_files_are_used_while_they_are_as_new_as_the_trials(tmp_path: Path) 
     store.save(stored("b", seed=1))
     assert tables.read_trials(tmp_path).height == 2
     assert tables.read_rounds(tmp_path).height == 0
+
+
+def test_tables_are_out_of_date_if_a_trial_comes_while_they_are_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    store.save(stored("a"))
+    load_all = tables.load_all
+
+    def load_then_save(folder: Path) -> list[StoredTrial]:
+        found = load_all(folder)
+        time.sleep(0.05)  # clocks of file systems are coarse
+        store.save(stored("b", seed=1))
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(tables, "load_all", load_then_save)
+        tables.build_tables(tmp_path)
+    assert pl.read_parquet(tmp_path / "trials.parquet").height == 1
+    assert tables.read_trials(tmp_path).height == 2
 
 
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from llm_flock.experiments.compare import Cell, compare
-from llm_flock.experiments.report import TrialFile, markdown
+from llm_flock.experiments.comparison_table import TrialFile, markdown
 from llm_flock.experiments.trials import Outcome
 
 

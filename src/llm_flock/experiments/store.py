@@ -152,10 +152,6 @@ class Store:
         except OSError as error:
             raise InputError("out", str(folder), f"a folder that can be written to ({error.strerror})") from None
 
-    def finished(self) -> set[str]:
-        """Ids of all finished trials, those that the sweep's budget cut short included."""
-        return {path.stem for path in trial_files(self.folder)}
-
     def trial_path(self, trial: str) -> Path:
         """Where a finished trial is."""
         return self.folder / TRIALS / f"{trial}.json"

@@ -65,11 +65,6 @@ class BudgetTable(_Table):
     max_tokens: Positive | None = Field(default=None, description="Tokens in and out")
     max_cost: float | None = Field(default=None, gt=0, allow_inf_nan=False, description="Money [US dollars]")
 
-    @property
-    def any(self) -> bool:
-        """Whether there is any limit."""
-        return any(value is not None for value in (self.max_calls, self.max_tokens, self.max_cost))
-
     def budget(self) -> Budget:
         """In the words of the gate."""
         return Budget(max_calls=self.max_calls, max_tokens=self.max_tokens, max_cost_usd=self.max_cost)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -171,11 +172,20 @@ def read_rounds(folder: Path) -> pl.DataFrame:
 
 
 def build_tables(folder: Path) -> None:
-    """Write both tables from the finished trials."""
+    """Write both tables from the finished trials.
+
+    They are dated by what was read: a trial that another process keeps in the meantime makes them out of date.
+
+    Raises:
+        InputError: this is no directory of results.
+        RecordError: a trial is damaged.
+    """
+    dated = _dated(folder)
     trials = load_all(folder)
     for name, frame in ((TRIALS_NAME, trials_frame(trials)), (ROUNDS_NAME, rounds_frame(trials))):
         partial = folder / f".{name}.partial"
         frame.write_parquet(partial)
+        os.utime(partial, ns=(dated, dated))
         partial.replace(folder / name)
     sync_folder(folder)
 
@@ -187,10 +197,10 @@ def load_all(folder: Path) -> list[StoredTrial]:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    if not (folder / TRIALS_FOLDER).is_dir():
-        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
-    trials = [read_trial(path) for path in trial_files(folder)]
-    return sorted(trials, key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id))
+    _dated(folder)  # refuses what is no such directory
+    return sorted(
+        map(read_trial, trial_files(folder)), key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id)
+    )
 
 
 def trials_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
@@ -214,10 +224,22 @@ def rounds_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
 
 
 def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
-    path, trials = folder / name, folder / TRIALS_FOLDER
-    if path.exists() and trials.is_dir() and path.stat().st_mtime_ns >= trials.stat().st_mtime_ns:
+    path = folder / name
+    dated = _dated(folder)
+    if path.exists() and path.stat().st_mtime_ns >= dated:
         return pl.read_parquet(path)
     return build(load_all(folder))
+
+
+def _dated(folder: Path) -> int:
+    """When a trial was last put there [ns].
+
+    Raises:
+        InputError: this is no directory of results.
+    """
+    if not (folder / TRIALS_FOLDER).is_dir():
+        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
+    return (folder / TRIALS_FOLDER).stat().st_mtime_ns
 
 
 def _row(trial: StoredTrial) -> dict[str, Any]:

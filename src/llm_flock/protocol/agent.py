@@ -40,10 +40,11 @@ from llm_flock.protocol.gathering import meeting_places
 from llm_flock.protocol.judge import Judge
 from llm_flock.protocol.liveness import TIME_OUT, Liveness
 from llm_flock.protocol.messages import Pedigree
-from llm_flock.protocol.negotiation import Gaps, Negotiation
+from llm_flock.protocol.negotiation import Negotiation
 from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
+from llm_flock.protocol.remaking import Gaps
 from llm_flock.protocol.search import MANY, Search, advance
 from llm_flock.protocol.waiting import waiting_place
 from llm_flock.protocol.ways import ACROSS, stop_on_the_way

@@ -6,12 +6,9 @@ the frame of the mission, which travels with its centre: there the places of a p
 
 from __future__ import annotations
 
-import json
-import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,21 +25,14 @@ from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Message, Pedigree, Stamp, completed, decode, heartbeats
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
-from llm_flock.protocol.speech import MISSION_FIELDS, Speech
-from llm_flock.protocol.verification import blocked_within
-
-Gaps: TypeAlias = Literal["report", "remake"]
+from llm_flock.protocol.remaking import Gaps, Remaking
+from llm_flock.protocol.speech import Speech, mission_fields
+from llm_flock.protocol.survey import bodies, surveyed
 
 NOTHING = frozenset[int]()
 
 REMEMBERED_PLANS = 1024
 """So many plans are known by their digest."""
-
-REMAKE_PATIENCE = 2
-"""Rounds for which a plan must not fit the team before it is remade; as many more for each lower id that is alive, up
-to MOST_WAIT, so that one robot proposes and the others hear of it in time."""
-
-MOST_WAIT = 6
 
 
 class Negotiation:
@@ -81,7 +71,7 @@ class Negotiation:
         self._consensus = consensus
         self._assignment = assignment
         self._judge = judge
-        self._gaps = gaps
+        self._remaking = Remaking(robot, judge, liveness, gaps)
         self._speech = Speech()
         self._inbox: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []
@@ -89,7 +79,6 @@ class Negotiation:
         self._no_plan: NoAnswer | None = None
         self._proposals = 0
         self._own_slot: int | None = None
-        self._misfit = 0
         self._position: Point = ()
         self._sensed: Mapping[int, Point] = {}
         self._told_of_bodies = False
@@ -125,7 +114,8 @@ class Negotiation:
         self._judge.mission = mission
         self.plan = self.pedigree = self._no_plan = self._own_slot = None
         self.claim = Claim(slot=None)
-        self._inbox, self._plans, self._misfit = {}, {}, 0
+        self._inbox, self._plans = {}, {}
+        self._remaking.reset()
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
 
     def _consider(self, message: Message) -> list[Note]:
@@ -133,7 +123,7 @@ class Negotiation:
         if message.mission_text is None:
             return []
         try:
-            said = _mission_fields(message.mission_text)
+            said = mission_fields(message.mission_text)
             mission = self.mission.change(**said)
             if mission.digest != message.mission.digest:
                 # Limits and surroundings are not said, and stay as they are: a mission with others has another digest.
@@ -149,22 +139,7 @@ class Negotiation:
     @property
     def places(self) -> int | None:
         """How many places the plan should have that this robot is to propose now; None while it need not."""
-        if self.plan is not None:
-            return self._wanted if self._misfit > REMAKE_PATIENCE + min(self._rank, MOST_WAIT) else None
-        known = self._gaps == "remake" and not self.liveness.strangers and self._judge.fitting(self._wanted) is not None
-        return self._wanted if known else self.mission.n_places
-
-    @property
-    def _wanted(self) -> int:
-        return min(self.mission.n_places, self.liveness.alive)
-
-    @property
-    def _rank(self) -> int:
-        """Whose turn it is to propose: who sees a body that is in the way, then who is alive and has the lowest id."""
-        if self.bodies:
-            return 0
-        gone = self.liveness.silent | self.liveness.strangers
-        return 1 + self._robot - sum(j < self._robot for j in gone)
+        return self._remaking.places(self.plan, sees_bodies=bool(self.bodies))
 
     def watch_team(self, *, may_shrink: bool) -> None:
         """Once a round: does the plan fit the team that is alive?
@@ -172,14 +147,8 @@ class Negotiation:
         Args:
             may_shrink: whether robots that were never heard of may be given up.
         """
-        plan, table = self.plan, self.claim.table
-        owners = {owner for _, _, owner in table or ()}
-        self._told_of_bodies = BLOCKED in owners
-        remakes = self._gaps == "remake" and plan is not None and table is not None
-        fits = not remakes or (len(plan or ()) == self._wanted and not self._told_of_bodies)
-        waits = NO_OWNER in owners and bool(self.liveness.strangers) and not may_shrink
-        legal = fits or self._judge.fitting(self._wanted) is not None
-        self._misfit = 0 if fits or waits or not legal else self._misfit + 1
+        self._told_of_bodies = any(owner == BLOCKED for _, _, owner in self.claim.table or ())
+        self._remaking.watch(self.plan, self.claim.table, may_shrink=may_shrink)
 
     def propose(self, answer: PlanAnswer | NoAnswer) -> list[Note]:
         """A proposal of one's own, in the mission's frame: it gets the influence of this moment as its pedigree."""
@@ -201,7 +170,8 @@ class Negotiation:
         return [*fallback_notes("plan", "geometry", answer.instead_of), proposed]
 
     def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
-        self.plan, self.pedigree, self._misfit = plan, origin, 0
+        self.plan, self.pedigree = plan, origin
+        self._remaking.reset()
         self.claim = self._assignment.take(self._moment(adopted=adopted, heard=heard))
 
     def _moment(self, *, adopted: bool, heard: list[Message]) -> Moment:
@@ -211,7 +181,7 @@ class Negotiation:
         if self._survey_due:  # heartbeats and bodies are news once a round
             silent = self.liveness.silent
             if self.bodies or self._told_of_bodies:
-                blocked, clear = self._surveyed(self.plan)
+                blocked, clear = surveyed(self.mission, self.plan, self._position, self._sensed, self.bodies)
         return Moment(
             robot=self._robot,
             position=self._position,
@@ -228,27 +198,8 @@ class Negotiation:
 
     @property
     def bodies(self) -> tuple[Point, ...]:
-        """Bodies in sight without a mind [units; frame of the mission].
-
-        None while the formation travels: it passes them by, and no place stays under them.
-        """
-        if self.mission.velocity is not None:
-            return ()
-        return tuple(self._sensed[j] for j in sorted(self.liveness.silent) if j in self._sensed)
-
-    def _surveyed(self, plan: Plan) -> tuple[frozenset[int], frozenset[int]]:
-        """Places that a body without a mind keeps anybody from taking, and places that surely have none.
-
-        Whose body it is that stands on a place may be known to others only: such a place counts as neither.
-        """
-        too_near = blocked_within(self.mission)
-        seen = self.mission.sensing - max(too_near, 0.0)
-        places = [a for a, place in enumerate(plan.points) if math.dist(self._position, place) <= seen]
-
-        def under(those: Collection[Point]) -> frozenset[int]:
-            return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in those))
-
-        return under(self.bodies), frozenset(places) - under(self._sensed.values())
+        """Bodies in sight without a mind [units; frame of the mission]."""
+        return bodies(self.mission, self._sensed, self.liveness.silent)
 
     def look_at(self, slots: Sequence[int]) -> None:
         """Write in the table that these vacant slots were looked at and nobody was met there."""
@@ -356,19 +307,3 @@ class Negotiation:
         notes = fallback_notes("plan", "neighbour", self._no_plan if self.plan is None else None)
         self._follow(plan, origin, adopted=True, heard=heard)
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
-
-
-def _mission_fields(text: str) -> dict[str, Any]:
-    """The fields of a mission that came over the radio.
-
-    Raises:
-        MessageError: it is not a JSON object of fields that may change.
-    """
-    try:
-        said: object = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
-    fields = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": said}
-    if not fields.keys() <= MISSION_FIELDS:
-        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
-    return fields

@@ -10,11 +10,14 @@ replicated data types, 2018).
 
 from __future__ import annotations
 
+import json
 import operator
 from itertools import compress
+from typing import Any, cast
 
 from msgspec.structs import replace
 
+from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import UNSAID, Message, Table, encode, table_digest
@@ -30,6 +33,22 @@ MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "v
 def mission_text(mission: Mission) -> str:
     """A mission as it is said to others."""
     return mission.model_dump_json(include=set(MISSION_FIELDS))
+
+
+def mission_fields(text: str) -> dict[str, Any]:
+    """The fields of a mission that came over the radio.
+
+    Raises:
+        MessageError: it is not a JSON object of fields that may change.
+    """
+    try:
+        said: object = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
+    fields = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": said}
+    if not fields.keys() <= MISSION_FIELDS:
+        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
+    return fields
 
 
 class Speech:

@@ -158,6 +158,8 @@ def _limits(estimates: Sequence[Estimate | None], factor: float) -> tuple[float,
     """From the lowest to the highest end, zero among them, and a little more."""
     ends = [end for e in estimates if e is not None for end in (e.value, e.low, e.high) if end is not None]
     low, high = factor * min(0.0, *ends, 0.0), factor * max(0.0, *ends, 0.0)
+    if low == high:
+        return (-1.0, 1.0)  # nothing differs
     room = 0.04 * (high - low)
     return (low - room if low < 0 else 0.0, high + room)
 
@@ -181,7 +183,9 @@ def ratios(results: Results) -> Drawing:
         )
         for team in results.teams
     ]
-    most = max(trial.ratio or 0.0 for trial in results.trials)
+    known_ratios = known(trial.ratio for trial in results.trials)
+    # Who stands in formation from the start needed no round: its ratio is 0. Numbers at the right need room.
+    least, most = min(1.0, *known_ratios) - 0.1, max(1.0, *known_ratios)
     return Drawing(
         name="rounds-over-bound",
         section="rounds",
@@ -189,14 +193,8 @@ def ratios(results: Results) -> Drawing:
         caption="Rounds to the formation divided by the fewest in which anybody could have built the agreed plan, of "
         "the trials that formed (how many, at the right); 1 cannot be beaten by much, since the bound is rounded up. "
         "Box: quartiles, sign: median, line: smallest to largest, dots: trials.",
-        figure=boxes(
-            panels, results.protocols, "rounds / lower bound", (min(0.9, _least(results)), 0.9 + (most - 0.9) * 1.22)
-        ),
+        figure=boxes(panels, results.protocols, "rounds / lower bound", (least, least + (most - least) * 1.22)),
     )
-
-
-def _least(results: Results) -> float:
-    return min(trial.ratio for trial in results.trials if trial.ratio is not None) - 0.1
 
 
 def separations(results: Results) -> Drawing:

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock.experiments.compare import TOLERANCE
+from llm_flock.metrics import AT_GOAL, IN_SHAPE
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import SILENT, LlmEntry
-
-AT_GOAL = 0.05
-"""So many spacings from its goal a robot counts as there (see `Summary.formed`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +138,7 @@ def _away(record: RunRecord) -> Guilt | None:
 
 def _shape(record: RunRecord) -> Guilt | None:
     error = record.errors[-1]
-    if np.isnan(error) or error <= 0.1 * float(record.mission.mission["spacing"]):
+    if np.isnan(error) or error <= IN_SHAPE * float(record.mission.mission["spacing"]):
         return None
     plan = next((record.states[-1].plan_ids[robot] for robot in _awake(record)), None)
     return _of_plan(record, plan, f"Every robot is at its goal, {error:.2f} units from the ideal shape; they followed")

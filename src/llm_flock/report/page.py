@@ -18,7 +18,7 @@ from llm_flock.experiments.statistics import METHODS, Method
 from llm_flock.report import sheets
 from llm_flock.report.drawing import Drawing
 from llm_flock.report.drawings import draw_all
-from llm_flock.report.findings import cell_lines, pair_lines, usual_reference
+from llm_flock.report.findings import CellLine, cell_lines, pair_lines, usual_reference
 from llm_flock.report.gallery import Failure, Story, gallery
 from llm_flock.report.results import OUTCOMES, Results, TrialRow
 from llm_flock.report.sheets import Sheet
@@ -129,7 +129,8 @@ def write_report(
     for drawing in draw_all(results, reference, method):
         sections[drawing.section].drawings.append(_shown(drawing))
         keep(drawing.figure, drawing.name)
-    _fill_sheets(results, sections, method, reference)
+    lines = cell_lines(results, method)
+    _fill_sheets(results, sections, lines, method, reference)
     for failure in gallery(results, most, fly_again=fly_again):
         sections["failures"].failures.append(_pictured(failure))
         if failure.figure is not None:
@@ -141,8 +142,8 @@ def write_report(
         "title": results.name,
         "about": results.about,
         "subtitle": _subtitle(results),
-        "warnings": _warnings(results),
-        "facts": sheets.facts(results, cell_lines(results, method)),
+        "warnings": list(_warnings(results)),
+        "facts": sheets.facts(results, lines),
         "sections": [section for section in sections.values() if not section.empty],
         "footer": "Made by llm-flock report from trials.parquet and rounds.parquet.",
         "light": light,
@@ -151,7 +152,10 @@ def write_report(
     }
     for name, template in (("report.html", "page.html.j2"), ("report.md", "page.md.j2")):
         text = _environment().get_template(template).render(page)
-        (out / name).write_text(text, encoding="utf-8")
+        try:
+            (out / name).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError("out", str(out / name), f"a place that can be written to ({error.strerror})") from None
         written.insert(0, out / name)
         on_step(name)
     return written
@@ -164,8 +168,9 @@ def _check(method: str, formats: Sequence[str]) -> None:
         raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
 
 
-def _fill_sheets(results: Results, sections: dict[str, Section], method: Method, reference: str) -> None:
-    lines = cell_lines(results, method)
+def _fill_sheets(
+    results: Results, sections: dict[str, Section], lines: Sequence[CellLine], method: Method, reference: str
+) -> None:
     pairs = pair_lines(results, reference, method)
     sections["success"].sheets.append(sheets.success_sheet(results, lines))
     sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))

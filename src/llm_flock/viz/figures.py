@@ -14,16 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
-from scipy import stats
 
 from llm_flock.errors import InputError
+from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.scene import PALETTE
 from llm_flock.viz.panel import Box, Panel, view
 from llm_flock.viz.style import INK, LINES, MARKERS, fitted, heading, house_style, shapes, thinkers
 
-CONFIDENCE = 0.95
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
 DPI = 160
@@ -145,28 +143,23 @@ def outcome(record: RunRecord) -> str:
     return f"not formed: {plans}, {goals}"
 
 
-def mean_and_interval(curves: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean of runs of different length, and half the width of its 95 % Student-t interval (NaN for one run).
+def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]:
+    """Mean of runs of different length, and the ends of its 95 % Student-t interval (NaN for one run).
 
     Args:
         curves: one error a round for each run, shapes (rounds_i + 1,) [units].
 
     Returns:
-        Two arrays of shape (max rounds + 1,) [units]; a run that ended early keeps its last value.
+        Three arrays of shape (max rounds + 1,) [units]; a run that ended early keeps its last value.
     """
     longest = max(len(curve) for curve in curves)
-    table = np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves])
-    count = len(curves)
-    if count == 1:
-        return table[0], np.full(longest, np.nan)
-    quantile = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1))
-    return table.mean(axis=0), quantile * table.std(axis=0, ddof=1) / np.sqrt(count)
+    return mean_bands(np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves]))
 
 
-def _curves(axes: Axes, groups: dict[str, list[NDArray[np.float64]]]) -> None:
+def _curves(axes: Axes, groups: dict[str, list[Column]]) -> None:
     largest = 1
     for number, (label, curves) in enumerate(groups.items()):
-        mean, half = mean_and_interval(curves)
+        mean, low, high = mean_and_interval(curves)
         rounds = np.arange(len(mean))
         largest = max(largest, len(mean) - 1)
         colour = PALETTE[number % len(PALETTE)]
@@ -185,7 +178,7 @@ def _curves(axes: Axes, groups: dict[str, list[NDArray[np.float64]]]) -> None:
             label=label + many,
         )
         if len(curves) > 1:
-            axes.fill_between(rounds, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
+            axes.fill_between(rounds, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.set_xlim(0, largest)
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -206,9 +199,9 @@ def _error_known(record: RunRecord) -> bool:
     return not bool(np.isnan(record.errors).any())
 
 
-def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, list[NDArray[np.float64]]]:
+def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, list[Column]]:
     _check_labels(records, labels)
-    groups: dict[str, list[NDArray[np.float64]]] = {}
+    groups: dict[str, list[Column]] = {}
     for record, label in zip(records, labels, strict=True):
         if not _error_known(record):
             raise InputError(

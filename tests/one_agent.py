@@ -1,0 +1,65 @@
+"""One agent of a triangle of three, event by event, for tests of its state machine."""
+
+from __future__ import annotations
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.events import (
+    Effect,
+    Note,
+    Planned,
+    RoundBegan,
+)
+from llm_flock.protocol.messages import Message, Pedigree, Stamp, encode
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import PlanAnswer
+
+MISSION = Mission(shape="triangle", n_robots=3)
+PLAN = Plan.of([[50.0, 50.0], [60.0, 50.0], [55.0, 58.66]])
+BETTER = Plan.of([[50.0, 45.0], [60.0, 45.0], [55.0, 53.66]])
+
+
+def make(robot: int = 0, *, shield_on: bool = True) -> Agent:
+    return Agent(robot, MISSION, PedigreeConsensus(), AuctionAssignment(), shield_on=shield_on)
+
+
+def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
+    others = {int(name[1:]): x for name, x in sensed.items()}
+    return RoundBegan(
+        round=round_number,
+        position=(48.0, 50.0),
+        neighbors=len(others),
+        sensed=others,
+        observed=tuple(others.values()),
+    )
+
+
+def origin(proposer: int, digest: str = MISSION.digest) -> Pedigree:
+    return Pedigree(mission=0, mission_digest=digest, epoch=0, neighbors=2, proposer=proposer, sequence=0)
+
+
+def foreign(
+    sender: int, plan: Plan | None, pedigree: Pedigree | None, sequence: int = 0, mission_text: str | None = None
+) -> bytes:
+    """A message; one that says a mission claims a stamp that is higher than any and stands for something else."""
+    message = Message(
+        sender=sender,
+        sequence=sequence,
+        neighbors=2,
+        plan=plan,
+        pedigree=pedigree,
+        mission=Stamp(0 if mission_text is None else 7, "0" * 16),
+        mission_text=mission_text,
+    )
+    return encode(message)
+
+
+def planned(agent: Agent) -> list[Effect]:
+    agent.handle(began())
+    return agent.handle(Planned(PlanAnswer(plan=PLAN, slot=1)))
+
+
+def notes(effects: list[Effect]) -> list[str]:
+    return [e.kind for e in effects if isinstance(e, Note)]

@@ -1,0 +1,117 @@
+"""One agent in flight, round by round, for tests of its talks; the others are what it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.events import (
+    Arrived,
+    AskPlan,
+    AskStep,
+    Decided,
+    Effect,
+    NegotiationEnded,
+    Planned,
+    Received,
+    RoundBegan,
+    TickBegan,
+    TickEnded,
+)
+from llm_flock.protocol.messages import Message, Pedigree, Stamp, Table, encode
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.protocol.remaking import Gaps
+
+LINE = Mission(shape="line", n_robots=3, comm_range=60)
+PLAN = Plan.of(LINE.ideal or ())
+SILENT = NoAnswer(cause="answer", reason="none")
+
+
+def make(
+    robot: int = 0, mission: Mission = LINE, *, gaps: Gaps = "report", on_event: bool = False, verify: bool = False
+) -> Agent:
+    return Agent(
+        robot,
+        mission,
+        PedigreeConsensus(),
+        AuctionAssignment(),
+        shield_on=True,
+        verify=verify,
+        time_out=2,
+        gaps=gaps,
+        on_event=on_event,
+    )
+
+
+class Flight:
+    """One agent, round by round; the others are what it is told."""
+
+    def __init__(self, agent: Agent, here: Point = PLAN.points[0], plan: Plan = PLAN) -> None:
+        self.agent, self.here, self.plan = agent, here, plan
+        self.number = 0
+        self.asked: list[AskPlan] = []
+
+    def begin(self, sensed: Mapping[int, Point] | None = None) -> None:
+        self.number += 1
+        others = sensed or {}
+        began = RoundBegan(
+            round=self.number,
+            position=self.here,
+            neighbors=len(others),
+            sensed=others,
+            observed=tuple(others.values()),
+        )
+        for effect in self.agent.handle(began):
+            if isinstance(effect, AskPlan):
+                self.asked.append(effect)
+                self.agent.handle(Planned(PlanAnswer(plan=self.plan, slot=0)))
+
+    def tick(self, *payloads: bytes) -> list[Effect]:
+        self.agent.handle(TickBegan())
+        effects = [effect for payload in payloads for effect in self.agent.handle(Received(payload))]
+        return [*effects, *self.agent.handle(TickEnded())]
+
+    def end(self, answer: StepAnswer | NoAnswer = SILENT) -> list[Effect]:
+        effects = self.agent.handle(NegotiationEnded())
+        if isinstance(effects[-1], AskStep):
+            effects = [*effects, *self.agent.handle(Decided(answer))]
+        self.agent.handle(Arrived())
+        return effects
+
+    def round(self, *payloads: bytes, sensed: Mapping[int, Point] | None = None) -> list[Effect]:
+        self.begin(sensed)
+        return [*self.tick(*payloads), *self.end()]
+
+
+def says(
+    sender: int,
+    beats: tuple[int, ...] | None = None,
+    *,
+    mission: Mission = LINE,
+    counter: int = 0,
+    plan: Plan | None = None,
+    table: Table | None = None,
+    text: str | None = None,
+    named_only: bool = False,
+    places: int = 0,
+) -> bytes:
+    origin = Pedigree(mission=counter, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=sender, sequence=0)
+    said = Message(
+        sender=sender,
+        sequence=0,
+        neighbors=0,
+        mission=Stamp(counter, mission.digest),
+        mission_text=text,
+        plan=None if named_only else plan,
+        plan_digest=None if plan is None else plan.digest,
+        places=places or (0 if plan is None else len(plan)),
+        pedigree=None if plan is None else origin,
+        table=table,
+        beats=beats,
+    )
+    return encode(said)
