@@ -1,23 +1,33 @@
 """Heartbeats: who is alive, who is silent, who was never heard of, and who only stands there."""
 
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from llm_flock.protocol.liveness import Liveness, patience
 
 NOBODY = frozenset[int]()
+
+
+def counts(beats: Sequence[int]) -> NDArray[np.int64]:
+    """Heartbeats as they are read from a message."""
+    return np.array(beats, dtype=np.int64)
 
 
 def test_a_counter_that_stands_still_for_too_long_is_silent_and_one_that_moves_on_is_alive_again() -> None:
     mine = Liveness(0, 3, time_out=2)
     assert mine.strangers == {1, 2} and mine.alive == 1
     mine.begin_round(1, NOBODY)
-    mine.hear([(1, 2, 0)])
+    mine.hear([counts((1, 2, 0))])
     assert mine.strangers == {2} and mine.alive == 2
     for number in (2, 3):
         mine.begin_round(number, NOBODY)
-        mine.hear([(0, 2, 0)])
+        mine.hear([counts((0, 2, 0))])
         assert not mine.silent
     mine.begin_round(4, NOBODY)
     assert mine.silent == {1} and mine.alive == 1
-    mine.hear([(0, 3, 0)])
+    mine.hear([counts((0, 3, 0))])
     assert not mine.silent and mine.alive == 2
 
 
@@ -25,20 +35,20 @@ def test_heartbeats_are_passed_on() -> None:
     far, between, near = (Liveness(k, 3, time_out=5) for k in range(3))
     for robot in (far, between, near):
         robot.begin_round(1, NOBODY)
-    between.hear([far.beats])
-    near.hear([between.beats])
+    between.hear([counts(far.beats)])
+    near.hear([counts(between.beats)])
     assert near.beats == (2, 2, 2) and not near.strangers
 
 
 def test_who_starts_again_counts_on_from_its_former_life() -> None:
     reborn, other = Liveness(0, 2, time_out=2), Liveness(1, 2, time_out=2)
     reborn.begin_round(1, NOBODY)
-    reborn.hear([(40, 7)])
+    reborn.hear([counts((40, 7))])
     assert reborn.beats[0] == 41
-    other.hear([(40, 7)])
+    other.hear([counts((40, 7))])
     other.begin_round(9, NOBODY)
     assert other.silent == {0}
-    other.hear([reborn.beats])
+    other.hear([counts(reborn.beats)])
     assert not other.silent
 
 
@@ -49,11 +59,11 @@ def test_a_body_that_nobody_ever_hears_is_silent_and_the_others_hear_of_it() -> 
         mine.begin_round(number, frozenset({2}))
     assert mine.silent == {2} and mine.strangers == {1}
     other = Liveness(1, 3, time_out=2)
-    other.hear([mine.beats])
+    other.hear([counts(mine.beats)])
     assert other.silent == {2}
-    mine.hear([(0, 0, 1)])
+    mine.hear([counts((0, 0, 1))])
     assert mine.silent == {2}
-    mine.hear([(0, 0, 2)])
+    mine.hear([counts((0, 0, 2))])
     assert not mine.silent
 
 
@@ -61,7 +71,7 @@ def test_a_large_team_is_waited_for_longer() -> None:
     assert patience(10, 20) == 10 and patience(10, 100) == 30 and patience(40, 100) == 40
     live = Liveness(0, 100, 10)
     live.begin_round(1, frozenset())
-    live.hear([[0, 2] + [0] * 98])
+    live.hear([counts([0, 2] + [0] * 98)])
     for number in range(2, 32):
         live.begin_round(number, frozenset())
         assert not live.silent
