@@ -24,7 +24,7 @@ class NetworkConfig(Section):
         default="tcp/127.0.0.1:0", description="Own endpoints, with commas between them; port 0 takes a free one"
     )
     connect: str = Field(
-        default="",
+        default="tcp/127.0.0.1:7447",
         description="Endpoints of peers to connect to, with commas between them; one that is there is enough",
     )
     lease_s: float = _seconds(2.0, "Silence after which a link is given up")

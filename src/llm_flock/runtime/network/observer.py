@@ -74,9 +74,14 @@ class Observer:
     # ---------------------------------------------------------------- what comes in
 
     def comes_or_goes(self, robot: int, comes: bool) -> None:
-        """A process of the swarm came or went."""
+        """A process of the swarm came or went: the team has to form once more."""
         if 0 <= robot < self.mission.n_robots:
             (self.alive.add if comes else self.alive.discard)(robot)
+            self._disturb()
+
+    def _disturb(self) -> None:
+        self.formed_s, self._since_s = None, None
+        self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
 
     def frame(self, frame: Frame) -> None:
         """The bodies, as they are."""
@@ -123,9 +128,8 @@ class Observer:
         except (ValueError, FlockError):
             return
         self._counter, self.mission = report.mission[0], mission
-        self.formed_s, self._since_s = None, None
         self._target = self._shape()
-        self._tracker = metrics.FormedTracker(spacing=mission.spacing)
+        self._disturb()
         self._tell_mission(self._now + 1)
 
     def _tell_mission(self, first: int) -> None:

@@ -93,6 +93,12 @@ def free_port() -> int:
         return port
 
 
+def world_config(config: SwarmConfig) -> SwarmConfig:
+    """The configuration of the world's own process: it listens where the others connect to."""
+    network = config.network.model_copy(update={"listen": config.network.connect, "connect": ""})
+    return config.model_copy(update={"network": network})
+
+
 class Swarm:
     """The running processes of a swarm, and what is seen of them. Made by `launched`.
 
@@ -141,8 +147,7 @@ class Swarm:
         assert line is not None
         config = self.config
         if kind == "world":
-            network = config.network.model_copy(update={"listen": config.network.connect, "connect": ""})
-            config = config.model_copy(update={"network": network})
+            config = world_config(config)
         self.pids.pop(name, None)
         order = {"name": name, "kind": kind, "config": config.model_dump(mode="json"), **more}
         line.write(json.dumps(order).encode() + b"\n")
@@ -243,7 +248,8 @@ async def launched(
     """A swarm whose processes run, and have all ended when the context is left.
 
     Args:
-        config: the swarm; with `out`, a recorder writes `run.mcap` there. Without `connect`, a free port is taken.
+        config: the swarm; with `out`, a recorder writes `run.mcap` there. With an empty `connect`, a free port is
+            taken.
         on_row: told how it goes, once in the time of a step.
         absent: robots that are not started.
 
@@ -279,8 +285,8 @@ async def launched(
                 if robot not in absent:
                     await swarm.start_robot(robot)
             yield swarm
-            await swarm.end()
         finally:
+            await swarm.end()
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(nursery.pid, signal.SIGKILL)
             if swarm.link is not None:
