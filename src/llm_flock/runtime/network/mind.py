@@ -135,7 +135,7 @@ class Mind:
         try:
             mission = self.agent.mission.change(**fields)
         except (InputError, TypeError) as error:
-            self.notes.append(Happened(kind="refused_mission", detail={"reason": str(error)}))
+            self.notes.append(Happened(kind="rejected_message", detail={"reason": "mission", "detail": str(error)}))
             return
         self.handle(MissionGiven(mission=mission))
 
