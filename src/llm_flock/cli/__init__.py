@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.keys import keys
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
 from llm_flock.cli.report import export, report
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
@@ -196,6 +197,7 @@ def inspect(
         show_conversation(found, robot, round_number)
 
 
+app.command()(keys)
 app.command()(report)
 app.command()(export)
 
