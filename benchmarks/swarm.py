@@ -1,8 +1,8 @@
 """Swarms of processes: do they form, how fast against lockstep, and what does a robot cost.
 
 `python -m benchmarks swarm` flies `RUNS` missions of ten processes with simulated models that take a moment
-(log-normal, median 0.3 s, sigma 0.6), and the same missions in lockstep with the same models. A lockstep round lasts as long as its
-slowest model, and the flight of one step after that; the time of either begins with the first question.
+(log-normal, median 0.3 s, sigma 0.6), and the same missions in lockstep with the same models. A lockstep round lasts as
+long as its slowest model, and the flight of one step after that; the time of either begins with the first question.
 `python -m benchmarks swarm-faults` does it with every fault, five runs each; `swarm-thirty` starts thirty processes.
 """
 
