@@ -15,8 +15,8 @@ PROFILES: Mapping[str, str] = {
     "collapse": "steps: towards the centroid of itself and the robots it sees",
     "malformed": "all answers: unreadable, cut off, of the wrong length, with an illegal index, or not finite",
     "slow": "no answer is wrong, but it takes about a second (log-normal, median 1 s, spread factor 1.6)",
-    "brisk": "no answer is wrong, but it takes a moment (log-normal, median 0.3 s, spread factor 1.8)",
     "flaky": "the call fails as a provider's would: 429 with Retry-After, 500 or a time-out",
+    "brisk": "no answer is wrong, but it takes a moment (log-normal, median 0.3 s, spread factor 1.8)",
 }
 """Every profile, and what it gets wrong."""
 
