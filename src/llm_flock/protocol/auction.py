@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Messag
 from llm_flock.protocol.ways import way_length
 
 BID_DECIMALS = 9
+
+Order: TypeAlias = Callable[[int, Entry], tuple[int, int]]
 
 SWAP_GAIN = 0.01
 """An exchange must lower the sum of the squared ways by at least this share of the squared spacing."""
@@ -104,16 +107,19 @@ class AuctionAssignment:
         for message in now.heard:
             if message.table is not None:
                 table = merge(table, message.table, message.said)
-        table = surveyed(reclaimed(now.robot, claim, table), now)
+        if now.granted is None:
+            table = surveyed(reclaimed(now.robot, claim, table), now)
+        else:
+            table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
         if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
             offer = None
         if table is claim.table and claim.slot is not None:
             slot = claim.slot
         elif offer is None:
-            table, slot = settle(now.robot, bids, table)
+            table, slot = settle(now.robot, bids, table, now.order)
         else:
-            table, slot = keep_one(now.robot, table)
+            table, slot = keep_one(now.robot, table, now.order)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not self.swaps:
             return claim
@@ -149,20 +155,25 @@ def _ended(offer: Offer, robot: int, table: Table) -> bool:
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
-def keep_one(robot: int, table: Table) -> tuple[Table, int | None]:
-    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released."""
+def keep_one(robot: int, table: Table, order: Order | None = None) -> tuple[Table, int | None]:
+    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
+
+    Signed claims have an order of their own, by which everybody knows which one counts: the others are freed together.
+    """
     owners = [owner for _, _, owner in table]
     times = owners.count(robot)
     if times < 2:
         return table, owners.index(robot) if times else None
     owned = [a for a, owner in enumerate(owners) if owner == robot]
+    if order is not None:
+        return table, max(owned, key=lambda a: order(a, table[a]))
     keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a))
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def settle(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
+def settle(robot: int, bids: tuple[float, ...], table: Table, order: Order | None = None) -> tuple[Table, int | None]:
     """Own exactly one slot: keep one of those owned, or claim the best that can be won, or none."""
-    table, slot = keep_one(robot, table)
+    table, slot = keep_one(robot, table, order)
     if slot is not None:
         return table, slot
     best: int | None = None
