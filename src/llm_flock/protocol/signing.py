@@ -120,10 +120,8 @@ class Signing:
         )
 
     def _signed_beats(self, beats: Sequence[int]) -> tuple[bytes, ...]:
-        own = self._beats.setdefault(self._robot, {})
         count = beats[self._robot]
-        if count not in own:
-            own[count] = self._notary.sign(beat_statement(self._robot, count))
+        self._beats[self._robot] = {count: self._notary.sign(beat_statement(self._robot, count))}
         for j, count in enumerate(beats):
             known = self._beats.get(j, {})
             self._beats[j] = {k: signature for k, signature in known.items() if k >= count}
