@@ -224,7 +224,11 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("stamp", "The mission of highest stamp is in force", "the last one heard is"),
-        *(TALKS, "self._consider(message) if message.mission > self.stamp", "self._consider(message) if True"),
+        *(
+            TALKS,
+            "self._consider(message, proofs) if message.mission > self.stamp",
+            "self._consider(message, proofs) if True",
+        ),
         f"{T_TALKS}::test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first",
     ),
     Mutant(
@@ -328,7 +332,7 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("last-claim", "Only a robot's last claim counts", "all of them do"),
         *(LEDGER, "if place < self._last.get(owner, place):", "if place < (0, 0):"),
-        f"{T_SIGNED}::test_who_claims_every_place_holds_one_at_most",
+        f"{T_SIGNED}::test_one_message_takes_one_place",
     ),
     Mutant(
         *("unsigned-claim", "Claims are signed by their owner", "the signature is not looked at"),

@@ -99,6 +99,16 @@ def test_who_claims_every_place_holds_one_at_most(team: SignedTeam, liar: Liar) 
     assert team.smallest >= MISSION.safe_distance - 1e-9
 
 
+def test_one_message_takes_one_place() -> None:
+    team = SignedTeam(MISSION, line_up(5))
+    liar = Liar(team)
+    team.begin()
+    for _ in range(4):
+        team.tick()  # one plan
+    team.tick([liar.says({a: liar.claim(a) for a in range(5)})])
+    assert team.held_by_liar() == 1
+
+
 def test_claims_have_an_end(team: SignedTeam, liar: Liar) -> None:
     slot = free_slot(team)
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, number=most_claims(5) + 1)})])

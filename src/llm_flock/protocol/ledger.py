@@ -98,7 +98,9 @@ class Ledger:
             table: what is held now; of as many places.
         """
         warrants, entries = proofs.warrants(), list(message.table or ())
-        for slot, entry in enumerate(entries):
+        # The latest claims first: of all that one message gives to a robot, only its last is taken.
+        for slot in sorted(range(len(entries)), key=lambda a: -warrants[a].number if a in warrants else 0):
+            entry = entries[slot]
             if entry is UNSAID:
                 continue
             if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, warrants.get(slot), len(table)):
