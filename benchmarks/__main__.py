@@ -10,6 +10,8 @@
 `sweep`     experiments/simulated.toml from scratch, two processes: time and memory (only when named)
 `twenty`    twenty trials of a circle of ten in one process on a server that takes 1 s, beside the longest of them alone
             (only when named)
+`swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`: see
+            benchmarks/swarm.py (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it.
 """
@@ -27,7 +29,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import sweeps
+from benchmarks import swarm, sweeps
 
 import llm_flock
 
@@ -132,6 +134,7 @@ def late() -> None:
 
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
+LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or list(PARTS):

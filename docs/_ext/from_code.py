@@ -171,10 +171,10 @@ class ConfigFields(SphinxDirective):
     """One section a table of the configuration file."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.runtime.config import RunConfig
+        from llm_flock.runtime.network.config import SwarmConfig
 
         sections: list[nodes.Node] = []
-        for name, info in RunConfig.model_fields.items():
+        for name, info in SwarmConfig.model_fields.items():
             section_type: Any = info.annotation
             section = nodes.section(ids=[f"config-{name}"], names=[f"config {name}"])
             section += nodes.title("", "", nodes.literal(text=f"[{name}]"))

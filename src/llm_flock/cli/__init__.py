@@ -19,6 +19,7 @@ from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.keys import keys
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
 from llm_flock.cli.report import export, report
+from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
 from llm_flock.errors import FlockError, InputError
 
@@ -123,6 +124,8 @@ def compare(
 
 
 app.command()(sweep)
+for command in (swarm, robot, world, mission, watch):
+    app.command()(command)
 
 
 @app.command()

@@ -32,6 +32,9 @@ SET_BY_COMPARE = frozenset({"protocol", "shape", "n_robots", "seed", "out", "rec
 SET_BY_SWEEP = SET_BY_COMPARE
 """Fields that a sweep sets itself: axes of its grid, and the directory of its results."""
 
+SET_BY_SWARM = frozenset({"kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds"})
+"""Fields that mean nothing in a swarm of processes, where real things happen to real processes."""
+
 PANELS = {
     "mission": "Mission",
     "protocol": "Protocol",
@@ -39,6 +42,7 @@ PANELS = {
     "limits": "Limits and budget",
     "links": "Messages",
     "trial": "Run",
+    "network": "Network",
 }
 
 
@@ -47,10 +51,12 @@ def flag(field: str) -> str:
     return SHORT.get(field, "--" + field.replace("_", "-"))
 
 
-def config_parameters(without: frozenset[str] = frozenset()) -> list[inspect.Parameter]:
+def config_parameters(
+    without: frozenset[str] = frozenset(), kind: type[RunConfig] = RunConfig
+) -> list[inspect.Parameter]:
     """One keyword parameter for each field of the configuration but some, None meaning: not given."""
     found: list[inspect.Parameter] = []
-    for name, section_info in RunConfig.model_fields.items():
+    for name, section_info in kind.model_fields.items():
         section = section_info.annotation
         assert isinstance(section, type) and issubclass(section, BaseModel)
         for field, info in section.model_fields.items():
@@ -99,12 +105,14 @@ def _flag_type(annotation: Any) -> tuple[Any, str | None]:
     return annotation, None
 
 
-def with_config_flags(without: frozenset[str] = frozenset()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def with_config_flags(
+    without: frozenset[str] = frozenset(), kind: type[RunConfig] = RunConfig
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add one flag for each field of the configuration, but some, to a command that takes them as `**flags`."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD]
-        parameters = own + config_parameters(without)
+        parameters = own + config_parameters(without, kind)
         vars(command)["__signature__"] = inspect.Signature(parameters)
         command.__annotations__ = {p.name: p.annotation for p in parameters}
         return command

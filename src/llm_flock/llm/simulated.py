@@ -42,8 +42,8 @@ NOTHING: frozenset[str] = frozenset()
 CHARS_PER_TOKEN = 4
 """Rule of thumb for tokens, which are only estimated here."""
 
-SLOW_SPREAD = 0.5
-"""Standard deviation of the logarithm of a slow answer's latency; the median is 1 s."""
+LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
+"""Median [s] and standard deviation of the logarithm of the latency of each profile that only takes its time."""
 
 
 class Responder:
@@ -64,12 +64,15 @@ class Responder:
         if self._always_right:
             return NOTHING
         # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
-        chance = self._rng.random(len(FAILURES)).tolist()
+        chance = self._rng.random(len(FAILURES) - 1).tolist()
+        # `brisk`, the last one, came later than the results that others had been measured with: it draws if it is on.
+        chance.append(float(self._rng.random()) if self._rates[-1] else 1.0)
         return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
 
-    def latency_s(self) -> float:
-        """How long a slow answer takes [s]."""
-        return float(self._rng.lognormal(0.0, SLOW_SPREAD))
+    def latency_s(self, profile: str = "slow") -> float:
+        """How long an answer of a profile in LATENCIES takes [s]."""
+        median, spread = LATENCIES[profile]
+        return median * float(self._rng.lognormal(0.0, spread))
 
     def fault(self, model: str, robot: int) -> pai.ModelAPIError:
         """What a flaky provider raises."""
@@ -233,8 +236,8 @@ def simulated_model(
 
     async def respond(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
         failures = responder.draw()
-        if "slow" in failures:
-            await sleep(responder.latency_s())
+        for profile in LATENCIES.keys() & failures:
+            await sleep(responder.latency_s(profile))
         if "flaky" in failures:
             raise responder.fault(name, robot)
         conversation = _conversation(messages)

@@ -25,9 +25,11 @@ from llm_flock.protocol.events import (
     Decided,
     Effect,
     Event,
+    Looked,
     MissionGiven,
     NegotiationEnded,
     Note,
+    PeriodBegan,
     Phase,
     Planned,
     Received,
@@ -39,11 +41,11 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.gathering import meeting_places
 from llm_flock.protocol.judge import Judge
 from llm_flock.protocol.liveness import TIME_OUT, Liveness
-from llm_flock.protocol.messages import Pedigree
+from llm_flock.protocol.messages import Pedigree, Stamp
 from llm_flock.protocol.negotiation import Gaps, Negotiation
 from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol.search import MANY, Search, advance
 from llm_flock.protocol.waiting import waiting_place
 from llm_flock.protocol.warrants import Notary
@@ -68,6 +70,7 @@ class Agent:
         time_out: rounds without a heartbeat after which a robot is taken for dead.
         gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
         on_event: let the planner give a path, and ask it again only when something unforeseen happens.
+        own_clock: the runtime counts heartbeats by `PeriodBegan`; they are counted with the rounds otherwise.
         notary: signs what this robot says and checks what others say; without one nothing is signed.
     """
 
@@ -84,9 +87,11 @@ class Agent:
         time_out: int = TIME_OUT,
         gaps: Gaps = "report",
         on_event: bool = False,
+        own_clock: bool = False,
         notary: Notary | None = None,
     ) -> None:
         self.robot = robot
+        self._own_clock = own_clock
         self.phase = Phase.IDLE
         self._judge = Judge(mission, verify=verify, shield_on=shield_on, any_size=gaps == "remake")
         liveness = Liveness(robot, mission.n_robots, time_out)
@@ -97,8 +102,9 @@ class Agent:
             robot, mission, self._judge, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event
         )
         self._scene: Scene | None = None
-        self._began: RoundBegan | None = None
+        self._seen: tuple[int, RoundBegan | Looked] | None = None
         self._asked: PlanQuestion | None = None
+        self._asked_about: object = None
         self._search = Search()
 
     @property
@@ -115,6 +121,11 @@ class Agent:
     def mission(self) -> Mission:
         """The mission in force, as this robot knows it."""
         return self._talks.mission
+
+    @property
+    def mission_counter(self) -> int:
+        """How many missions came before it, as this robot knows."""
+        return self._talks.stamp.counter
 
     @property
     def plan(self) -> Plan | None:
@@ -171,7 +182,11 @@ class Agent:
             case TickBegan():
                 phase, effects = self.phase, [Broadcast(self._talks.broadcast())]
             case TickEnded():
-                phase, effects = self.phase, [*self._talks.settle()]
+                phase, effects = self._settle()
+            case Looked():
+                phase, effects = self.phase, self._look_about(event)
+            case PeriodBegan():
+                phase, effects = self.phase, self._begin_period(event.period)
             case MissionGiven():
                 phase, effects = self.phase, [self._talks.obey(event.mission, event.order)]
             case RoundBegan():
@@ -181,7 +196,7 @@ class Agent:
             case NegotiationEnded():
                 phase, effects = self._decide()
             case Decided():
-                phase, effects = Phase.MOVING, self._pilot.take(event.answer)
+                phase, effects = self._take_step(event.answer)
             case Arrived():
                 phase, effects = Phase.IDLE, []
             case Stopped():
@@ -195,10 +210,9 @@ class Agent:
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
         listening = self._scene is None and event.round > 1 and event.neighbors > 0
         talks, mission = self._talks, self.mission
-        self._look(event)
-        near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= mission.comm_range)
-        talks.begin_round(event.round, near, event.neighbors)
-        talks.watch_team(may_shrink=self._search.given_up)
+        self._look(event.round, event)
+        if not self._own_clock:
+            self._begin_period(event.round)
         places = talks.places
         if places is None or listening:
             # Who joins a team that is at work hears it out before it proposes a plan of its own.
@@ -211,11 +225,49 @@ class Agent:
             neighbors=event.observed,
             still=talks.bodies,
         )
+        self._asked_about = self._topic[:2]
         return Phase.PLANNING, [AskPlan(self._asked)]
 
-    def _look(self, event: RoundBegan) -> None:
+    @property
+    def _topic(self) -> tuple[Stamp, Plan | None, int | None]:
+        """What questions are about: an answer is of use as long as this is the same."""
+        return self._talks.stamp, self.plan, self.claim.slot
+
+    def _begin_period(self, number: int) -> list[Effect]:
+        """Count a heartbeat, look who is alive, and greet who is near."""
+        assert self._seen is not None, "a robot looks before it greets"
+        talks, event = self._talks, self._seen[1]
+        reach = self.mission.comm_range
+        near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
+        talks.begin_round(number, near, event.neighbors)
+        talks.watch_team(may_shrink=self._search.given_up)
+        return []
+
+    def _look_about(self, event: Looked) -> list[Effect]:
+        """Another look, in whatever phase; a step that is being decided on is flown from what is seen now."""
+        self._look(1 if self._scene is None else self._scene.round, event)
+        if self.phase is Phase.DECIDING and self._scene is not None:
+            self._pilot.look(self._scene)
+        return []
+
+    def _settle(self) -> tuple[Phase, list[Effect]]:
+        """Decide on what was heard. A step in question whose plan or place has changed by that is asked for anew."""
+        notes: list[Effect] = [*self._talks.settle()]
+        if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
+            return self.phase, notes
+        phase, effects = self._decide()
+        return phase, [*notes, Note("stale_question", {"about": "step"}), *effects]
+
+    def _take_step(self, answer: StepAnswer | NoAnswer) -> tuple[Phase, list[Effect]]:
+        """Fly what was answered, unless the answer is about a mission, plan or place of before."""
+        if self._topic == self._asked_about:
+            return Phase.MOVING, self._pilot.take(answer)
+        phase, effects = self._decide()
+        return phase, [Note("stale_answer", {"about": "step"}), *effects]
+
+    def _look(self, number: int, event: RoundBegan | Looked) -> None:
         """See the world of this round, and see it again from the frame of a mission that has come up since."""
-        mission, number = self.mission, event.round
+        mission = self.mission
         moving = mission.velocity is not None
         self._scene = scene = Scene(
             round=number,
@@ -225,20 +277,22 @@ class Agent:
             drift=mission.drift(number - 1) if moving else (),
             ahead=mission.drift(number) if moving else (),
         )
-        self._began = event
+        self._seen = number, event
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
         self._talks.look(scene.here, sensed)
 
     def _receive(self, event: Received) -> list[Effect]:
         before = self.mission
         notes = self._talks.receive(event.payload, event.sender)
-        if self.mission is not before and self._began is not None:
-            self._look(self._began)
+        if self.mission is not before and self._seen is not None:
+            self._look(*self._seen)
         return [*notes]
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
         """A proposal of one's own; what the planner sees in the world is kept in the frame of the mission."""
         assert self._asked is not None and self._scene is not None, "only a robot that asked is answered"
+        if self._topic[:2] != self._asked_about:
+            return [Note("stale_answer", {"about": "plan"})]
         answer, ahead = self._judge.plan(self._asked, answer), self._scene.ahead
         if isinstance(answer, PlanAnswer) and ahead:
             answer = replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
@@ -269,6 +323,7 @@ class Agent:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
         told = self.mission.at(scene.round).resized(len(plan))
+        self._asked_about = self._topic
         effects.extend(self._pilot.decide(scene, told, plan, slot, target))
         return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects
 

@@ -61,6 +61,26 @@ class RoundBegan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Looked:
+    """What the sensors say between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
+
+    position: Point
+    neighbors: int
+    sensed: Mapping[int, Point]
+    observed: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodBegan:
+    """A new heartbeat period, after a look, of a robot whose heart beats by its clock and not by its rounds.
+
+    `period` counts from 1.
+    """
+
+    period: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MissionGiven:
     """The operator gives this robot another mission; the others hear of it from this robot.
 
@@ -117,7 +137,7 @@ class Decided:
 
 @dataclass(frozen=True, slots=True)
 class Arrived:
-    """The body finished the move."""
+    """The body finished the move, or does so while the planner is asked for the next one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +147,8 @@ class Stopped:
 
 Event: TypeAlias = (
     RoundBegan
+    | Looked
+    | PeriodBegan
     | MissionGiven
     | Planned
     | TickBegan
@@ -181,16 +203,17 @@ class Note:
 
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
 
+AT_ANY_TIME = (Looked, PeriodBegan, MissionGiven, TickBegan, Received, TickEnded)
+"""A robot talks, listens and looks in every phase, while its model thinks and while its body flies as well."""
+
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
-    (Phase.IDLE, MissionGiven): frozenset({Phase.IDLE}),
     (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.NEGOTIATING}),
     (Phase.PLANNING, Planned): frozenset({Phase.NEGOTIATING}),
-    (Phase.NEGOTIATING, TickBegan): frozenset({Phase.NEGOTIATING}),
-    (Phase.NEGOTIATING, Received): frozenset({Phase.NEGOTIATING}),
-    (Phase.NEGOTIATING, TickEnded): frozenset({Phase.NEGOTIATING}),
     (Phase.NEGOTIATING, NegotiationEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
-    (Phase.DECIDING, Decided): frozenset({Phase.MOVING}),
+    (Phase.DECIDING, Decided): frozenset({Phase.DECIDING, Phase.MOVING}),
     (Phase.MOVING, Arrived): frozenset({Phase.IDLE}),
+    **{(phase, event): frozenset({phase}) for phase in Phase if phase is not Phase.STOPPED for event in AT_ANY_TIME},
+    (Phase.DECIDING, TickEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
     **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
 }
 """Every legal (phase, event) and the phases it may lead to; anything else is a fault of the runtime."""

@@ -124,6 +124,10 @@ class Pilot:
         flight = self._safety.stay(scene.position, scene.sensed)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
+    def look(self, scene: Scene) -> None:
+        """Another look while the planner thinks."""
+        self._scene = scene
+
     def forget(self) -> None:
         """What was foreseen is void."""
         self._foresight, self.on_path = None, False

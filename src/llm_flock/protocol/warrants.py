@@ -28,7 +28,7 @@ from llm_flock.protocol.messages import (
     max_payload_bytes,
 )
 
-OPERATOR = -1
+OPERATOR = -2
 """Member id of who gives missions."""
 
 WIRE_SIGNED = 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -179,13 +179,16 @@ class RunConfig(Section):
         )
 
 
-def section_of(field: str) -> str:
+Config = TypeVar("Config", bound=RunConfig)
+
+
+def section_of(field: str, kind: type[RunConfig] = RunConfig) -> str:
     """The section that holds a field.
 
     Raises:
         InputError: there is no such field.
     """
-    for name, info in RunConfig.model_fields.items():
+    for name, info in kind.model_fields.items():
         section = info.annotation
         assert isinstance(section, type) and issubclass(section, BaseModel)
         if field in section.model_fields:
@@ -201,19 +204,24 @@ def build_config(base: Mapping[str, Any] | None = None, **overrides: Any) -> Run
     Raises:
         InputError: naming the first offending field, its value, and what is allowed.
     """
+    return build_config_of(RunConfig, base, **overrides)
+
+
+def build_config_of(kind: type[Config], base: Mapping[str, Any] | None = None, **overrides: Any) -> Config:
+    """As `build_config`, for a configuration with more sections."""
     data: dict[str, Any] = {}
     for name, section in (base or {}).items():
-        if name not in RunConfig.model_fields:
-            raise InputError(name, "...", f"one of the sections {', '.join(RunConfig.model_fields)}")
+        if name not in kind.model_fields:
+            raise InputError(name, "...", f"one of the sections {', '.join(kind.model_fields)}")
         if not isinstance(section, Mapping):
             raise InputError(name, section, "a table")
         data[name] = dict(cast("Mapping[str, Any]", section))
     for field, value in overrides.items():
         if value is not None:
-            data.setdefault(section_of(field), {})[field] = value
+            data.setdefault(section_of(field, kind), {})[field] = value
     _load_points(data.get("mission", {}))
     try:
-        return RunConfig(**data)
+        return kind(**data)
     except ValidationError as error:
         raise input_error(error) from None
 
@@ -234,12 +242,17 @@ def load_config(path: Path | None, **overrides: Any) -> RunConfig:
     Raises:
         InputError: the file cannot be read or is not TOML, or a value is not allowed.
     """
+    return load_config_of(RunConfig, path, **overrides)
+
+
+def load_config_of(kind: type[Config], path: Path | None, **overrides: Any) -> Config:
+    """As `load_config`, for a configuration with more sections."""
     if path is None:
-        return build_config({}, **overrides)
+        return build_config_of(kind, {}, **overrides)
     try:
         base = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError("config", str(path), f"a readable file ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError("config", str(path), f"TOML ({error})") from None
-    return build_config(base, **overrides)
+    return build_config_of(kind, base, **overrides)

@@ -115,7 +115,7 @@ class Journal:
     def flush_attempts(self) -> None:
         """Write the model calls made since the last flush, by robot and attempt."""
         for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
-            self.writer.llm(_entry(attempt))
+            self.writer.llm(llm_entry(attempt))
         self._attempts.clear()
 
     def note(self, round_number: int, tick: int | None, robot: int, note: Note) -> None:
@@ -265,7 +265,8 @@ def _finite(value: float) -> float | None:
     return value if value < float("inf") else None
 
 
-def _entry(attempt: Attempt) -> LlmEntry:
+def llm_entry(attempt: Attempt) -> LlmEntry:
+    """A model call as it is recorded."""
     call, reply = attempt.call, attempt.reply
     settings: dict[str, Any] = {} if reply is None else dict(reply.settings)
     usage = Usage() if reply is None else reply.usage

@@ -1,0 +1,196 @@
+"""Swarms of processes: do they form, how fast against lockstep, and what does a robot cost.
+
+`python -m benchmarks swarm` flies `RUNS` missions of ten processes with simulated models that take a moment
+(log-normal, median 0.3 s, sigma 0.6), and the same missions in lockstep with the same models. A lockstep round lasts as long as its
+slowest model, and the flight of one step after that; the time of either begins with the first question.
+`python -m benchmarks swarm-faults` does it with every fault, five runs each; `swarm-thirty` starts thirty processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import statistics
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import llm_flock
+from llm_flock.runtime.config import build_config_of
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.observer import Observer
+from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
+
+RUNS, FAULT_RUNS = int(os.environ.get("RUNS", "20")), int(os.environ.get("RUNS", "5"))
+SAFE = 3.0 - 1e-6
+DOWN = "0-8=simulated:brisk,9=openai-compatible:down"
+Meanwhile = Callable[[Swarm], Awaitable[None]]
+
+
+def config_of(robots: int, seed: int, **options: Any) -> SwarmConfig:
+    base = {"shape": "circle", "n_robots": robots, "model": "simulated:brisk", "start": "connected", "seed": seed}
+    return build_config_of(SwarmConfig, {}, **{**base, "connect": "", "max_s": 120.0, **options})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """One mission, processor time of a robot per second, and its memory [MiB]."""
+
+    result: SwarmResult
+    cpu: float
+    memory_mib: float
+
+
+async def _nothing(swarm: Swarm) -> None:
+    return
+
+
+def fly(config: SwarmConfig, meanwhile: Meanwhile = _nothing, *, lasts_s: float = 0.0, absent: int = 0) -> Flight:
+    """One mission; `meanwhile` begins when the robots do, and the mission lasts so long at least."""
+    n = config.mission.n_robots
+
+    async def whole() -> Flight:
+        async with launched(config, absent=frozenset(range(n - absent, n))) as swarm:
+            task = asyncio.create_task(_when_begun(swarm, meanwhile))
+
+            def done(observer: Observer) -> bool:
+                began = observer.began_s
+                return task.done() and observer.formed_s is not None and time.time() > (began or 0.0) + lasts_s
+
+            stopped = await swarm.run(done)
+            await task
+            robots = [pid for name, pid in swarm.pids.items() if name.startswith("robot") and name not in swarm.ended]
+            seconds = time.time() - (swarm.observer.began_s or time.time())
+            cpu = statistics.mean(map(_cpu_s, robots)) / max(seconds, 1.0)
+            return Flight(
+                result=swarm.result(stopped, None), cpu=cpu, memory_mib=statistics.mean(map(_memory_mib, robots))
+            )
+
+    return asyncio.run(whole())
+
+
+async def _when_begun(swarm: Swarm, meanwhile: Meanwhile) -> None:
+    while swarm.observer.began_s is None:  # noqa: ASYNC110 - nobody sets an event
+        await asyncio.sleep(0.05)
+    await meanwhile(swarm)
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory_mib(pid: int) -> float:
+    """Memory of its own, and its share of what is shared."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+
+
+def lockstep_s(config: SwarmConfig) -> float:
+    """Time until the same mission has formed in lockstep: what its rounds took to think, and a flight for each."""
+    times: list[float] = []
+    began = time.perf_counter()
+    result = llm_flock.run(
+        config.mission,
+        model=config.model.model,
+        seed=config.trial.seed,
+        start=config.trial.start,
+        on_round=lambda _: times.append(time.perf_counter() - began),
+    )
+    rounds = result.summary.rounds_to_formed
+    assert rounds is not None
+    return times[rounds - 1] + rounds * config.network.step_s
+
+
+def swarm() -> None:
+    """Ten processes, and lockstep."""
+    flights: list[Flight] = []
+    ratios: list[float] = []
+    for seed in range(RUNS):
+        config = config_of(10, seed)
+        flight = fly(config)
+        flights.append(flight)
+        together = lockstep_s(config)
+        took = flight.result.mission_s
+        if took is not None:
+            ratios.append(took / together)
+        print(f"seed {seed}: {took} s, lockstep {together:.2f} s; {_line(flight)}", flush=True)
+    _summary("ten processes", flights)
+    middle, mean = statistics.median(ratios), statistics.mean(ratios)
+    print(f"  mission time / lockstep: median {middle:.2f}, mean {mean:.2f}, bar 0.7")
+
+
+def thirty() -> None:
+    """Thirty processes."""
+    config = config_of(30, 0, arena=((0.0, 0.0), (160.0, 160.0)), center=(80.0, 80.0), max_s=240.0, gather_s=60.0)
+    flight = fly(config)
+    print(f"{flight.result.mission_s} s; {_line(flight)}")
+    _summary("thirty processes", [flight])
+
+
+async def _kill(swarm: Swarm) -> None:
+    await asyncio.sleep(3.0)
+    swarm.signal("robot-2", signal.SIGKILL)
+    await asyncio.sleep(0.5)
+
+
+async def _stop(swarm: Swarm) -> None:
+    await asyncio.sleep(3.0)
+    swarm.signal("robot-2", signal.SIGSTOP)
+    await asyncio.sleep(3.0)
+    swarm.signal("robot-2", signal.SIGCONT)
+    await asyncio.sleep(2.5)
+
+
+async def _come(swarm: Swarm) -> None:
+    await asyncio.sleep(5.0)
+    await swarm.start_robot(9)
+    await asyncio.sleep(1.0)
+
+
+FAULTS: dict[str, tuple[int, dict[str, Any], dict[str, Any]]] = {
+    "kill -9 of a robot": (9, {}, {"meanwhile": _kill}),
+    "SIGSTOP for 3 s": (10, {}, {"meanwhile": _stop}),
+    "30 % loss, 200 ms jitter": (10, {"loss": 0.3, "delay": 2}, {}),
+    "a robot joins late": (10, {"gather_s": 1.0}, {"meanwhile": _come, "absent": 1}),
+    "two halves apart for 10 s": (10, {"partition": "1-11"}, {"lasts_s": 13.0}),
+    "a model's endpoint is down": (
+        10,
+        {"model": DOWN, "base_url": "http://127.0.0.1:9/v1", "fallback": "geometry", "max_tries": 1},
+        {},
+    ),
+}
+
+
+def faults() -> None:
+    """Every fault, five runs each."""
+    for name, (robots, options, happens) in FAULTS.items():
+        flights = [fly(config_of(10, seed, **options), **happens) for seed in range(FAULT_RUNS)]
+        for seed, flight in enumerate(flights):
+            print(f"  seed {seed}: {flight.result.mission_s} s; {_line(flight)}", flush=True)
+        assert all(flight.result.n_robots == robots for flight in flights)
+        _summary(name, flights)
+
+
+def _line(flight: Flight) -> str:
+    result = flight.result
+    return (
+        f"separation {result.min_separation:.3f}, {result.bytes_per_robot_s:.0f} bytes/robot-s, "
+        f"latency p99 {1000 * (result.latency_p99_s or 0):.1f} ms, cpu {flight.cpu:.3f}, "
+        f"memory {flight.memory_mib:.0f} MiB, {result.model_calls} calls, {result.late_commands} late commands"
+    )
+
+
+def _summary(name: str, flights: list[Flight]) -> None:
+    results = [flight.result for flight in flights]
+    formed = sum(result.formed for result in results)
+    unsafe = sum(result.min_separation < SAFE for result in results)
+    times = [result.mission_s for result in results if result.mission_s is not None]
+    print(
+        f"{name}: formed {formed} of {len(results)}, violations {unsafe}, "
+        f"time {statistics.median(times) if times else float('nan'):.1f} s (median)",
+        flush=True,
+    )

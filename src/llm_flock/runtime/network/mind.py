@@ -1,0 +1,327 @@
+"""One robot's mind at its own pace: it asks its model as soon as it may, and waits for nobody.
+
+Three things go on at once, in one event loop: rounds (ask, decide, fly), exchanges of messages at a fixed period, and
+control of the body at another. All of them talk to one state machine, one event at a time. A heartbeat period is as
+many exchanges as a lockstep round has: what the protocol counts in rounds there, heartbeats and their time-out, it
+counts in periods here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.metrics import AT_GOAL
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.events import (
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    Decided,
+    Effect,
+    Event,
+    Looked,
+    MissionGiven,
+    MoveTo,
+    NegotiationEnded,
+    Note,
+    Origin,
+    PeriodBegan,
+    Phase,
+    Planned,
+    Received,
+    RoundBegan,
+    Stopped,
+    TickBegan,
+    TickEnded,
+)
+from llm_flock.protocol.messages import NO_OWNER
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
+from llm_flock.protocol.warrants import Order
+from llm_flock.runtime.network import wire
+from llm_flock.runtime.network.body import STILL, Pilotage
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.wire import Happened
+from llm_flock.transport.radio import Radio
+
+T = TypeVar("T")
+
+QUIET_TICKS = 2
+"""Exchanges without another place for this robot after which its talks about a plan that is new have settled."""
+
+PATIENCE = 2.0
+"""A move ends at the latest after so many times as long as it would take unhindered."""
+
+STUCK_S = 0.3
+"""A body that has not moved for so long has come as far as it can [s]."""
+
+
+class Mind:
+    """Drives one agent.
+
+    Args:
+        config: the swarm.
+        agent: the state machine.
+        planner: answers its questions.
+        radio: what it hears and sees.
+        body: its body.
+        say: broadcasts the bytes of a message.
+    """
+
+    def __init__(
+        self,
+        config: SwarmConfig,
+        agent: Agent,
+        planner: Planner,
+        radio: Radio,
+        body: Pilotage,
+        say: Callable[[bytes], None],
+    ) -> None:
+        self.agent = agent
+        self.round = 0
+        self.period = 0
+        self.waypoints: Counter[str] = Counter()
+        self.notes: list[Happened] = []
+        self._config = config
+        self._planner = planner
+        self._radio = radio
+        self._body = body
+        self._say = say
+        self._ticks = 0
+        self._settled_at = 0
+        self._place: object = None
+        self._order: AskStep | MoveTo | None = None
+        self._changed = asyncio.Event()
+        self._moving: MoveTo | None = None
+        self._going_for: object = None
+        self._due = 0.0
+
+    # ---------------------------------------------------------------- events in, effects out
+
+    def handle(self, event: Event) -> list[Effect]:
+        """Let the agent take an event; keep its notes and orders."""
+        rest: list[Effect] = []
+        for effect in self.agent.handle(event):
+            match effect:
+                case Note():
+                    self.notes.append(Happened(kind=effect.kind, detail=dict(effect.detail), tick=self._ticks))
+                case Broadcast():
+                    self._say(effect.payload)
+                case AskStep() | MoveTo():
+                    self._order = effect
+                    self._changed.set()
+                case AskPlan():
+                    rest.append(effect)
+        return rest
+
+    def look(self) -> None:
+        """Tell the agent what the sensors say now."""
+        if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
+            self.handle(Looked(**self._sight()))
+
+    def receive(self, payload: bytes, sender: int) -> None:
+        """A message of another robot."""
+        if self.agent.position and self.agent.phase is not Phase.STOPPED:
+            self.handle(Received(payload, sender))
+
+    def take_order(self, order: wire.Order) -> None:
+        """The operator wants another mission; one that is not allowed is only noted."""
+        try:
+            mission = self.agent.mission.change(**order.fields)
+        except (InputError, TypeError) as error:
+            self.notes.append(Happened(kind="rejected_message", detail={"reason": "mission", "detail": str(error)}))
+            return
+        signed = Order(counter=order.counter, signature=order.signature) if order.signature else None
+        self.handle(MissionGiven(mission=mission, order=signed))
+
+    def _sight(self) -> dict[str, Any]:
+        """What is seen; a robot on its way takes the place to which it flies for its own."""
+        here = self._body.waypoint or self._radio.position
+        assert here is not None, "a robot begins when it knows where it is"
+        sensed = self._radio.sensed()
+        return {
+            "position": here,
+            "neighbors": self._radio.neighbors(time.time()),
+            "sensed": sensed,
+            "observed": tuple(sensed.values()),
+        }
+
+    # ---------------------------------------------------------------- exchanges
+
+    async def gossip(self) -> None:
+        """Exchange messages, whatever else the robot is doing."""
+        due = time.monotonic()
+        while True:
+            self.exchange()
+            due = max(due + self._config.network.gossip_s, time.monotonic())
+            await asyncio.sleep(due - time.monotonic())
+
+    def exchange(self) -> None:
+        """Decide on what was heard since the last exchange; once a period count a heartbeat; then speak."""
+        self.look()
+        if not self.agent.position:
+            return
+        self.handle(TickEnded())
+        if self._ticks % (self._config.protocol.ticks or 1) == 0:
+            self.period += 1
+            self.handle(PeriodBegan(self.period))
+        self.handle(TickBegan())
+        self._ticks += 1
+        if self._topic != self._place:
+            self._place, self._settled_at = self._topic, self._ticks
+            self._changed.set()
+            if self._body.waypoint is not None and self._topic != self._going_for:
+                self._body.waypoint = None  # it stops within a control period, and sets out for the new place
+
+    @property
+    def _topic(self) -> tuple[str, str | None, int | None]:
+        agent = self.agent
+        return agent.mission.digest, None if agent.plan is None else agent.plan.digest, agent.claim.slot
+
+    # ---------------------------------------------------------------- rounds
+
+    async def live(self) -> None:
+        """Round after round, until cancelled."""
+        try:
+            while True:
+                await self._fly_round()
+        finally:
+            self.handle(Stopped())
+
+    async def _fly_round(self) -> None:
+        self.round += 1
+        topic = self._topic[:2]
+        for effect in self.handle(RoundBegan(round=self.round, **self._sight())):
+            assert isinstance(effect, AskPlan)
+            answer = await self._ask(self._planner.plan(effect.question), lambda: self._topic[:2] != topic)
+            self.handle(Planned(answer))
+        await self._settle()
+        self._order = None
+        self.look()
+        self.handle(NegotiationEnded())
+        move = await self._decide()
+        await self._land()
+        self.waypoints[move.origin.value] += 1
+        self._moving = move
+        self._take_off(move.waypoint)
+        self.handle(Arrived())
+        await self._rest(move)
+
+    async def _settle(self) -> None:
+        """Let the talks about a place that is new come to rest, for a heartbeat period at most."""
+        network = self._config.network
+        for _ in range(self._config.protocol.ticks or 1):
+            if self._ticks - self._settled_at >= QUIET_TICKS:
+                return
+            await asyncio.sleep(network.gossip_s)
+
+    async def _decide(self) -> MoveTo:
+        """The waypoint to fly to; a question that is asked anew meanwhile takes the place of the one before."""
+        while True:
+            order, self._order = self._order, None
+            assert order is not None, "who has to decide has been told what"
+            if isinstance(order, MoveTo):
+                return order
+            answer = await self._ask(self._planner.step(order.question), lambda: self._order is not None)
+            await self._land()
+            if self._order is None:
+                self.look()
+                self.handle(Decided(answer))
+
+    async def _ask(self, thinking: Awaitable[PlanAnswer | StepAnswer | NoAnswer], stale: Callable[[], bool]) -> Any:
+        """The answer; none if it is late, or if nobody wants it any more."""
+        task = asyncio.ensure_future(thinking)
+        deadline = time.monotonic() + self._config.network.answer_s
+        try:
+            while not task.done():
+                self._changed.clear()
+                if stale():
+                    return NoAnswer(cause="stale", reason="the question is not asked any more")
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    return NoAnswer(cause="timeout", reason=f"no answer within {self._config.network.answer_s:g} s")
+                change = asyncio.ensure_future(self._changed.wait())
+                await asyncio.wait((task, change), timeout=left, return_when=asyncio.FIRST_COMPLETED)
+                change.cancel()
+            return task.result()
+        finally:
+            if not task.done():
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+
+    # ---------------------------------------------------------------- motion
+
+    def _take_off(self, waypoint: Point) -> None:
+        """Set out. The next question is asked at once, from where the body will be when it arrives."""
+        here = self._radio.position
+        assert here is not None
+        distance = math.dist(here, waypoint)
+        if distance > STILL:
+            self._body.waypoint, self._going_for = waypoint, self._topic
+            self._due = time.monotonic() + PATIENCE * distance / self._config.speed + STUCK_S
+
+    async def _land(self) -> None:
+        """Wait until the body is where it was going, cannot come any nearer, or is no more to go there."""
+        body = self._body
+        last, moved_at = body.position, time.monotonic()
+        while body.waypoint is not None and not body.arrived:
+            await asyncio.sleep(self._config.network.control_s / 4)
+            now = time.monotonic()
+            if body.position != last:
+                last, moved_at = body.position, now
+            if now - moved_at > STUCK_S or now > self._due:
+                break
+        body.waypoint = None
+
+    async def _rest(self, move: MoveTo) -> None:
+        """At its place a robot looks and asks again once a heartbeat period, or when its place has changed."""
+        goal, network = self.agent.goal, self._config.network
+        near = AT_GOAL * self.agent.mission.spacing
+        if move.origin is not Origin.HOLD and (goal is None or math.dist(goal, move.waypoint) > near):
+            return
+        await self._land()
+        self._changed.clear()
+        rest_s = network.gossip_s * (self._config.protocol.ticks or 1)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), rest_s)
+
+    # ---------------------------------------------------------------- what observers see
+
+    def report(self, *, known: set[str], calls: list[dict[str, Any]], latencies_s: list[float]) -> dict[str, Any]:
+        """The fields of a report that the mind knows; plans and missions in `known` are not said again."""
+        agent = self.agent
+        plan, origin, mission = agent.plan, agent.pedigree, agent.mission
+        news = plan is not None and plan.digest not in known
+        shape = None if mission.digest in known else mission.model_dump(mode="json")
+        known.update({mission.digest} if plan is None else {mission.digest, plan.digest})
+        notes, self.notes = self.notes, []
+        move = self._moving
+        return {
+            "round": self.round,
+            "period": self.period,
+            "phase": agent.phase.value,
+            "mission": (agent.mission_counter, mission.digest),
+            "plan_id": None if plan is None else plan.digest,
+            "points": plan.points if news and plan is not None else None,
+            "proposer": None if origin is None else origin.proposer,
+            "slot": agent.claim.slot,
+            "goal": agent.goal,
+            "blocked": tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
+            "waypoint": None if move is None else move.waypoint,
+            "origin": "start" if move is None else move.origin.value,
+            "neighbors": agent.neighbors,
+            "happened": tuple(notes),
+            "calls": tuple(calls),
+            "waypoints": dict(self.waypoints),
+            "rejected": dict(agent.rejected),
+            "latencies_s": tuple(latencies_s),
+            "shape": shape,
+        }

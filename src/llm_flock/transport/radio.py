@@ -1,0 +1,163 @@
+"""Who is in range: the one place where the radio's and the sensors' reach are enforced.
+
+A network of processes reaches everybody. So each receiver drops what a radio would not have carried: messages of a
+sender that is farther away than the radio range of the mission, by the sender's own last beacon. A real radio replaces
+`Radio.carries`, and real sensors replace `Radio.frame`. Loss, duplicates and delays may be injected here for tests.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.shield_async import Sighting
+from llm_flock.transport.memory import LinkFaults
+
+FRESH_BEACONS = 5.0
+"""A neighbour is one whose last beacon is at most so many beacon periods old."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """Where a body was.
+
+    Attributes:
+        stamp: when, by the wall clock [s].
+        position: where [units; world frame].
+        end: end of the segment that it was flying and had announced, where that is known.
+    """
+
+    stamp: float
+    position: Point
+    end: Point | None = None
+
+
+class Radio:
+    """What one robot hears and sees of the others.
+
+    Args:
+        robot: own id.
+        mission: its ranges.
+        faults: what goes wrong on the way, `delay` in units of `delay_s`.
+        rng: source of that.
+        beacon_s: time between two beacons [s].
+        delay_s: unit of delays [s].
+        clock_error_s: largest difference of two wall clocks of the swarm [s].
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        mission: Mission,
+        *,
+        faults: LinkFaults,
+        rng: np.random.Generator,
+        beacon_s: float,
+        delay_s: float,
+        clock_error_s: float,
+    ) -> None:
+        self.position: Point | None = None
+        self.cut: frozenset[int] = frozenset()
+        self.lost = 0
+        self._robot = robot
+        self._reach = mission.comm_range
+        self._sight = mission.sensing
+        self._faults = faults
+        self._rng = rng
+        self._fresh_s = FRESH_BEACONS * beacon_s
+        self._delay_s = delay_s
+        self._clock_error_s = clock_error_s
+        self._beacons: dict[int, Seen] = {}
+        self._heard: dict[int, Seen] = {}
+        self._sensed: dict[int, Seen] = {}
+        self._looked = -math.inf
+
+    # ---------------------------------------------------------------- the air
+
+    def carries(self, sender: int) -> bool:
+        """Whether a radio carries a message of this sender to this robot now, by where both are."""
+        there = self._beacons.get(sender)
+        if self.position is None or there is None or sender in self.cut:
+            return False
+        return math.dist(self.position, there.position) <= self._reach
+
+    def fate(self) -> list[float]:
+        """What becomes of one message: the delays of the copies that arrive [s]."""
+        faults, rng = self._faults, self._rng
+        if not faults.any:
+            return [0.0]
+        copies = 1 + int(rng.random() < faults.duplicate)
+        arriving = [rng.random() >= faults.loss for _ in range(copies)]
+        self.lost += copies - sum(arriving)
+        return [float(rng.uniform(0.0, faults.delay * self._delay_s)) for there in arriving if there]
+
+    def deliver(
+        self, sender: int, hand_over: Callable[[], None], later: Callable[[float, Callable[[], None]], object]
+    ) -> None:
+        """Hand a message over if the radio carries it, now or when its injected delay is over."""
+        if not self.carries(sender):
+            return
+        for delay_s in self.fate():
+            if delay_s > 0.0:
+                later(delay_s, hand_over)
+            else:
+                hand_over()
+
+    # ---------------------------------------------------------------- beacons and sensors
+
+    def place(self, sender: int, beacon: Seen) -> None:
+        """Where a sender is, for the air's own use: a receiver that does not hear it learns nothing from this."""
+        self._beacons[sender] = beacon
+
+    def beacon(self, sender: int, beacon: Seen) -> None:
+        """A beacon that was heard."""
+        known = self._heard.get(sender)
+        if known is None or beacon.stamp > known.stamp:
+            self._heard[sender] = beacon
+
+    def frame(self, stamp: float, positions: Sequence[Point]) -> None:
+        """What the sensors see: the own position, and the bodies within sensing range; the rest is not looked at."""
+        here = self.position = positions[self._robot]
+        self._looked = stamp
+        for j, there in enumerate(positions):
+            if j != self._robot and math.dist(here, there) <= self._sight:
+                self._sensed[j] = Seen(stamp=stamp, position=there)
+            else:
+                self._sensed.pop(j, None)
+
+    def neighbors(self, now: float) -> int:
+        """How many robots are heard within radio range, |N_i|."""
+        here = self.position
+        if here is None:
+            return 0
+        fresh = (seen for seen in self._heard.values() if now - seen.stamp <= self._fresh_s)
+        return sum(math.dist(here, seen.position) <= self._reach for seen in fresh)
+
+    def sensed(self) -> dict[int, Point]:
+        """Where the bodies in sight are, by id."""
+        return {j: self._sensed[j].position for j in sorted(self._sensed)}
+
+    def sightings(self, now: float) -> list[Sighting]:
+        """The newest that is known of each body, with its age, for the shield.
+
+        A body that was not in sight at the last look, and has not been heard since, is not among them: it was out of
+        sight `unseen_s` ago.
+        """
+        found: list[Sighting] = []
+        for j in self._sensed.keys() | self._heard.keys():
+            known = [seen for seen in (self._sensed.get(j), self._heard.get(j)) if seen is not None]
+            newest = max(known, key=lambda seen: seen.stamp)
+            if newest.stamp < self._looked:
+                continue
+            age_s = max(0.0, now - newest.stamp) + self._clock_error_s
+            found.append(Sighting(position=newest.position, age_s=age_s, committed=newest.end))
+        return found
+
+    def unseen_s(self, now: float) -> float:
+        """How long ago the last look was: whoever is not seen was out of sight then [s]."""
+        return max(0.0, now - self._looked) + self._clock_error_s

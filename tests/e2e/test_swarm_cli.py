@@ -1,0 +1,110 @@
+"""Swarms from the command line: they end as a whole, and robots started one by one find each other."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from llm_flock.record.reader import read_record
+from llm_flock.runtime.network.swarm import free_port
+
+MARK = "LLM_FLOCK_TEST"
+TEAM = ["--shape", "circle", "--start", "connected", "--seed", "1"]
+
+
+@pytest.fixture
+def mark() -> Iterator[str]:
+    """Marks every process that a test starts, by its environment; none may be left."""
+    mark = uuid.uuid4().hex
+    yield mark
+    for pid in marked(mark):
+        os.kill(pid, signal.SIGKILL)
+
+
+def marked(mark: str) -> list[int]:
+    """Living processes with this mark."""
+    found: list[int] = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdecimal():
+            try:
+                if f"{MARK}={mark}".encode() in (folder / "environ").read_bytes():
+                    found.append(int(folder.name))
+            except OSError:
+                continue  # it has gone meanwhile, or is somebody else's
+    return found
+
+
+def start(mark: str, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "llm_flock", *arguments]
+    environment = {**os.environ, MARK: mark}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(count: int, mark: str, seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while len(marked(mark)) != count:
+        assert time.monotonic() < deadline, f"{len(marked(mark))} processes, not {count}"
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_process_is_left_behind(how: signal.Signals, mark: str) -> None:
+    swarm = start(
+        mark, "swarm", *TEAM, "--robots", "4", "--no-record", "--connect", "", "--model", "simulated:slow", "--quiet"
+    )
+    wait_for(7, mark)  # the launcher, the one that forks, the world, and four robots
+    os.kill(max(marked(mark)), signal.SIGSTOP)  # one that cannot listen
+    swarm.send_signal(how)
+    _, said = swarm.communicate(timeout=20)
+    wait_for(0, mark, 10.0)
+    if how is signal.SIGINT:
+        assert swarm.returncode == 130 and "interrupted" in said
+
+
+def test_a_swarm_reports_as_json(mark: str, tmp_path: Path) -> None:
+    swarm = start(mark, "swarm", *TEAM, "--robots", "4", "--connect", "", "--out", str(tmp_path), "--json")
+    out, said = swarm.communicate(timeout=100)
+    told = json.loads(out)
+    assert swarm.returncode == 0 and told["formed"] and told["min_separation"] > 3.0 - 1e-6, said
+    assert read_record(tmp_path / "run.mcap").states
+    assert marked(mark) == []
+
+
+def test_robots_that_are_started_one_by_one(mark: str, tmp_path: Path) -> None:
+    config = tmp_path / "swarm.toml"
+    network = f'[network]\nswarm = "one-by-one"\nconnect = "tcp/127.0.0.1:{free_port()}"\n'
+    config.write_text(
+        f'[mission]\nshape = "circle"\nn_robots = 3\n\n[trial]\nstart = "connected"\n\n{network}', encoding="utf-8"
+    )
+    world = start(mark, "world", "--config", str(config))
+    robots = [start(mark, "robot", "--id", str(k), "--config", str(config)) for k in range(3)]
+    watch = start(mark, "watch", "--config", str(config), "--out", str(tmp_path / "seen"), "--quiet")
+    time.sleep(12.0)
+    mission = start(mark, "mission", "--set", "shape=line", "--set", "center=45,55", "--config", str(config))
+    out, said = mission.communicate(timeout=30)
+    assert mission.returncode == 0 and "given to robot" in out, said
+    time.sleep(8.0)
+    for process in (watch, *robots, world):
+        process.send_signal(signal.SIGTERM)
+    for process in (watch, *robots, world):
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == 0, said
+    found = read_record(tmp_path / "seen" / "run.mcap")
+    assert [info.mission["shape"] for info in found.missions] == ["circle", "line"]
+    assert found.result is not None and found.result["min_separation"] > 3.0 - 1e-6
+    assert all(slot is not None for slot in found.states[-1].slots)
+
+
+def test_nobody_there_is_said(mark: str) -> None:
+    mission = start(mark, "mission", "--set", "shape=line", "--connect", f"tcp/127.0.0.1:{free_port()}")
+    _, said = mission.communicate(timeout=40)
+    assert mission.returncode == 2 and "nobody was there" in said

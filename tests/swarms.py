@@ -1,0 +1,69 @@
+"""Swarms of real processes for the end-to-end tests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from llm_flock.runtime.config import build_config_of
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.observer import Observer
+from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
+
+
+def swarm_config(robots: int = 5, *, seed: int = 1, **options: Any) -> SwarmConfig:
+    """A team that starts in radio contact, whose models take a moment, on a port of its own."""
+    base = {"shape": "circle", "n_robots": robots, "model": "simulated:brisk", "seed": seed, "start": "connected"}
+    return build_config_of(SwarmConfig, {}, **{**base, "connect": "", "max_s": 90.0, **options})
+
+
+def fly(
+    config: SwarmConfig,
+    meanwhile: Callable[[Swarm], Awaitable[None]] | None = None,
+    *,
+    until: Callable[[Observer], bool] | None = None,
+    absent: frozenset[int] = frozenset(),
+) -> SwarmResult:
+    """Fly a mission; what happens meanwhile begins when the robots do. Nobody is left afterwards."""
+    pids: set[int] = set()
+
+    async def all_of_it() -> SwarmResult:
+        async with launched(config, absent=absent) as swarm:
+            pids.update(swarm.pids.values())
+            task = asyncio.create_task(_when_begun(swarm, meanwhile))
+            stopped = await swarm.run(lambda o: task.done() and (until or formed)(o))
+            pids.update(swarm.pids.values())
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            if not task.cancelled() and (error := task.exception()) is not None:
+                raise error
+            return swarm.result(stopped, config.trial.out)
+
+    result = asyncio.run(all_of_it())
+    assert not living(pids), "processes were left behind"
+    return result
+
+
+async def _when_begun(swarm: Swarm, meanwhile: Callable[[Swarm], Awaitable[None]] | None) -> None:
+    while swarm.observer.began_s is None:  # noqa: ASYNC110 - nobody sets an event
+        await asyncio.sleep(0.05)
+    if meanwhile is not None:
+        await meanwhile(swarm)
+
+
+def formed(observer: Observer) -> bool:
+    return observer.formed_s is not None
+
+
+def living(pids: set[int]) -> set[int]:
+    """Those of these processes that are still there, and not only waiting to be buried."""
+
+    def lives(pid: int) -> bool:
+        try:
+            return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
+        except (FileNotFoundError, ProcessLookupError):
+            return False
+
+    return {pid for pid in pids if lives(pid)}

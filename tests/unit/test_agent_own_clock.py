@@ -1,0 +1,154 @@
+"""A robot that is not in step: it talks, looks and changes its mind while its model thinks and its body flies."""
+
+from __future__ import annotations
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.events import (
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    Decided,
+    Effect,
+    Looked,
+    MissionGiven,
+    MoveTo,
+    NegotiationEnded,
+    Note,
+    Origin,
+    PeriodBegan,
+    Phase,
+    Planned,
+    Received,
+    RoundBegan,
+    TickBegan,
+    TickEnded,
+)
+from llm_flock.protocol.messages import decode
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+
+MISSION = Mission(shape="triangle", n_robots=3)
+PLAN = Plan.of([[50.0, 50.0], [60.0, 50.0], [55.0, 58.66]])
+BETTER = Plan.of([[50.0, 45.0], [60.0, 45.0], [55.0, 53.66]])
+HERE = (48.0, 50.0)
+
+
+def make(robot: int = 0) -> Agent:
+    return Agent(robot, MISSION, PedigreeConsensus(), AuctionAssignment(), shield_on=True, own_clock=True)
+
+
+def seen(at: tuple[float, float] = HERE, **others: tuple[float, float]) -> Looked:
+    sensed = {int(name[1:]): x for name, x in others.items()}
+    return Looked(position=at, neighbors=len(sensed), sensed=sensed, observed=tuple(sensed.values()))
+
+
+def began(number: int = 1, at: tuple[float, float] = HERE) -> RoundBegan:
+    return RoundBegan(round=number, position=at, neighbors=0, sensed={}, observed=())
+
+
+def said_by(robot: int, plan: Plan, *, neighbors: int) -> bytes:
+    """What another robot says that has proposed a plan."""
+    other = make(robot)
+    others = {f"r{j}": (50.0 + j, 60.0) for j in range(3) if j != robot}
+    other.handle(seen((50.0 + robot, 55.0), **dict(list(others.items())[:neighbors])))
+    other.handle(PeriodBegan(1))
+    other.handle(began())
+    other.handle(Planned(PlanAnswer(plan=plan, slot=robot)))
+    (broadcast,) = other.handle(TickBegan())
+    assert isinstance(broadcast, Broadcast)
+    return broadcast.payload
+
+
+def kinds(effects: list[Effect]) -> list[str]:
+    return [effect.kind for effect in effects if isinstance(effect, Note)]
+
+
+def deciding(agent: Agent, plan: Plan = PLAN) -> Agent:
+    agent.handle(seen())
+    agent.handle(PeriodBegan(1))
+    agent.handle(began())
+    agent.handle(Planned(PlanAnswer(plan=plan, slot=0)))
+    (ask,) = agent.handle(NegotiationEnded())
+    assert isinstance(ask, AskStep)
+    return agent
+
+
+def test_it_talks_and_listens_before_its_first_round() -> None:
+    agent = make()
+    agent.handle(seen())
+    agent.handle(PeriodBegan(1))
+    agent.handle(Received(said_by(1, PLAN, neighbors=2)))
+    assert "adopted" in kinds(agent.handle(TickEnded()))
+    assert agent.phase is Phase.IDLE and agent.plan == PLAN
+    assert agent.handle(began()) == [] and agent.phase is Phase.NEGOTIATING
+
+
+def test_hearts_beat_by_periods_and_not_by_rounds() -> None:
+    agent = make()
+    agent.handle(seen())
+    beats: list[int] = []
+    for number in range(1, 4):
+        agent.handle(PeriodBegan(number))
+        (broadcast,) = agent.handle(TickBegan())
+        assert isinstance(broadcast, Broadcast)
+        said = decode(broadcast.payload, 3, 2).beats
+        assert said is not None
+        beats.append(said[0])
+        agent.handle(began(number))
+        agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
+        agent.handle(NegotiationEnded())
+        agent.handle(Arrived())
+    assert beats == [2, 3, 4]
+
+
+def test_a_plan_that_was_overtaken_is_dropped() -> None:
+    agent = make()
+    agent.handle(seen())
+    agent.handle(PeriodBegan(1))
+    (ask,) = agent.handle(began())
+    assert isinstance(ask, AskPlan)
+    agent.handle(Received(said_by(2, BETTER, neighbors=2)))
+    agent.handle(TickEnded())
+    assert agent.phase is Phase.PLANNING and agent.plan == BETTER
+    assert agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0))) == [Note("stale_answer", {"about": "plan"})]
+    assert agent.plan == BETTER and agent.phase is Phase.NEGOTIATING
+
+
+def test_a_step_is_asked_for_anew_when_its_plan_has_changed() -> None:
+    agent = deciding(make())
+    agent.handle(Received(said_by(2, BETTER, neighbors=2)))
+    effects = agent.handle(TickEnded())
+    assert kinds(effects)[-1] == "stale_question"
+    assert isinstance(effects[-1], AskStep) and effects[-1].question.plan == BETTER
+    (move,) = agent.handle(Decided(StepAnswer(waypoint=HERE)))
+    assert isinstance(move, MoveTo) and agent.phase is Phase.MOVING
+
+
+def test_an_answer_about_a_mission_of_before_is_dropped() -> None:
+    agent = deciding(make())
+    agent.handle(MissionGiven(mission=MISSION.change(center=[40.0, 40.0])))
+    assert agent.mission_counter == 1
+    effects = agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
+    assert kinds(effects) == ["stale_answer", "held"]
+    assert isinstance(effects[-1], MoveTo) and effects[-1].origin is Origin.HOLD and agent.phase is Phase.MOVING
+
+
+def test_a_step_is_flown_from_what_is_seen_when_it_is_decided() -> None:
+    agent = deciding(make())
+    agent.handle(seen(r1=(53.0, 50.0)))
+    effects = agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
+    (move,) = [effect for effect in effects if isinstance(effect, MoveTo)]
+    assert move.origin is Origin.SHIELD and move.waypoint[0] <= 49.0 + 1e-9
+
+
+def test_it_talks_while_it_flies() -> None:
+    agent = deciding(make())
+    agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
+    agent.handle(Received(said_by(2, BETTER, neighbors=2)))
+    assert "adopted" in kinds(agent.handle(TickEnded())) and agent.phase is Phase.MOVING
+    agent.handle(Arrived())
+    assert agent.phase is Phase.IDLE

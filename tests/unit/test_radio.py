@@ -1,0 +1,108 @@
+"""Ranges, and what is injected on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
+from llm_flock.runtime.network.wire import Beacon, Frame, pack, unpack
+from llm_flock.transport.memory import LinkFaults
+from llm_flock.transport.radio import Radio, Seen
+from llm_flock.transport.seal import OPERATOR, PlainSeal
+from llm_flock.transport.zenoh import settings
+
+MISSION = Mission(shape="circle", n_robots=4, comm_range=15.0)
+PLACES = [(50.0, 50.0), (60.0, 50.0), (66.0, 50.0), (50.0, 52.0)]
+
+
+def radio(**faults: float) -> Radio:
+    rng = np.random.default_rng(3)
+    links = LinkFaults.model_validate(faults)
+    own = Radio(0, MISSION, faults=links, rng=rng, beacon_s=0.1, delay_s=0.1, clock_error_s=0.002)
+    own.frame(100.0, PLACES)
+    for sender in (1, 2, 3):
+        seen = Seen(stamp=100.0, position=PLACES[sender], end=PLACES[sender])
+        own.place(sender, seen)
+        if own.carries(sender):
+            own.beacon(sender, seen)
+    return own
+
+
+def test_the_air_carries_within_range_only() -> None:
+    own = radio()
+    assert [own.carries(sender) for sender in (1, 2, 3)] == [True, False, True]
+    own.cut = frozenset({3})
+    assert not own.carries(3) and own.neighbors(100.1) == 2
+
+
+def test_who_has_not_said_where_it_is_is_not_heard() -> None:
+    own = Radio(
+        0, MISSION, faults=LinkFaults(), rng=np.random.default_rng(0), beacon_s=0.1, delay_s=0.1, clock_error_s=0.0
+    )
+    assert not own.carries(1) and own.neighbors(0.0) == 0
+    own.frame(0.0, PLACES)
+    assert not own.carries(1)
+
+
+def test_sensors_see_within_their_range_only() -> None:
+    own = radio()
+    assert own.sensed() == {1: PLACES[1], 3: PLACES[3]}
+    own.frame(101.0, [PLACES[0], (90.0, 50.0), PLACES[2], PLACES[3]])
+    assert own.sensed() == {3: PLACES[3]}
+    assert [s.position for s in own.sightings(101.0)] == [PLACES[3]]
+
+
+def test_beacons_go_stale() -> None:
+    own = radio()
+    assert own.neighbors(100.4) == 2 and own.neighbors(100.6) == 0
+
+
+def test_a_sighting_is_the_newest_and_tells_its_age() -> None:
+    own = radio()
+    own.beacon(1, Seen(stamp=100.2, position=(59.0, 50.0), end=(58.0, 50.0)))
+    own.beacon(1, Seen(stamp=99.0, position=(0.0, 0.0), end=(0.0, 0.0)))
+    first = next(s for s in own.sightings(100.3) if s.position[1] == 50.0)
+    assert first.committed == (58.0, 50.0) and first.age_s == pytest.approx(0.102)
+    assert own.unseen_s(100.3) == pytest.approx(0.302)
+
+
+def test_loss_duplicates_and_delays_are_injected() -> None:
+    own = radio(loss=0.3, duplicate=0.2, delay=2)
+    now: list[int] = []
+    later: list[float] = []
+
+    def wait(delay_s: float, _call: Callable[[], None]) -> None:
+        later.append(delay_s)
+
+    for k in range(1000):
+        own.deliver(1, lambda k=k: now.append(k), wait)
+        own.deliver(2, lambda k=k: now.append(k), wait)
+    assert len(later) + len(now) == pytest.approx(1000 * 1.2 * 0.7, rel=0.1) and own.lost > 300
+    assert min(later) > 0.0 and 0.15 < max(later) <= 0.2
+    radio().deliver(1, lambda: now.append(-1), wait)
+    assert now[-1] == -1
+
+
+def test_what_comes_over_the_wire_is_checked() -> None:
+    beacon = Beacon(stamp=1.0, position=(1.0, 2.0), end=(3.0, 4.0))
+    assert unpack(Beacon, pack(beacon)) == beacon
+    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x01abc", "malformed")):
+        with pytest.raises(MessageError) as caught:
+            unpack(Frame, payload)
+        assert caught.value.reason == reason
+
+
+def test_the_plain_seal_only_names_the_sender() -> None:
+    assert PlainSeal(3).open(PlainSeal(OPERATOR).seal(b"abc", "say/3"), "say/3") == (OPERATOR, b"abc")
+    with pytest.raises(MessageError):
+        PlainSeal(0).open(b"\x00", "say/3")
+
+
+def test_no_multicast_and_a_short_lease() -> None:
+    values = settings(listen=["a"], connect=["b"], lease_s=2.0, security={"x": 1})
+    assert values["scouting/multicast/enabled"] is False and values["mode"] == "peer"
+    assert values["transport/link/tx/lease"] == 2000 and values["x"] == 1
