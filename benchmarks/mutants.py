@@ -54,6 +54,8 @@ class Mutant:
 
 TALKS, JUDGE = "protocol/negotiation.py", "protocol/judge.py"
 AUCTION, CONSENSUS = "protocol/auction.py", "protocol/consensus.py"
+LEDGER, SIGNING, ENVELOPE = "protocol/ledger.py", "protocol/signing.py", "trust/envelope.py"
+T_SIGNED, T_ENVELOPE = "unit/test_signed_claims.py", "unit/test_envelope.py"
 SHIELD, PROJECTION, ASYNC = "protocol/shield.py", "protocol/projection.py", "protocol/shield_async.py"
 T_AUCTION, T_THEORY = "unit/test_auction.py", "property/test_theory.py"
 T_AGENT, T_PLACES, T_VERIFIED = "unit/test_agent.py", "unit/test_agent_places.py", "unit/test_agent_verification.py"
@@ -147,7 +149,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("other-plans", "Tables of different plans never merge", "all tables that are heard are merged"),
-        *(TALKS, "heard=[m for m in heard if m.plan is self.plan or m.plan == self.plan],", "heard=list(heard),"),
+        *(TALKS, "heard = [m for m in heard if m.plan is self.plan or m.plan == self.plan]", "heard = list(heard)"),
         f"{T_PLACES}::test_claims_on_another_plan_are_not_merged",
     ),
     Mutant(
@@ -223,7 +225,11 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("stamp", "The mission of highest stamp is in force", "the last one heard is"),
-        *(TALKS, "self._consider(message) if message.mission > self.stamp", "self._consider(message) if True"),
+        *(
+            TALKS,
+            "self._consider(message, proofs) if message.mission > self.stamp",
+            "self._consider(message, proofs) if True",
+        ),
         f"{T_TALKS}::test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first",
     ),
     Mutant(
@@ -313,6 +319,50 @@ MUTANTS: Sequence[Mutant] = (
         *(PILOT, "        if self._safety is not None:\n            flight = self._safety.step("),
         "        if self._safety is not None and not self.on_path:\n            flight = self._safety.step(",
         "unit/test_agent_on_event.py::test_no_step_is_flown_unverified_or_unshielded",
+    ),
+    Mutant(
+        *("lone-release", "Nobody raises a version alone", "one robot's word, said twice, frees a place"),
+        *(LEDGER, "len({robot for robot, _ in grant.words}) >= WITNESSES and all(", "all("),
+        f"{T_SIGNED}::test_places_of_the_living_are_not_released_by_one",
+    ),
+    Mutant(
+        *("lone-word", "Nobody raises a version alone", "one robot's word is enough"),
+        *(LEDGER, "elif len(words) >= WITNESSES:", "elif words:"),
+        f"{T_SIGNED}::test_places_of_the_living_are_not_released_by_one",
+    ),
+    Mutant(
+        *("last-claim", "Only a robot's last claim counts", "all of them do"),
+        *(LEDGER, "if place < self._last.get(owner, place):", "if place < (0, 0):"),
+        f"{T_SIGNED}::test_one_message_takes_one_place",
+    ),
+    Mutant(
+        *("unsigned-claim", "Claims are signed by their owner", "the signature is not looked at"),
+        *(LEDGER, "return owner < 0 or self.signed_by(owner, statement, warrant.signature)", "return bool(statement)"),
+        f"{T_SIGNED}::test_what_others_signed_cannot_be_changed_on_the_way",
+    ),
+    Mutant(
+        *("one-sided-exchange", "An exchange is signed by both", "by its maker only"),
+        *(LEDGER, "and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)", ""),
+        f"{T_SIGNED}::test_exchanges_need_both",
+    ),
+    Mutant(
+        *("forged-origin", "A plan is signed by its proposer", "by nobody"),
+        *(
+            SIGNING,
+            "if not self._notary.check(origin.proposer, origin_statement(origin, plan), signature):",
+            "if False:",
+        ),
+        f"{T_SIGNED}::test_a_plan_in_the_name_of_another_is_refused",
+    ),
+    Mutant(
+        *("forged-heartbeat", "Heartbeats are signed by whose they are", "by nobody"),
+        *(SIGNING, "count if count > known[j] and self._beat(", "count if count > known[j] or self._beat("),
+        f"{T_SIGNED}::test_hearts_are_neither_stopped_nor_kept_beating_by_others",
+    ),
+    Mutant(
+        *("replay", "An envelope is opened once", "as often as it comes"),
+        *(ENVELOPE, 'return "replayed" if behind >= 0 and self.taken >> behind & 1 else None', "return None"),
+        f"{T_ENVELOPE}::test_what_is_sealed_is_opened_once",
     ),
     Mutant(
         *("sensing", "A team that senses too little is refused", "the shield flies with any sensing range"),

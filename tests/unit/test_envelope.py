@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import random
 from dataclasses import dataclass
 
@@ -11,27 +10,14 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
 from llm_flock.trust.envelope import OVERHEAD, WINDOW, Envelope
 
 
-@dataclass
-class Toy:
-    """Signatures that are quick: a hash keyed by the signer, which each knows of itself only."""
-
-    member: int
-    team: str = "t"
-
-    def sign(self, statement: bytes) -> bytes:
-        return hashlib.blake2b(f"{self.team}{self.member}".encode() + statement, digest_size=64).digest()
-
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        return Toy(member, self.team).sign(statement) == signature
-
-
 def pair(**kwargs: int) -> tuple[Envelope, Envelope]:
-    return Envelope(Toy(1), 7, max_payload=1000), Envelope(Toy(2), kwargs.get("session", 7), max_payload=1000)
+    return Envelope(ToyKeys(1), 7, max_payload=1000), Envelope(ToyKeys(2), kwargs.get("session", 7), max_payload=1000)
 
 
 def refused(reader: Envelope, sealed: bytes, topic: str = "") -> str:
@@ -61,7 +47,7 @@ def test_no_changed_bit_is_accepted(payload: bytes, data: st.DataObject) -> None
     bit = data.draw(st.integers(0, 8 * len(sealed) - 1))
     sealed[bit // 8] ^= 1 << bit % 8
     assert refused(reader, bytes(sealed))
-    assert reader.open(Envelope(Toy(1), 7, max_payload=1000).seal(payload)) == (1, payload)
+    assert reader.open(Envelope(ToyKeys(1), 7, max_payload=1000).seal(payload)) == (1, payload)
 
 
 @given(st.binary(max_size=300))
@@ -71,15 +57,15 @@ def test_noise_is_refused(noise: bytes) -> None:
 
 
 def test_nobody_speaks_for_another_or_for_the_reader() -> None:
-    @dataclass
-    class Impostor(Toy):
+    @dataclass(frozen=True)
+    class Impostor(ToyKeys):
         def sign(self, statement: bytes) -> bytes:
-            return Toy(3).sign(statement)
+            return ToyKeys(3).sign(statement)
 
     _, reader = pair()
     assert refused(reader, Envelope(Impostor(1), 7, max_payload=99).seal(b"x")) == "bad_signature"
-    assert refused(reader, Envelope(Toy(2), 7, max_payload=99).seal(b"x")) == "own_id"
-    assert refused(reader, Envelope(Toy(1, "another team"), 7, max_payload=99).seal(b"x")) == "bad_signature"
+    assert refused(reader, Envelope(ToyKeys(2), 7, max_payload=99).seal(b"x")) == "own_id"
+    assert refused(reader, Envelope(ToyKeys(1, "another team"), 7, max_payload=99).seal(b"x")) == "bad_signature"
 
 
 def test_size_is_bounded_before_anything_is_read() -> None:
@@ -98,7 +84,7 @@ def test_reasons_have_names() -> None:
 
 def test_a_new_start_is_heard_and_the_old_one_is_not_heard_again() -> None:
     _, reader = pair()
-    old, new = Envelope(Toy(1), 7, max_payload=99), Envelope(Toy(1), 8, max_payload=99)
+    old, new = Envelope(ToyKeys(1), 7, max_payload=99), Envelope(ToyKeys(1), 8, max_payload=99)
     kept = old.seal(b"kept")
     assert reader.open(old.seal(b"a")) == (1, b"a")
     assert reader.open(new.seal(b"b")) == (1, b"b")

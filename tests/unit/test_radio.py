@@ -97,9 +97,9 @@ def test_what_comes_over_the_wire_is_checked() -> None:
 
 
 def test_the_plain_seal_only_names_the_sender() -> None:
-    assert PlainSeal(3).open(PlainSeal(OPERATOR).seal(b"abc")) == (OPERATOR, b"abc")
+    assert PlainSeal(3).open(PlainSeal(OPERATOR).seal(b"abc", "say/3"), "say/3") == (OPERATOR, b"abc")
     with pytest.raises(MessageError):
-        PlainSeal(0).open(b"\x00")
+        PlainSeal(0).open(b"\x00", "say/3")
 
 
 def test_no_multicast_and_a_short_lease() -> None:

@@ -49,6 +49,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 from llm_flock.protocol.remaking import Gaps
 from llm_flock.protocol.search import MANY, Search, advance
 from llm_flock.protocol.waiting import waiting_place
+from llm_flock.protocol.warrants import Notary
 from llm_flock.protocol.ways import ACROSS, stop_on_the_way
 
 
@@ -71,6 +72,7 @@ class Agent:
         gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
         on_event: let the planner give a path, and ask it again only when something unforeseen happens.
         own_clock: the runtime counts heartbeats by `PeriodBegan`; they are counted with the rounds otherwise.
+        notary: signs what this robot says and checks what others say; without one nothing is signed.
     """
 
     def __init__(
@@ -87,13 +89,16 @@ class Agent:
         gaps: Gaps = "report",
         on_event: bool = False,
         own_clock: bool = False,
+        notary: Notary | None = None,
     ) -> None:
         self.robot = robot
         self._own_clock = own_clock
         self.phase = Phase.IDLE
         self._judge = Judge(mission, verify=verify, shield_on=shield_on, any_size=gaps == "remake")
         liveness = Liveness(robot, mission.n_robots, time_out)
-        self._talks = Negotiation(robot, mission, consensus, assignment, self._judge, liveness, gaps=gaps)
+        self._talks = Negotiation(
+            robot, mission, consensus, assignment, self._judge, liveness, gaps=gaps, notary=notary
+        )
         self._pilot = Pilot(
             robot, mission, self._judge, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event
         )
@@ -174,7 +179,7 @@ class Agent:
         effects: list[Effect]
         match event:
             case Received():
-                phase, effects = self.phase, self._receive(event.payload)
+                phase, effects = self.phase, self._receive(event)
             case TickBegan():
                 phase, effects = self.phase, [Broadcast(self._talks.broadcast())]
             case TickEnded():
@@ -184,8 +189,7 @@ class Agent:
             case PeriodBegan():
                 phase, effects = self.phase, self._begin_period(event.period)
             case MissionGiven():
-                counter = self._talks.stamp.counter + 1
-                phase, effects = self.phase, [self._talks.take_mission(event.mission, counter)]
+                phase, effects = self.phase, [self._talks.obey(event.mission, event.order)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -278,9 +282,9 @@ class Agent:
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
         self._talks.look(scene.here, sensed)
 
-    def _receive(self, payload: bytes) -> list[Effect]:
+    def _receive(self, event: Received) -> list[Effect]:
         before = self.mission
-        notes = self._talks.receive(payload)
+        notes = self._talks.receive(event.payload, event.sender)
         if self.mission is not before and self._seen is not None:
             self._look(*self._seen)
         return [*notes]

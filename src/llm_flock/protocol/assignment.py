@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages import Message, Offer, Table
+from llm_flock.protocol.messages import Entry, Message, Offer, Table
 from llm_flock.protocol.plan import Plan
 
 
@@ -47,6 +47,8 @@ class Moment:
         silent: robots that were heard of and are no more.
         blocked: places that nobody can take, because a body that does not move is on them.
         clear: places that surely have no such body.
+        granted: entries that enough robots have signed together (signed claims only).
+        order: of several places of one's own the one with the highest of these is kept (signed claims only).
     """
 
     robot: int
@@ -60,6 +62,8 @@ class Moment:
     silent: frozenset[int] = frozenset()
     blocked: frozenset[int] = frozenset()
     clear: frozenset[int] = frozenset()
+    granted: Table | None = None
+    order: Callable[[int, Entry], tuple[int, int]] | None = None
 
 
 class AssignmentRule(Protocol):

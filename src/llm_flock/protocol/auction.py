@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Messag
 from llm_flock.protocol.ways import way_length
 
 BID_DECIMALS = 9
+
+Order: TypeAlias = Callable[[int, Entry], tuple[int, int]]
 
 SWAP_GAIN = 0.01
 """An exchange must lower the sum of the squared ways by at least this share of the squared spacing."""
@@ -114,14 +117,18 @@ class AuctionAssignment:
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
-        table = surveyed(reclaimed(now.robot, claim, table), now)
+        if now.granted is None:
+            table = surveyed(reclaimed(now.robot, claim, table), now)
+        else:
+            table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
         if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
             offer = None
         if table is claim.table and claim.slot is not None:
             slot = claim.slot
         else:
-            table, slot = keep_one(now.robot, table, touched if claim.slot is None else touched | {claim.slot})
+            among = touched if claim.slot is None else touched | {claim.slot}
+            table, slot = keep_one(now.robot, table, among, now.order)
             if slot is None and offer is None:
                 table, slot = best_won(now.robot, bids, table)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
@@ -159,14 +166,20 @@ def _ended(offer: Offer, robot: int, table: Table) -> bool:
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
-def keep_one(robot: int, table: Table, among: Iterable[int]) -> tuple[Table, int | None]:
+def keep_one(robot: int, table: Table, among: Iterable[int], order: Order | None = None) -> tuple[Table, int | None]:
     """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
+
+    Signed claims have an order of their own, by which everybody knows which one counts: the others are freed together.
 
     Args:
         robot: own id.
         table: all claims known.
         among: slots that it may own: its own of before, and those in which something has changed since.
+        order: the order of signed claims; then any slot may be its own.
     """
+    if order is not None:
+        every = [a for a, entry in enumerate(table) if entry[2] == robot]
+        return table, max(every, key=lambda a: order(a, table[a]), default=None)
     owned = [a for a in among if table[a][2] == robot]
     keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a), default=None)
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.warrants import Order
 
 
 class Phase(StrEnum):
@@ -81,9 +82,15 @@ class PeriodBegan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionGiven:
-    """The operator gives this robot another mission; the others hear of it from this robot."""
+    """The operator gives this robot another mission; the others hear of it from this robot.
+
+    Attributes:
+        mission: what it is.
+        order: the operator's signature, where robots take nothing else.
+    """
 
     mission: Mission
+    order: Order | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +107,15 @@ class TickBegan:
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes came in over the radio, from anybody."""
+    """Bytes came in over the radio, from anybody.
+
+    Attributes:
+        payload: the bytes.
+        sender: the robot that has signed them, where the transport knows.
+    """
 
     payload: bytes
+    sender: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,14 +22,27 @@ from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Message, Pedigree, Stamp, completed, decode, heartbeats
+from llm_flock.protocol.messages import (
+    BLOCKED,
+    NO_OWNER,
+    UNSAID,
+    Message,
+    Pedigree,
+    Stamp,
+    completed,
+    decode,
+    heartbeats,
+)
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.remaking import Gaps, Remaking
+from llm_flock.protocol.signing import Signing
 from llm_flock.protocol.speech import Speech, mission_fields
 from llm_flock.protocol.survey import bodies, surveyed
+from llm_flock.protocol.warrants import Context, Notary, Order, Proofs, unwrap
 
 NOTHING = frozenset[int]()
+NO_PROOFS = Proofs()
 
 REMEMBERED_PLANS = 1024
 """So many plans are known by their digest."""
@@ -46,6 +59,7 @@ class Negotiation:
         judge: says which plans may be followed.
         liveness: who is alive.
         gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
+        notary: signs what this robot says and checks what others say; without one nothing is signed.
     """
 
     def __init__(
@@ -58,6 +72,7 @@ class Negotiation:
         liveness: Liveness,
         *,
         gaps: Gaps,
+        notary: Notary | None = None,
     ) -> None:
         self.mission = mission
         self.stamp = Stamp(0, mission.digest)
@@ -73,6 +88,8 @@ class Negotiation:
         self._judge = judge
         self._remaking = Remaking(robot, judge, liveness, gaps)
         self._speech = Speech()
+        self._signing = None if notary is None else Signing(robot, notary)
+        self._proofs: dict[int, Proofs] = {}
         self._inbox: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []
         self._plans: dict[str, Plan] = {}
@@ -116,9 +133,24 @@ class Negotiation:
         self.claim = Claim(slot=None)
         self._inbox, self._plans = {}, {}
         self._remaking.reset()
+        if self._signing is not None:
+            self._proposals = 0  # bounded for each mission
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
 
-    def _consider(self, message: Message) -> list[Note]:
+    def obey(self, mission: Mission, order: Order | None) -> Note:
+        """A mission that the operator gives to this robot."""
+        counter = self.stamp.counter + 1 if order is None else order.counter
+        stamp = Stamp(counter, mission.digest)
+        try:
+            if self._signing is not None:
+                self._signing.check_order(stamp, order)
+            if stamp <= self.stamp:
+                raise MessageError("old_mission", f"mission {self.stamp.counter} is in force")
+        except MessageError as error:
+            return self._reject(error)
+        return self.take_mission(mission, counter)
+
+    def _consider(self, message: Message, proofs: Proofs) -> list[Note]:
         """A mission of higher stamp: taken if it is said in full and leaves alone what is this robot's own."""
         if message.mission_text is None:
             return []
@@ -128,6 +160,9 @@ class Negotiation:
             if mission.digest != message.mission.digest:
                 # Limits and surroundings are not said, and stay as they are: a mission with others has another digest.
                 raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
+            if self._signing is not None:
+                order = Order(counter=message.mission.counter, signature=proofs.mission or b"")
+                self._signing.check_order(message.mission, order)
         except InputError as error:
             return [self._reject(MessageError("other_mission", str(error)))]
         except MessageError as error:
@@ -164,6 +199,8 @@ class Negotiation:
             sequence=self._proposals,
         )
         self._proposals += 1
+        if self._signing is not None:
+            self._signing.propose(origin, answer.plan.digest)
         self._own_slot = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
         proposed = Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})
@@ -172,7 +209,16 @@ class Negotiation:
     def _follow(self, plan: Plan, origin: Pedigree, *, adopted: bool, heard: list[Message]) -> None:
         self.plan, self.pedigree = plan, origin
         self._remaking.reset()
-        self.claim = self._assignment.take(self._moment(adopted=adopted, heard=heard))
+        if self._signing is not None:
+            self.claim = Claim(slot=None)
+            self._signing.ledger.turn_to(Context(self.stamp, plan.digest))
+        self._claims(self._assignment.take(self._moment(adopted=adopted, heard=heard)))
+
+    def _claims(self, claim: Claim) -> None:
+        """Have a claim, and sign what is new in it."""
+        self.claim = claim
+        if self._signing is not None:
+            self._signing.ledger.attest(claim)
 
     def _moment(self, *, adopted: bool, heard: list[Message]) -> Moment:
         """What the assignment rule may know."""
@@ -182,6 +228,15 @@ class Negotiation:
             silent = self.liveness.silent
             if self.bodies or self._told_of_bodies:
                 blocked, clear = surveyed(self.mission, self.plan, self._position, self._sensed, self.bodies)
+        silent = silent if heard else NOTHING  # who hears nobody is the one that is lost
+        heard = [m for m in heard if m.plan is self.plan or m.plan == self.plan]
+        granted, order = None, None
+        if self._signing is not None:
+            ledger, table = self._signing.ledger, self.claim.table or (UNSAID,) * len(self.plan)
+            heard = [ledger.admit(m, self._proofs[m.sender], table) for m in heard]
+            if self._survey_due:
+                ledger.survey(table, silent, blocked, clear)
+            granted, order = ledger.granted(table), ledger.order
         return Moment(
             robot=self._robot,
             position=self._position,
@@ -189,11 +244,13 @@ class Negotiation:
             spacing=self.mission.spacing,
             chosen=self._own_slot,
             adopted=adopted,
-            heard=[m for m in heard if m.plan is self.plan or m.plan == self.plan],
+            heard=heard,
             sensed=self._sensed,
-            silent=silent if heard else NOTHING,  # who hears nobody is the one that is lost
+            silent=silent,
             blocked=blocked,
             clear=clear,
+            granted=granted,
+            order=order,
         )
 
     @property
@@ -224,22 +281,37 @@ class Negotiation:
             table_digest=self._speech.digest(self.claim.table),
             offer=self.claim.offer,
         )
-        return self._speech.say(whole, self.mission, self.liveness)
+        payload = self._speech.say(whole, self.mission, self.liveness)
+        if self._signing is None:
+            return payload
+        return self._signing.say(payload, decode(payload, self.mission.n_robots, self.mission.dim))
 
-    def receive(self, payload: bytes) -> list[Note]:
-        """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so."""
-        team = self.mission.n_robots, self.mission.dim
+    def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
+        """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so.
+
+        Args:
+            payload: what came in.
+            sender: the robot that has signed it, where the transport knows.
+        """
+        team, proofs = (self.mission.n_robots, self.mission.dim), NO_PROOFS
         try:
+            if self._signing is not None:
+                payload, proofs = unwrap(payload, self.mission.n_robots)
             message = decode(payload, *team)
             if message.sender == self._robot:
                 raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
+            if self._signing is not None:
+                self._signing.vouch(message, proofs, sender)
         except MessageError as error:
             return [self._reject(error)]
-        notes = self._consider(message) if message.mission > self.stamp else []
+        notes = self._consider(message, proofs) if message.mission > self.stamp else []
         if message.mission_text is not None and message.mission > self.stamp:
             return notes  # refused: who pursues such a mission is not of this team
         self._speech.hear(message)
         beats = heartbeats(payload, *team)
+        if self._signing is not None:
+            news = self._signing.beats(message, proofs, self.liveness.beats)
+            beats = None if news is None else np.array(news, dtype=np.int64)
         if beats is not None:
             self._beats.append(beats)
         if message.mission != self.stamp:
@@ -257,6 +329,7 @@ class Negotiation:
             if plan is not None:
                 message = completed(payload, *team, plan, self._judge.plan_class(plan))
             self._inbox[message.sender] = message
+            self._proofs[message.sender] = proofs
         return notes
 
     def _named(self, message: Message) -> Plan | None:
@@ -291,7 +364,7 @@ class Negotiation:
         source = self._consensus.choose(own, heard)
         notes = [] if source is None else self._adopt(source, heard)
         if not notes and self.plan is not None:
-            self.claim = self._assignment.update(self.claim, self._moment(adopted=True, heard=heard))
+            self._claims(self._assignment.update(self.claim, self._moment(adopted=True, heard=heard)))
         self._survey_due = False
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))

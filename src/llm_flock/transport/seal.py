@@ -14,18 +14,21 @@ WORLD = -1
 OPERATOR = -2
 """Sender of missions."""
 
+WATCHER = -3
+"""Who only listens."""
+
 _ID_BYTES = 2
 
 
 class Seal(Protocol):
     """Closes what one sender says, and opens what others say."""
 
-    def seal(self, payload: bytes) -> bytes:
-        """The bytes to send."""
+    def seal(self, payload: bytes, topic: str) -> bytes:
+        """The bytes to send under a topic."""
         ...
 
-    def open(self, sealed: bytes) -> tuple[int, bytes]:
-        """Who sent it (a robot's id, WORLD or OPERATOR), and what.
+    def open(self, sealed: bytes, topic: str) -> tuple[int, bytes]:
+        """Who sent it under this topic (a robot's id, WORLD or OPERATOR), and what.
 
         Raises:
             MessageError: it is not to be believed; the reason is counted.
@@ -43,11 +46,11 @@ class PlainSeal:
     def __init__(self, sender: int) -> None:
         self._head = sender.to_bytes(_ID_BYTES, "big", signed=True)
 
-    def seal(self, payload: bytes) -> bytes:
+    def seal(self, payload: bytes, topic: str) -> bytes:
         """The payload behind the sender's id."""
         return self._head + payload
 
-    def open(self, sealed: bytes) -> tuple[int, bytes]:
+    def open(self, sealed: bytes, topic: str) -> tuple[int, bytes]:
         """The sender's id, and the rest."""
         if len(sealed) < _ID_BYTES:
             raise MessageError("malformed", "no sender")

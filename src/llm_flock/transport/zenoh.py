@@ -122,7 +122,7 @@ class Link:
             publisher = self._publishers[topic] = self._session.declare_publisher(
                 f"{self._root}/{topic}", congestion_control=zenoh.CongestionControl.DROP, express=True
             )
-        sealed = self._seal.seal(payload)
+        sealed = self._seal.seal(payload, topic)
         self.traffic.sent[kind] += 1
         self.traffic.bytes[kind] += len(sealed)
         publisher.put(sealed)
@@ -148,12 +148,12 @@ class Link:
                 self._closed = True
 
     def _take(self, key: str, kind: str, number: int | None, sealed: bytes, handler: Handler) -> None:
-        if self._closed:
+        if self._closed or (number is None and key.rpartition("/")[2] == str(self._own)):
             return
         try:
             if len(sealed) > MAX_SEALED_BYTES:
                 raise MessageError("oversized", f"{len(sealed)} bytes")
-            sender, payload = self._seal.open(sealed)
+            sender, payload = self._seal.open(sealed, key.removeprefix(f"{self._root}/"))
             if number is None and key.rpartition("/")[2] != str(sender):
                 raise MessageError("wrong_topic", f"{sender} in {kind}")
         except MessageError as error:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from llm_flock.errors import InputError
 
-OPERATOR = -1
+OPERATOR = -2
 """Gives missions."""
 
-WORLD = -2
+WORLD = -1
 """Stands for sensors and bodies where the robots are simulated, and keeps the record."""
 
 WATCHER = -3

@@ -27,6 +27,9 @@ class NetworkConfig(Section):
         default="tcp/127.0.0.1:7447",
         description="Endpoints of peers to connect to, with commas between them; one that is there is enough",
     )
+    keys: str | None = Field(
+        default=None, description="Folder that `llm-flock keys` has made: everything is signed, and goes over TLS"
+    )
     lease_s: float = _seconds(2.0, "Silence after which a link is given up")
     gossip_s: float = _seconds(0.1, "Time between two message exchanges")
     control_s: float = _seconds(0.1, "Control period: so often the way is projected on what is safe")

@@ -45,6 +45,8 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.messages import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
+from llm_flock.protocol.warrants import Order
+from llm_flock.runtime.network import wire
 from llm_flock.runtime.network.body import STILL, Pilotage
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Happened
@@ -125,19 +127,20 @@ class Mind:
         if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
             self.handle(Looked(**self._sight()))
 
-    def receive(self, payload: bytes) -> None:
+    def receive(self, payload: bytes, sender: int) -> None:
         """A message of another robot."""
         if self.agent.position and self.agent.phase is not Phase.STOPPED:
-            self.handle(Received(payload))
+            self.handle(Received(payload, sender))
 
-    def take_order(self, fields: dict[str, Any]) -> None:
+    def take_order(self, order: wire.Order) -> None:
         """The operator wants another mission; one that is not allowed is only noted."""
         try:
-            mission = self.agent.mission.change(**fields)
+            mission = self.agent.mission.change(**order.fields)
         except (InputError, TypeError) as error:
             self.notes.append(Happened(kind="rejected_message", detail={"reason": "mission", "detail": str(error)}))
             return
-        self.handle(MissionGiven(mission=mission))
+        signed = Order(counter=order.counter, signature=order.signature) if order.signature else None
+        self.handle(MissionGiven(mission=mission, order=signed))
 
     def _sight(self) -> dict[str, Any]:
         """What is seen; a robot on its way takes the place to which it flies for its own."""

@@ -11,7 +11,8 @@ from llm_flock.llm.port import Attempt
 from llm_flock.protocol.agent import Agent
 from llm_flock.runtime.journal import llm_entry
 from llm_flock.runtime.network.body import Pilotage
-from llm_flock.runtime.network.config import SwarmConfig, endpoints
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.joining import load_keys, open_link
 from llm_flock.runtime.network.mind import Mind
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Beacon, Frame, Order, Report, pack, unpack
@@ -19,8 +20,8 @@ from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.radio import Radio, Seen
-from llm_flock.transport.seal import OPERATOR, WORLD, PlainSeal
-from llm_flock.transport.zenoh import Link, open_session, settings
+from llm_flock.transport.seal import OPERATOR, WORLD
+from llm_flock.transport.zenoh import Link
 
 REPORT_S = 0.2
 """Time between two reports to observers [s]."""
@@ -58,6 +59,7 @@ class Robot:
             time_out=protocol.time_out,
             gaps=protocol.gaps,
             own_clock=True,
+            notary=load_keys(config, robot),
         )
         self.radio = Radio(
             robot,
@@ -89,7 +91,7 @@ class Robot:
         self._link.publish("say", self._robot, payload)
 
     def _hear(self, sender: int, payload: bytes) -> None:
-        self.radio.deliver(sender, lambda: self.mind.receive(payload), self._loop.call_later)
+        self.radio.deliver(sender, lambda: self.mind.receive(payload, sender), self._loop.call_later)
 
     def _beacon(self, sender: int, payload: bytes) -> None:
         dim = self._config.mission.dim
@@ -123,7 +125,7 @@ class Robot:
     def _order(self, sender: int, payload: bytes) -> None:
         if sender == OPERATOR:
             try:
-                self.mind.take_order(unpack(Order, payload).fields)
+                self.mind.take_order(unpack(Order, payload))
             except MessageError as error:
                 self._link.traffic.refused[error.reason] += 1
 
@@ -215,13 +217,10 @@ async def run_robot(config: SwarmConfig, robot: int, parent: int | None = None) 
     Raises:
         InputError: no such robot, or an endpoint that cannot be opened.
     """
-    mission, network = config.mission, config.network
+    mission = config.mission
     if not 0 <= robot < mission.n_robots:
         raise InputError("id", robot, f"0 .. {mission.n_robots - 1}")
-    session = open_session(
-        settings(listen=endpoints(network.listen), connect=endpoints(network.connect), lease_s=network.lease_s)
-    )
-    link = Link(session, swarm=network.swarm, own=robot, seal=PlainSeal(robot), loop=asyncio.get_running_loop())
+    link = open_link(config, robot)
     try:
         one = Robot(config, robot, link)
         try:

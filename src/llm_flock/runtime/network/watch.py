@@ -12,13 +12,14 @@ from llm_flock.errors import MessageError
 from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordWriter
 from llm_flock.runtime import provenance
-from llm_flock.runtime.network.config import SwarmConfig, endpoints
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.joining import open_link, ordered
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
-from llm_flock.runtime.network.wire import Frame, Order, Report, pack, unpack
+from llm_flock.runtime.network.wire import Frame, Report, pack, unpack
 from llm_flock.runtime.trial import Progress
-from llm_flock.transport.seal import OPERATOR, WORLD, PlainSeal
-from llm_flock.transport.zenoh import Link, open_session, settings
+from llm_flock.transport.seal import OPERATOR, WATCHER, WORLD
+from llm_flock.transport.zenoh import Link
 
 CHECK_S = 0.1
 """Time between two looks at whether the team has formed [s]."""
@@ -27,14 +28,9 @@ MEET_S = 5.0
 """So long an operator looks for the robot that is to take a mission [s]."""
 
 
-def visit(config: SwarmConfig) -> Link:
+def visit(config: SwarmConfig, member: int = WATCHER) -> Link:
     """A link of somebody who is no part of the swarm."""
-    network = config.network
-    session = open_session(
-        settings(listen=["tcp/127.0.0.1:0"], connect=endpoints(network.connect), lease_s=network.lease_s)
-    )
-    loop = asyncio.get_running_loop()
-    return Link(session, swarm=network.swarm, own=None, seal=PlainSeal(OPERATOR), loop=loop)
+    return open_link(config, member, listen="tcp/127.0.0.1:0")
 
 
 def attend(link: Link, observer: Observer) -> None:
@@ -119,7 +115,8 @@ async def run_watch(
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
     """Give another mission to one robot: to the given one, or to any that is there. Who took it, None for nobody."""
-    link = visit(config)
+    order = ordered(config, dict(fields))
+    link = visit(config, OPERATOR)
     found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def comes(number: int, there: bool) -> None:
@@ -132,7 +129,7 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
             taker = await asyncio.wait_for(found, MEET_S)
         except TimeoutError:
             return None
-        link.publish("mission", taker, pack(Order(fields=dict(fields))))
+        link.publish("mission", taker, pack(order))
         await asyncio.sleep(0.3)  # what was just said has to leave before the session is closed
         return taker
     finally:

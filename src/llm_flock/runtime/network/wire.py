@@ -72,9 +72,11 @@ class Command(msgspec.Struct, array_like=True, frozen=True):
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What is to change in the mission, by the names of its fields."""
+    """What is to change in the mission, by the names of its fields; with keys it is signed by the operator."""
 
     fields: dict[str, Any]
+    counter: int = 0
+    signature: bytes = b""
 
 
 class Happened(msgspec.Struct, frozen=True):

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from llm_flock.errors import MessageError
 from llm_flock.robots.simulated import check_start, draw_start
 from llm_flock.runtime.network.bodies import Bodies
-from llm_flock.runtime.network.config import SwarmConfig, endpoints
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.joining import open_link
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Command, Frame, pack, unpack
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.transport.seal import WORLD, PlainSeal
-from llm_flock.transport.zenoh import Link, open_session, settings
+from llm_flock.transport.seal import WORLD
 
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
@@ -35,10 +35,7 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
     rng = stream(trial.seed, Stream.START)
     start = draw_start(mission, trial.start, rng) if given is None else check_start(mission, given)
     bodies = Bodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
-    session = open_session(
-        settings(listen=endpoints(network.listen), connect=endpoints(network.connect), lease_s=network.lease_s)
-    )
-    link = Link(session, swarm=network.swarm, own=WORLD, seal=PlainSeal(WORLD), loop=asyncio.get_running_loop())
+    link = open_link(config, WORLD)
 
     def obey(sender: int, payload: bytes) -> None:
         try:

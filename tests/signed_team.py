@@ -1,0 +1,283 @@
+"""A team of real agents that sign, flown by hand, and a keyed robot beside them that says what it likes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from team_by_hand import turned
+from toy_keys import ToyKeys
+
+from llm_flock import graph
+from llm_flock.arrays import Point
+from llm_flock.metrics import segment_separation
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.events import (
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    Decided,
+    MoveTo,
+    NegotiationEnded,
+    Note,
+    Phase,
+    Planned,
+    Received,
+    RoundBegan,
+    TickBegan,
+    TickEnded,
+)
+from llm_flock.protocol.messages import UNSAID, Entry, Message, Offer, Pedigree, Stamp, encode
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import PlanAnswer, StepAnswer
+from llm_flock.protocol.warrants import (
+    Context,
+    Proofs,
+    Warrant,
+    Word,
+    claim_statement,
+    claims_of,
+    offer_statement,
+    origin_statement,
+    word_statement,
+    wrap,
+)
+from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
+
+Talk = Callable[[], Sequence[bytes]]
+
+
+class SignedTeam:
+    """N - 1 honest agents that sign, and robot N - 1, of which there is a body only; `liar_says` speaks for it.
+
+    Args:
+        mission: what the team is asked to do.
+        positions: of all N bodies [units].
+        seed: of losses.
+        loss: share of messages lost.
+    """
+
+    def __init__(
+        self, mission: Mission, positions: Sequence[Point], *, seed: int = 0, loss: float = 0.0, liars: int = 1
+    ) -> None:
+        rules = PRESETS["flock"]
+        self.mission = mission
+        self.positions = list(positions)
+        self.liar = mission.n_robots - 1
+        self.agents = [
+            Agent(
+                robot,
+                mission,
+                consensus_rule(rules["consensus"]),
+                assignment_rule(rules["assignment"]),
+                shield_on=True,
+                verify=True,
+                notary=ToyKeys(robot),
+            )
+            for robot in range(mission.n_robots - liars)
+        ]
+        self.rng = np.random.default_rng(seed)
+        self.loss = loss
+        self.round = 0
+        self.smallest = math.inf
+        self.notes: list[Note] = []
+
+    @property
+    def slots(self) -> list[int | None]:
+        """The place that each honest robot claims."""
+        return [agent.claim.slot for agent in self.agents]
+
+    @property
+    def context(self) -> Context:
+        """What the first robot's claims are about."""
+        agent = self.agents[0]
+        assert agent.plan is not None
+        return Context(agent._talks.stamp, agent.plan.digest)
+
+    def owners(self, robot: int) -> tuple[tuple[int, int], ...]:
+        """Version and owner of every place, as one robot has them."""
+        return tuple((version, owner) for version, _, owner in self.agents[robot].claim.table or ())
+
+    def counts(self, reason: str) -> int:
+        """How often honest robots refused something for this reason."""
+        return sum(a.rejected[reason] + a._talks._signing.ledger.refused[reason] for a in self.agents)  # type: ignore[union-attr]
+
+    def fly(self, rounds: int, liar_says: Talk = tuple, liar_moves: Callable[[], Point] | None = None) -> None:
+        """So many rounds of five ticks; the liar speaks in every tick, to all."""
+        for _ in range(rounds):
+            self.begin()
+            for _ in range(5):
+                self.tick(liar_says())
+            self.end(None if liar_moves is None else liar_moves())
+
+    def begin(self) -> None:
+        """A round begins, if none is under way."""
+        if self.agents[0].phase is not Phase.IDLE:
+            return
+        self.round += 1
+        self.links = graph.neighbors(self.positions, self.mission.comm_range)
+        for i, agent in enumerate(self.agents):
+            sensed = {j: self.positions[j] for j in self.links[i]}
+            began = RoundBegan(
+                round=self.round,
+                position=self.positions[i],
+                neighbors=len(sensed),
+                sensed=sensed,
+                observed=tuple(sensed.values()),
+            )
+            for effect in agent.handle(began):
+                if isinstance(effect, AskPlan):
+                    agent.handle(Planned(PlanAnswer(plan=turned(effect.question.mission, i + 1)[i], slot=i)))
+
+    def tick(self, lies: Sequence[bytes] = ()) -> None:
+        """One exchange."""
+        said = [
+            effect.payload
+            for agent in self.agents
+            for effect in agent.handle(TickBegan())
+            if isinstance(effect, Broadcast)
+        ]
+        for i, payload in enumerate(said):
+            for j in self.links[i]:
+                if j < len(self.agents) and self.rng.random() >= self.loss:
+                    self.tell(j, payload, i)
+        for lie in lies:
+            for j in range(len(self.agents)):
+                self.tell(j, lie, self.liar)
+        for agent in self.agents:
+            self.notes.extend(e for e in agent.handle(TickEnded()) if isinstance(e, Note))
+
+    def tell(self, robot: int, payload: bytes, sender: int) -> list[str]:
+        """One robot hears something; the reasons for which it refused it."""
+        self.begin()
+        effects = self.agents[robot].handle(Received(payload, sender))
+        notes = [e for e in effects if isinstance(e, Note)]
+        self.notes.extend(notes)
+        return [note.detail["reason"] for note in notes if note.kind == "rejected_message"]
+
+    def end(self, liar_goes: Point | None = None) -> None:
+        """All fly, the model's answer being the straight way."""
+        before, after = np.array(self.positions), list(self.positions)
+        for i, agent in enumerate(self.agents):
+            effects = agent.handle(NegotiationEnded())
+            if isinstance(effects[-1], AskStep):
+                question = effects[-1].question
+                way = np.array(question.goal) - before[i]
+                share = min(1.0, self.mission.max_step / max(float(np.linalg.norm(way)), 1e-9))
+                effects = agent.handle(Decided(StepAnswer(waypoint=tuple((before[i] + way * share).tolist()))))
+            after[i] = next(e for e in effects if isinstance(e, MoveTo)).waypoint
+            agent.handle(Arrived())
+        if liar_goes is not None:
+            after[self.liar] = liar_goes
+        honest = len(self.agents)
+        self.smallest = min(self.smallest, segment_separation(before[:honest], np.array(after)[:honest]))
+        self.positions = after
+
+    def settled(self) -> bool:
+        """Whether the honest are on distinct places of one plan, and agree about that."""
+        tables = {self.owners(robot) for robot in range(len(self.agents))}
+        owned = [slot for slot in self.slots if slot is not None]
+        return len({a.plan for a in self.agents}) == 1 and len(set(owned)) == len(self.agents) and len(tables) == 1
+
+    def held_by_liar(self) -> int:
+        """Most places that any honest robot's table gives to the liar."""
+        return max(sum(owner == self.liar for _, _, owner in agent.claim.table or ()) for agent in self.agents)
+
+
+class Liar:
+    """A member that signs whatever it likes, but only as itself."""
+
+    def __init__(self, team: SignedTeam) -> None:
+        self.team = team
+        self.keys = ToyKeys(team.liar)
+        self.number = 0
+        self.sequence = 0
+
+    def claim(self, slot: int, version: int = 0, bid: float = 0.0, number: int | None = None) -> tuple[Entry, Warrant]:
+        """An entry for itself, with its own signature."""
+        self.number += 1
+        number = self.number if number is None else number
+        entry: Entry = (version, bid, self.team.liar)
+        signature = self.keys.sign(claim_statement(self.team.context, slot, entry, number))
+        agent = self.team.agents[0]
+        assert agent._talks._signing is not None
+        freed = agent._talks._signing.ledger._freed.get((slot, version, -1))
+        return entry, Warrant(number=number, signature=signature, grant=freed)
+
+    def word(self, slot: int, version: int, owner: int = -1) -> Word:
+        """Its word that a place is free."""
+        return Word(slot, version, owner, self.keys.sign(word_statement(self.team.context, slot, version, owner)))
+
+    def says(
+        self,
+        entries: dict[int, tuple[Entry, Warrant]] | None = None,
+        words: Sequence[Word] = (),
+        offer: Offer | None = None,
+        offer_number: int = 1,
+        slot: int | None = None,
+        **message: Any,
+    ) -> bytes:
+        """A message, on the team's plan, with these entries and words."""
+        agent, context = self.team.agents[0], self.team.context
+        assert agent.plan is not None and agent._talks._signing is not None
+        table = [UNSAID] * len(agent.plan)
+        for a, (entry, _) in (entries or {}).items():
+            table[a] = entry
+        self.sequence += 1
+        said = Message(
+            **{
+                "sender": self.team.liar,
+                "sequence": self.sequence,
+                "neighbors": self.team.mission.n_robots - 1,
+                "mission": context.mission,
+                "plan": agent.plan,
+                "pedigree": agent.pedigree,
+                "slot": slot,
+                "table": tuple(table),
+                "offer": offer,
+                **message,
+            }
+        )
+        claims, grants = claims_of({a: warrant for a, (_, warrant) in (entries or {}).items()})
+        proofs = Proofs(claims=claims, grants=grants, words=tuple(words), origin=self.origin(said))
+        if offer is not None:
+            statement = offer_statement(context, self.team.liar, offer, offer_number)
+            proofs = Proofs(
+                claims=claims, grants=grants, offer=(offer_number, self.keys.sign(statement)), origin=proofs.origin
+            )
+        return wrap(encode(said), proofs)
+
+    def origin(self, message: Message) -> bytes | None:
+        """The true signature of a known origin, or its own."""
+        origin, plan = message.pedigree, message.plan_digest
+        signing = self.team.agents[0]._talks._signing
+        assert signing is not None
+        if origin is None or plan is None:
+            return None
+        return signing._origins.get((origin, plan)) or self.keys.sign(origin_statement(origin, plan))
+
+    def pedigree(self, *, epoch: int = 0, sequence: int = 0, proposer: int | None = None) -> Pedigree:
+        """The best origin that it can think of."""
+        stamp: Stamp = self.team.context.mission
+        return Pedigree(
+            mission=stamp.counter,
+            mission_digest=stamp.digest,
+            epoch=epoch,
+            neighbors=self.team.mission.n_robots - 1,
+            proposer=self.team.liar if proposer is None else proposer,
+            sequence=sequence,
+        )
+
+
+def line_up(n: int, gap: float = 7.0) -> list[Point]:
+    """Bodies in a row, all in touch with their next."""
+    return [(20.0 + gap * k, 50.0) for k in range(n)]
+
+
+def good_plan(mission: Mission, angle: int) -> Plan:
+    """A faultless plan that is none of the team's."""
+    return turned(mission, mission.n_robots + angle)[-1]
