@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import msgspec
 import pytest
@@ -166,6 +167,17 @@ def test_two_witnesses_free_a_place_of_the_dead(team: SignedTeam) -> None:
     table = team.agents[0].claim.table
     assert table is not None and table[slot][2] in (NO_OWNER, BLOCKED)
     assert team.settled()
+
+
+def test_two_witnesses_block_a_place_with_a_body_on_it(team: SignedTeam) -> None:
+    team.fly(10)
+    slot, plan = team.slots[3], team.agents[0].plan
+    assert slot is not None and plan is not None
+    assert math.dist(team.positions[3], plan.points[slot]) < 0.5
+    team.agents.pop()
+    team.fly(20)
+    table = team.agents[0].claim.table
+    assert table is not None and table[slot][2] == BLOCKED
 
 
 def test_false_words_do_not_count(team: SignedTeam, liar: Liar) -> None:
