@@ -45,9 +45,9 @@ def suite_of(path: Path) -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Property tests run lines again and again that unit tests have covered: tracing them takes twice their time."""
+    """Random cases run lines again and again that examples have covered: tracing them takes twice their time."""
     for item in items:
-        if suite_of(item.path) == "property":
+        if suite_of(item.path) == "property" and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
             item.add_marker("no_cover")
 
 

@@ -24,8 +24,8 @@ def test_circle_of_ten_against_a_faulty_server(tmp_path: Path) -> None:
             model=MODEL,
             base_url=server.base_url,
             seed=7,
-            rounds=20,
-            timeout_s=0.5,
+            rounds=14,
+            timeout_s=1.5,
             out=str(tmp_path),
         )
         sent = server.stats()

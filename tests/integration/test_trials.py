@@ -20,10 +20,10 @@ def timeless(summary: Summary | None) -> Summary:
 
 
 def test_a_pool_gives_what_single_runs_give_in_the_order_of_seeds() -> None:
-    configs = [build_config(shape="triangle", n_robots=3, seed=seed, loss=0.2) for seed in (5, 3, 4, 0, 9)]
+    configs = [build_config(shape="triangle", n_robots=3, seed=seed, loss=0.2) for seed in (5, 3, 4)]
     told: list[Outcome] = []
     outcomes = run_trials(configs, jobs=2, on_outcome=told.append)
-    assert [o.seed for o in outcomes] == [5, 3, 4, 0, 9] and told == outcomes
+    assert [o.seed for o in outcomes] == [5, 3, 4] and told == outcomes
     alone = [llm_flock.run(config=config).summary for config in configs]
     assert [timeless(o.summary) for o in outcomes] == [timeless(summary) for summary in alone]
     assert multiprocessing.active_children() == []

@@ -110,7 +110,9 @@ def test_a_safe_waypoint_comes_back_untouched() -> None:
 
 
 def test_a_long_step_is_clipped() -> None:
-    assert project((0.0, 0.0), (48.0, 0.0), [], safe_distance=SAFE, max_step=STEP) == pytest.approx((6.0, 0.0))
+    for others in ([], [(40.0, 0.0)]):
+        assert project((0.0, 0.0), (48.0, 0.0), others, safe_distance=SAFE, max_step=STEP) == pytest.approx((6.0, 0.0))
+    assert separation_half_spaces((0.0, 0.0), [(40.0, 0.0)], safe_distance=SAFE, max_step=STEP) == []
 
 
 def test_head_on_robots_stop_at_the_safe_distance() -> None:

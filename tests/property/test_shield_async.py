@@ -88,7 +88,7 @@ def fly(seed: int, n: int, *, oldest_s: float, error: float, segments: bool, cro
     return smallest
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 8), oldest_s=st.floats(0, 1.0), error=st.floats(0, 0.2))
 def test_no_schedule_and_no_stale_reading_brings_two_bodies_too_near(
     seed: int, n: int, oldest_s: float, error: float
@@ -96,7 +96,7 @@ def test_no_schedule_and_no_stale_reading_brings_two_bodies_too_near(
     assert fly(seed, n, oldest_s=oldest_s, error=error, segments=False, crowd=16.0) >= SAFE - 1e-6
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 7), oldest_s=st.floats(0, 1.0), error=st.floats(0, 0.1))
 def test_bodies_that_fly_announced_segments_are_as_safe(seed: int, n: int, oldest_s: float, error: float) -> None:
     assert fly(seed, n, oldest_s=oldest_s, error=error, segments=True, crowd=20.0) >= SAFE - 1e-6

@@ -1,5 +1,7 @@
 """The nearest move that keeps all sides, and what is left of it where sides are violated."""
 
+import math
+
 import pytest
 
 from llm_flock.protocol.projection import HalfSpace, nearest_move, relaxed_move
@@ -36,3 +38,10 @@ def test_a_side_that_is_not_violated_is_never_eased(dim: int) -> None:
     assert relaxed_move(wish, doubtful, 6.0) == (0.0,) * dim
     hopeless = [HalfSpace(axis(dim, 0), -2.0), HalfSpace(axis(dim, 0, -1.0), -1.0, violated=True)]
     assert relaxed_move(wish, hopeless, 6.0) == (0.0,) * dim
+
+
+@pytest.mark.parametrize("more", [(), (0.0,)])
+def test_a_wish_that_keeps_all_sides_and_is_too_long_ends_on_side_and_ball(more: tuple[float, ...]) -> None:
+    """Clipped to three units it would leave the cell."""
+    side = HalfSpace((-1.0, 0.0, *more), -2.0)
+    assert nearest_move((3.0, 12.0, *more), [side], 3.0) == pytest.approx((2.0, math.sqrt(5.0), *more))
