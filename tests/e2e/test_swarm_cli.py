@@ -74,7 +74,7 @@ def test_a_swarm_reports_as_json(mark: str, tmp_path: Path) -> None:
     swarm = start(mark, "swarm", *TEAM, "--robots", "4", "--connect", "", "--out", str(tmp_path), "--json")
     out, said = swarm.communicate(timeout=100)
     told = json.loads(out)
-    assert swarm.returncode == 0 and told["formed"] and told["min_separation"] > 3.0 - 1e-6, said
+    assert swarm.returncode == 0 and told["formed"] and told["simulated"] and told["min_separation"] > 3.0 - 1e-6, said
     assert read_record(tmp_path / "run.mcap").states
     assert marked(mark) == []
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import LiveLine
@@ -83,7 +84,11 @@ def swarm(
     if json_output:
         print(json.dumps(result.to_dict(), allow_nan=False))
     else:
-        table = Table(show_header=False)
+        simulated = " (simulated language models)" if result.simulated else ""
+        title = escape(
+            f"{settings.mission.shape}, {settings.mission.n_robots} robots, {settings.model.model}{simulated}"
+        )
+        table = Table(title=title, show_header=False, title_justify="left")
         for key, value in result.to_dict().items():
             table.add_row(key.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
         Console().print(table)

@@ -70,6 +70,11 @@ class SwarmConfig(RunConfig):
         return self
 
     @property
+    def simulated(self) -> bool:
+        """Whether any language model is a simulated stand-in."""
+        return "simulated:" in self.model.model
+
+    @property
     def speed(self) -> float:
         """Largest speed of a body [units/s]."""
         return self.mission.max_step / self.network.step_s

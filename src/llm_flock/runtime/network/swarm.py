@@ -51,6 +51,7 @@ class SwarmResult:
         formed: whether the team had formed, as for a run; the round there is the time of a step here.
         mission_s: from the first robot's first round until it had formed [s]; None if it never had.
         n_robots: robots alive at the end.
+        simulated: whether any language model was a simulated stand-in.
         min_separation: smallest distance of two bodies, from the world's true positions, along segments [units].
         model_calls: calls of language models.
         calls_failed: those that gave no answer.
@@ -68,6 +69,7 @@ class SwarmResult:
     formed: bool
     mission_s: float | None
     n_robots: int
+    simulated: bool
     min_separation: float
     model_calls: int
     calls_failed: int
@@ -224,6 +226,7 @@ class Swarm:
             formed=observer.formed_s is not None,
             mission_s=None if observer.formed_s is None or began is None else observer.formed_s - began,
             n_robots=len(observer.robots),
+            simulated=self.config.simulated,
             min_separation=figures.min_separation,
             model_calls=figures.calls,
             calls_failed=figures.calls_failed,

@@ -62,7 +62,7 @@ def run_info(config: SwarmConfig) -> RunInfo:
         versions=provenance.versions(),
         git_revision=provenance.git_revision(),
         seed=config.trial.seed,
-        simulated="simulated:" in config.model.model,
+        simulated=config.simulated,
         created_at=provenance.now(),
         environment=provenance.environment(),
     )
