@@ -59,7 +59,7 @@ def twenty() -> None:
         busy = time.process_time()
         together = fly(folder / "together", "20", server.base_url)
         busy = time.process_time() - busy
-        longest = tables.read_trials(folder / "together" / "out").sort("rounds", "wall_s")["seed"][-1]
+        longest = tables.read_trials(folder / "together" / "out").sort("wall_s")["seed"][-1]
         alone = fly(folder / "alone", f"[{longest}]", server.base_url)
     print("twenty circles of ten at once, one process, 1 s latency")
     print(f"  {together:.1f} s (processor {busy:.1f} s), the longest alone {alone:.1f} s", flush=True)

@@ -20,6 +20,7 @@ import subprocess
 import sys
 import threading
 import urllib.request
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -195,13 +196,19 @@ def completion(request: bytes, text: str) -> bytes:
 
 
 def stand_in(options: Options) -> Answer:
-    """Who answers: a fixed text, or a simulated model that reads the prompt."""
+    """Who answers: a fixed text, or a simulated model that reads the prompt; the same prompt has the same answer."""
     if options.fixed_answer:
         return lambda messages: options.fixed_answer
     from llm_flock.llm.profiles import parse_profile
     from llm_flock.llm.simulated import Responder
 
-    return Responder(parse_profile(options.profile), np.random.default_rng(options.seed + 1)).answer
+    profile = parse_profile(options.profile)
+
+    def answer(messages: list[tuple[str, str]]) -> str:
+        chance = np.random.default_rng([options.seed, zlib.crc32(repr(messages).encode())])
+        return Responder(profile, chance).answer(messages)
+
+    return answer
 
 
 async def serve(options: Options) -> None:
