@@ -37,6 +37,7 @@ FULL = Message(
     table_digest=table_digest(TABLE),
     offer=Offer(to=0, give=0, take=1, give_version=0, take_version=3, bid=-2.5),
     beats=(7, 3),
+    roll={0: (1.0, 2.0), 1: (3.5, 4.25)},
 )
 FIELDS = [
     "sender",
@@ -54,6 +55,7 @@ FIELDS = [
     "claims",
     "offer",
     "beats",
+    "roll",
 ]
 PEDIGREE = ("epoch", "neighbors", "proposer", "sequence")
 OFFER = [0, 0, 1, 0, 3, -2.5]
@@ -145,6 +147,9 @@ def test_slots_left_out_cost_nothing() -> None:
         (spoiled(plan=[[1.0, 2.0], [1.0, 2.0, 3.0]]), "wrong_length"),
         (spoiled(slot=2), "wrong_length"),
         (spoiled(beats=[1]), "wrong_length"),
+        (spoiled(roll={0: [1.0]}), "wrong_length"),
+        (spoiled(roll={2: [1.0, 2.0]}), "unknown_id"),
+        (spoiled(roll={0: [1e300, 2.0]}), "malformed"),
         (spoiled(claims=[[2, 0, -1.0, 1]]), "wrong_length"),
         (spoiled(offer=[0, 2, *OFFER[2:]]), "wrong_length"),
         (spoiled(offer=[2, *OFFER[1:]]), "unknown_id"),
@@ -180,6 +185,7 @@ def test_a_full_table_of_a_large_team_fits() -> None:
         table=table,
         table_digest=table_digest(table),
         beats=(2**32,) * n,
+        roll=dict(enumerate(plan.points)),
     )
     assert decode(encode(message), n, 2) == message
 

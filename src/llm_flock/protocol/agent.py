@@ -47,6 +47,7 @@ from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol.remaking import Gaps
+from llm_flock.protocol.rollcall import by_roll
 from llm_flock.protocol.search import MANY, Search, advance
 from llm_flock.protocol.waiting import waiting_place
 from llm_flock.protocol.warrants import Notary
@@ -316,7 +317,7 @@ class Agent:
             effects.extend(self._look_for_others(scene, places, slot))
             target = self._search.target
             lonely = math.dist(scene.here, places.points[slot]) > ACROSS * self.mission.spacing
-            if target is None and (live.strangers or live.silent or lonely):
+            if target is None and not by_roll(self.claim.table, slot) and (live.strangers or live.silent or lonely):
                 target = stop_on_the_way(scene.here, places, slot, self.mission.center, self.mission.spacing)
             if target is None and places is not plan:
                 target = places.points[slot]

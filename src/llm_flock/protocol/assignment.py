@@ -48,6 +48,7 @@ class Moment:
         blocked: places that nobody can take, because a body that does not move is on them.
         clear: places that surely have no such body.
         granted: entries that enough robots have signed together (signed claims only).
+        roll: where everybody was when the mission came, by id [units; frame of the plan]; None where that is not known.
         order: of several places of one's own the one with the highest of these is kept (signed claims only).
     """
 
@@ -63,6 +64,7 @@ class Moment:
     blocked: frozenset[int] = frozenset()
     clear: frozenset[int] = frozenset()
     granted: Table | None = None
+    roll: tuple[Point, ...] | None = None
     order: Callable[[int, Entry], tuple[int, int]] | None = None
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
+from llm_flock.protocol.rollcall import assigned, by_roll
 from llm_flock.protocol.ways import way_length
 
 BID_DECIMALS = 9
@@ -117,6 +118,9 @@ class AuctionAssignment:
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
+        if now.roll is not None:
+            table, more = merged(table, [(assigned(now.plan, now.roll), None)])
+            touched |= more
         if now.granted is None:
             table = surveyed(reclaimed(now.robot, claim, table), now)
         else:
@@ -201,14 +205,19 @@ def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
-def gain(now: Moment, there: Point, mine: int, theirs: int) -> float:
-    """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2]."""
+def gain(now: Moment, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
+    """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2].
+
+    The ways lead along the formation, or are `straight`.
+    """
+
+    def cost(here: Point, slot: int) -> float:
+        if straight:
+            return math.dist(here, now.plan.points[slot]) ** 2
+        return way_length(here, now.plan, slot, now.spacing) ** 2
+
     here = now.position
-    return _cost(now, here, mine) + _cost(now, there, theirs) - _cost(now, here, theirs) - _cost(now, there, mine)
-
-
-def _cost(now: Moment, here: Point, slot: int) -> float:
-    return way_length(here, now.plan, slot, now.spacing) ** 2
+    return cost(here, mine) + cost(there, theirs) - cost(here, theirs) - cost(there, mine)
 
 
 def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:
@@ -216,7 +225,7 @@ def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now, there, claim.slot, slot)
+    return gain(now, there, claim.slot, slot, straight=by_roll(claim.table, claim.slot))
 
 
 def _accepted(claim: Claim, now: Moment) -> Claim | None:

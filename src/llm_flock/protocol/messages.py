@@ -23,7 +23,7 @@ from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.plan import Plan
 
-WIRE_VERSION = 2
+WIRE_VERSION = 4
 MAX_BID = 10 * MAX_COORDINATE
 """No two points of the largest arena are farther apart [units]."""
 
@@ -112,6 +112,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         table_digest: digest of its whole table (auction only); that of `table` if left out.
         offer: an exchange of places that it offers (auction only).
         beats: how often it has heard each robot's heart beat, by id; None where that is not said.
+        roll: where robots were when the mission came, by id [units; frame of the mission]; None where that is not said.
         plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
     """
 
@@ -130,6 +131,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     table_digest: str | None = None
     offer: Offer | None = None
     beats: tuple[int, ...] | None = None
+    roll: dict[int, Point] | None = None
     plan_class: int = 0
 
     def __post_init__(self) -> None:
@@ -184,6 +186,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
     offer: _WireOffer | None
     beats: tuple[Counter, ...] | None
+    roll: dict[Id, tuple[Coordinate, ...]] | None
 
 
 _ENCODER = msgspec.msgpack.Encoder()
@@ -224,6 +227,7 @@ def encode(message: Message) -> bytes:
         if offer is None
         else _WireOffer(offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid),
         beats=message.beats,
+        roll=message.roll,
     )
     return bytes([WIRE_VERSION]) + _ENCODER.encode(wire)
 
@@ -307,6 +311,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
             bid=offer.bid,
         ),
         beats=wire.beats,
+        roll=wire.roll,
     )
 
 
@@ -341,6 +346,8 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
         named.add(wire.offer.to)
     if wire.claims:
         named.add(max(map(_OWNER, wire.claims)))
+    if wire.roll:
+        named.add(max(wire.roll))
     if max(named) >= n_robots:
         raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
     if max(wire.neighbors, wire.pedigree.neighbors if wire.pedigree else 0) >= n_robots:
@@ -350,6 +357,8 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
 def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
     if wire.beats is not None and len(wire.beats) != n_robots:
         raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
+    if wire.roll and set(map(len, wire.roll.values())) != {dim}:
+        raise MessageError("wrong_length", f"a position has {dim} coordinates")
     if (wire.plan_digest is None) != (wire.pedigree is None) or (wire.plan is not None and wire.plan_digest is None):
         raise MessageError("malformed", "a plan and its pedigree go together")
     if (wire.claims is None) != (wire.table_digest is None):

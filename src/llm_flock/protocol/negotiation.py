@@ -36,6 +36,7 @@ from llm_flock.protocol.messages import (
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.remaking import Gaps, Remaking
+from llm_flock.protocol.rollcall import RollCall
 from llm_flock.protocol.signing import Signing
 from llm_flock.protocol.speech import Speech, mission_fields
 from llm_flock.protocol.survey import bodies, surveyed
@@ -88,6 +89,7 @@ class Negotiation:
         self._judge = judge
         self._remaking = Remaking(robot, judge, liveness, gaps)
         self._speech = Speech()
+        self._roll = RollCall(robot, mission.n_robots if notary is None else 0)
         self._signing = None if notary is None else Signing(robot, notary)
         self._proofs: dict[int, Proofs] = {}
         self._inbox: dict[int, Message] = {}
@@ -122,6 +124,7 @@ class Negotiation:
         self._survey_due = True
         self.liveness.begin_round(round_number, near)
         self._speech.begin_round(near, neighbors)
+        self._roll.begin_round()
 
     # ---------------------------------------------------------------- mission
 
@@ -133,6 +136,7 @@ class Negotiation:
         self.claim = Claim(slot=None)
         self._inbox, self._plans = {}, {}
         self._remaking.reset()
+        self._roll.begin()
         if self._signing is not None:
             self._proposals = 0  # bounded for each mission
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
@@ -250,6 +254,7 @@ class Negotiation:
             blocked=blocked,
             clear=clear,
             granted=granted,
+            roll=None if self.liveness.silent else self._roll.places(self.plan),
             order=order,
         )
 
@@ -280,6 +285,7 @@ class Negotiation:
             table=self.claim.table,
             table_digest=self._speech.digest(self.claim.table),
             offer=self.claim.offer,
+            roll=self._roll.say(self._position, greeting=self._speech.greets),
         )
         payload = self._speech.say(whole, self.mission, self.liveness)
         if self._signing is None:
@@ -316,6 +322,8 @@ class Negotiation:
             self._beats.append(beats)
         if message.mission != self.stamp:
             return notes
+        if message.roll is not None:
+            self._roll.hear(message.roll)
         plan = message.plan
         objection = self._judge.objection(plan)
         if objection is not None and plan is not None:

@@ -85,6 +85,11 @@ class Speech:
         self._peers[message.sender] = message
         self._heard.add(message.sender)
 
+    @property
+    def greets(self) -> bool:
+        """Whether the next broadcast is the first of a round."""
+        return self._greeting
+
     def say(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
         """The bytes to send; equal ones as long as there is nothing else to say.
 

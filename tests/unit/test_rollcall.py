@@ -1,0 +1,139 @@
+"""The roll call of a large team: who says what, for how long, and what comes of it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.assignment import Moment
+from llm_flock.protocol.auction import AuctionAssignment, gain
+from llm_flock.protocol.messages import NO_OWNER, UNSAID
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.rollcall import ROUNDS, VERSION, RollCall, assigned, by_roll
+from llm_flock.protocol.search import MANY
+
+N = MANY + 1
+ROW = Plan.of([[10.0 * k, 0.0] for k in range(N)])
+
+
+def starts(n: int) -> list[Point]:
+    return [(float(k), 1.0) for k in range(n)]
+
+
+def test_news_travel_a_robot_a_tick_and_everything_is_said_once_a_round() -> None:
+    calls = [RollCall(robot, N) for robot in range(N)]
+    for tick in range(N - 1):
+        said = [call.say(where, greeting=tick == 0) for call, where in zip(calls, starts(N), strict=True)]
+        for robot, call in enumerate(calls):
+            for neighbor in (robot - 1, robot + 1):
+                if 0 <= neighbor < N:
+                    call.hear(said[neighbor] or {})
+        assert tick == N - 2 or calls[0].places(ROW) is None
+    assert [call.places(ROW) for call in calls] == [tuple(starts(N))] * N
+    assert calls[0].say((5.0, 5.0), greeting=False) == {N - 1: starts(N)[-1]}, "the last that it heard of"
+    assert calls[0].say((5.0, 5.0), greeting=False) is None, "and nothing is said twice"
+    assert calls[0].say((5.0, 5.0), greeting=True) == dict(enumerate(starts(N))), "but to greet"
+
+
+def test_the_places_are_given_out_once_for_each_plan() -> None:
+    call = RollCall(0, N)
+    call.say((0.0, 1.0), greeting=True)
+    call.hear(dict(enumerate(starts(N))))
+    other = Plan.of([[10.0 * k, 5.0] for k in range(N)])
+    assert call.places(ROW) is not None and call.places(ROW) is None
+    assert call.places(other) is not None
+
+
+def test_positions_that_are_no_longer_true_are_forgotten_and_a_new_mission_calls_anew() -> None:
+    call = RollCall(0, N)
+    call.say((0.0, 1.0), greeting=True)
+    for _ in range(ROUNDS):
+        call.begin_round()
+    call.hear(dict(enumerate(starts(N))))
+    call.begin_round()
+    assert call.places(ROW) is None
+    call.hear(dict(enumerate(starts(N))))
+    assert call.places(ROW) is None and call.say((0.0, 1.0), greeting=True) is None
+    call.begin()
+    call.begin_round()
+    assert call.say((7.123, 1.0), greeting=True) == {0: (7.12, 1.0)}
+
+
+def test_small_teams_call_no_roll() -> None:
+    call = RollCall(0, MANY)
+    call.begin_round()
+    assert call.say((0.0, 0.0), greeting=True) is None
+    call.hear(dict(enumerate(starts(MANY))))
+    assert call.places(ROW) is None
+
+
+@given(st.permutations(range(N)))
+def test_all_who_know_the_same_write_the_same_and_nobody_flies_across(order: list[int]) -> None:
+    """Robots above the places of a row, in any order: each gets the place below it."""
+    places = tuple((10.0 * k, 3.0) for k in order)
+    table = assigned(ROW, places)
+    assert [owner for _, _, owner in table] == [order.index(k) for k in range(N)]
+    assert {version for version, _, _ in table} == {VERSION} and {bid for _, bid, _ in table} == {-3.0}
+
+
+def test_places_that_are_left_over_are_free_and_robots_may_be_left_over_too() -> None:
+    table = assigned(ROW, ((1.0, 0.0), (12.0, 0.0)))
+    assert [owner for _, _, owner in table[:3]] == [0, 1, NO_OWNER]
+    few = Plan.of([[0.0, 0.0], [10.0, 0.0]])
+    assert [owner for _, _, owner in assigned(few, ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0)))] == [1, 2]
+
+
+def moment(roll: tuple[Point, ...] | None) -> Moment:
+    return Moment(
+        robot=1,
+        position=(0.0, 0.0),
+        plan=ROW,
+        spacing=10.0,
+        chosen=None,
+        adopted=True,
+        heard=(),
+        sensed={},
+        roll=roll,
+    )
+
+
+def test_the_auction_gives_way_to_the_roll_and_exchanges_go_on_from_there() -> None:
+    rule = AuctionAssignment()
+    claim = rule.take(moment(None))
+    assert claim.slot == 0 and not by_roll(claim.table, 0)
+    # Robot 0 is nearer to the first place: by the roll it is not for robot 1, which had bid for it.
+    roll = ((-5.0, 0.0), (0.0, 0.0), *((10.0 * k, 0.0) for k in range(2, N)))
+    claim = rule.update(claim, moment(roll))
+    assert claim.slot == 1 and claim.table is not None and by_roll(claim.table, 1)
+    assert sorted(owner for _, _, owner in claim.table) == list(range(N))
+    assert rule.update(claim, moment(None)) == claim
+    assert not by_roll(None, 0)
+
+
+def test_places_of_a_roll_are_exchanged_by_straight_ways() -> None:
+    ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
+    now = Moment(
+        robot=0,
+        position=(99.0, 0.0),
+        plan=ring,
+        spacing=10.0,
+        chosen=None,
+        adopted=True,
+        heard=(),
+        sensed={},
+    )
+    there = ring.points[1]
+    straight = sum(
+        sign * math.dist(where, ring.points[slot]) ** 2
+        for sign, where, slot in ((1, (99.0, 0.0), 30), (1, there, 1), (-1, (99.0, 0.0), 1), (-1, there, 30))
+    )
+    assert gain(now, there, 30, 1, straight=True) == pytest.approx(straight)
+    assert straight < 0 < gain(now, there, 30, 1)
+
+
+def test_an_entry_left_out_is_below_every_roll() -> None:
+    assert not by_roll((UNSAID,), 0)
