@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -111,6 +111,8 @@ class Link:
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
         self._closed = False
+        self._came: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
+        self._called = False
 
     def publish(self, kind: str, number: int, payload: bytes) -> None:
         """Send to all who listen to `kind` of this number, or of all."""
@@ -141,11 +143,21 @@ class Link:
         self._kept.append(self._session.declare_subscriber(key, take))
 
     def _call(self, function: Callable[..., None], *args: Any) -> None:
-        if not self._closed:
-            try:
-                self._loop.call_soon_threadsafe(function, *args)
-            except RuntimeError:  # the loop has ended between the two lines
-                self._closed = True
+        """From a thread of zenoh's: have the loop call this; it is woken once for all that comes meanwhile."""
+        self._came.append((function, args))
+        if self._called or self._closed:
+            return
+        self._called = True
+        try:
+            self._loop.call_soon_threadsafe(self._take_all)
+        except RuntimeError:  # the loop has ended between the two lines
+            self._closed = True
+
+    def _take_all(self) -> None:
+        self._called = False  # first: what comes from now on may be left to the next call
+        for _ in range(len(self._came)):
+            function, args = self._came.popleft()
+            self._loop.call_soon(function, *args)
 
     def _take(self, key: str, kind: str, number: int | None, sealed: bytes, handler: Handler) -> None:
         if self._closed or (number is None and key.rpartition("/")[2] == str(self._own)):
