@@ -275,7 +275,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("oversized", "Messages are bounded in size", "any size is read"),
-        *("protocol/messages.py", "if len(payload) > max_payload_bytes(n_robots):", "if False:"),
+        *("protocol/codec.py", "if len(payload) > max_payload_bytes(n_robots):", "if False:"),
         "unit/test_messages.py::test_unacceptable_messages_are_refused_by_name",
     ),
     # ---------------------------------------------------------------- safe flight

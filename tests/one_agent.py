@@ -5,6 +5,7 @@ from __future__ import annotations
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.codec import encode
 from llm_flock.protocol.consensus import PedigreeConsensus
 from llm_flock.protocol.events import (
     Effect,
@@ -12,7 +13,7 @@ from llm_flock.protocol.events import (
     Planned,
     RoundBegan,
 )
-from llm_flock.protocol.messages import Message, Pedigree, Stamp, encode
+from llm_flock.protocol.messages import Message, Pedigree, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer
 

@@ -8,6 +8,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.codec import encode
 from llm_flock.protocol.consensus import PedigreeConsensus
 from llm_flock.protocol.events import (
     Arrived,
@@ -22,7 +23,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.messages import Message, Pedigree, Stamp, Table, encode
+from llm_flock.protocol.messages import Message, Pedigree, Stamp, Table
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.protocol.remaking import Gaps

@@ -15,6 +15,7 @@ from llm_flock.arrays import Point
 from llm_flock.metrics import segment_separation
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.codec import encode
 from llm_flock.protocol.events import (
     Arrived,
     AskPlan,
@@ -31,7 +32,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.messages import UNSAID, Entry, Message, Offer, Pedigree, Stamp, encode
+from llm_flock.protocol.messages import UNSAID, Entry, Message, Offer, Pedigree, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.protocol.warrants import (

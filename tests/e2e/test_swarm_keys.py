@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from llm_flock.protocol.messages import Message, encode
+from llm_flock.protocol.codec import encode
+from llm_flock.protocol.messages import Message
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
 from llm_flock.runtime.network.joining import open_link
 from llm_flock.runtime.network.swarm import launched

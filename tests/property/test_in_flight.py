@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from llm_flock.mission import Mission
 from llm_flock.protocol import speech
-from llm_flock.protocol.messages import BLOCKED, Message, Stamp, encode
+from llm_flock.protocol.codec import encode
+from llm_flock.protocol.messages import BLOCKED, Message, Stamp
 from llm_flock.transport.memory import LinkFaults
 
 FAULTS = st.builds(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.codec import decode
 from llm_flock.protocol.consensus import PedigreeConsensus
 from llm_flock.protocol.events import (
     Arrived,
@@ -27,7 +28,6 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.messages import decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 

@@ -8,6 +8,7 @@ from one_agent import BETTER, MISSION, PLAN, foreign, make, notes, origin, plann
 
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.assignment import IndexAssignment
+from llm_flock.protocol.codec import encode
 from llm_flock.protocol.consensus import NoConsensus
 from llm_flock.protocol.events import (
     Arrived,
@@ -20,7 +21,7 @@ from llm_flock.protocol.events import (
     RoundBegan,
     TickEnded,
 )
-from llm_flock.protocol.messages import Message, Pedigree, encode
+from llm_flock.protocol.messages import Message, Pedigree
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 

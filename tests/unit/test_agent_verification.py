@@ -7,6 +7,7 @@ from one_agent import MISSION, PLAN, began, foreign, make, origin
 
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.codec import decode
 from llm_flock.protocol.consensus import PedigreeConsensus
 from llm_flock.protocol.events import (
     Broadcast,
@@ -21,7 +22,7 @@ from llm_flock.protocol.events import (
     TickEnded,
 )
 from llm_flock.protocol.judge import REMEMBERED, Judge
-from llm_flock.protocol.messages import Pedigree, decode
+from llm_flock.protocol.messages import Pedigree
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 

@@ -7,19 +7,8 @@ import msgspec.structs
 import pytest
 
 from llm_flock.errors import MessageError
-from llm_flock.protocol.messages import (
-    BLOCKED,
-    UNSAID,
-    WIRE_VERSION,
-    Message,
-    Offer,
-    Pedigree,
-    Stamp,
-    decode,
-    encode,
-    max_payload_bytes,
-    table_digest,
-)
+from llm_flock.protocol.codec import WIRE_VERSION, decode, encode, max_payload_bytes
+from llm_flock.protocol.messages import BLOCKED, UNSAID, Message, Offer, Pedigree, Stamp, table_digest
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])

@@ -13,8 +13,9 @@ from toy_keys import ToyKeys
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import Claim
+from llm_flock.protocol.codec import encode
 from llm_flock.protocol.events import MissionGiven
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Entry, Message, Offer, Stamp, encode
+from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Entry, Message, Offer, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signing import Signing
 from llm_flock.protocol.warrants import (

@@ -9,8 +9,9 @@ import pytest
 from crew import Crew, connected_places
 
 from llm_flock.mission import SAFETY_FIELDS, Mission
+from llm_flock.protocol.codec import decode
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import UNSAID, Entry, Message, Pedigree, Stamp, Table, decode, table_digest
+from llm_flock.protocol.messages import UNSAID, Entry, Message, Pedigree, Stamp, Table, table_digest
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.speech import MISSION_FIELDS, SMALL, Speech, mission_text
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import assert_never
 
 from llm_flock.arrays import Point, moved
-from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import AssignmentRule, Claim
 from llm_flock.protocol.consensus import ConsensusRule
@@ -38,20 +37,17 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.gathering import meeting_places
 from llm_flock.protocol.judge import Judge
 from llm_flock.protocol.liveness import TIME_OUT, Liveness
+from llm_flock.protocol.lookout import Lookout
 from llm_flock.protocol.messages import Pedigree, Stamp
 from llm_flock.protocol.negotiation import Negotiation
 from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol.remaking import Gaps
-from llm_flock.protocol.rollcall import by_roll
-from llm_flock.protocol.search import MANY, Search, advance
 from llm_flock.protocol.waiting import waiting_place
 from llm_flock.protocol.warrants import Notary
-from llm_flock.protocol.ways import ACROSS, stop_on_the_way
 
 
 class IllegalEvent(AssertionError):
@@ -107,7 +103,7 @@ class Agent:
         self._seen: tuple[int, RoundBegan | Looked] | None = None
         self._asked: PlanQuestion | None = None
         self._asked_about: object = None
-        self._search = Search()
+        self._lookout = Lookout(self._talks)
 
     @property
     def position(self) -> Point:
@@ -242,7 +238,7 @@ class Agent:
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
         talks.begin_round(number, near, event.neighbors)
-        talks.watch_team(may_shrink=self._search.given_up)
+        talks.watch_team(may_shrink=self._lookout.given_up)
         return []
 
     def _look_about(self, event: Looked) -> list[Effect]:
@@ -312,15 +308,8 @@ class Agent:
             target = waiting_place(self.mission, scene.here, plan, others)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            live = self._talks.liveness
-            places = self._places_for_now(plan)
-            effects.extend(self._look_for_others(scene, places, slot))
-            target = self._search.target
-            lonely = math.dist(scene.here, places.points[slot]) > ACROSS * self.mission.spacing
-            if target is None and not by_roll(self.claim.table, slot) and (live.strangers or live.silent or lonely):
-                target = stop_on_the_way(scene.here, places, slot, self.mission.center, self.mission.spacing)
-            if target is None and places is not plan:
-                target = places.points[slot]
+            target, notes = self._lookout.where_to(scene.here, plan, slot)
+            effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
@@ -328,38 +317,3 @@ class Agent:
         self._asked_about = self._topic
         effects.extend(self._pilot.decide(scene, told, plan, slot, target))
         return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects
-
-    def _places_for_now(self, plan: Plan) -> Plan:
-        """The places of the plan, or where those of a large team in pieces meet first, until they give that up."""
-        live, table = self._talks.liveness, self.claim.table
-        if table is None or self._search.given_up or len(live.strangers) + len(live.silent) <= MANY:
-            return plan
-        return meeting_places(self.mission, plan, table)
-
-    def _look_for_others(self, scene: Scene, plan: Plan, slot: int) -> list[Note]:
-        """Begin, continue or end the search for robots that hold the slots known as vacant; note what stays empty."""
-        table, talks = self.claim.table, self._talks
-        if table is None:
-            return []
-        before, spacing, live = self._search, self.mission.spacing, talks.liveness
-        self._search = advance(
-            before,
-            position=scene.here,
-            plan=plan,
-            slot=slot,
-            table=table,
-            center=self.mission.center,
-            spacing=spacing,
-            at_goal=math.dist(scene.here, plan.points[slot]) <= AT_GOAL * spacing,
-            strangers=len(live.strangers),
-            silent=len(live.silent),
-        )
-        talks.look_at(self._search.looked)
-        notes = list[Note]()
-        if bool(before.way) != bool(self._search.way):
-            vacant = list(self._search.known[1])
-            notes.append(Note("search", {"begun": bool(self._search.way), "vacant": vacant}))
-        if self._search.given_up and self._search.gaps != before.gaps:
-            gone = sorted(live.silent | live.strangers)
-            notes.append(Note("gap", {"slots": list(self._search.gaps), "missing": gone}))
-        return notes

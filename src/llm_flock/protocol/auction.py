@@ -57,7 +57,7 @@ def merged(mine: Table, others: Iterable[tuple[Table, Sequence[int] | None]]) ->
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
         # Tables are long, and what is heard is mostly known: entries that were read from the same bytes are the same
-        # object (`llm_flock.protocol.messages`), which costs the least to see.
+        # object (`llm_flock.protocol.codec`), which costs the least to see.
         if said is None:
             said = compress(range(len(entries)), map(operator.is_not, entries, theirs))
         for a in said:

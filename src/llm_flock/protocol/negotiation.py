@@ -18,21 +18,12 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.auction import changed
+from llm_flock.protocol.codec import completed, decode, heartbeats
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import (
-    BLOCKED,
-    NO_OWNER,
-    UNSAID,
-    Message,
-    Pedigree,
-    Stamp,
-    completed,
-    decode,
-    heartbeats,
-)
+from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Message, Pedigree, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.remaking import Gaps, Remaking

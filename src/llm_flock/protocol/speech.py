@@ -19,8 +19,9 @@ from msgspec.structs import replace
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
+from llm_flock.protocol.codec import encode
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import UNSAID, Message, Table, encode, table_digest
+from llm_flock.protocol.messages import UNSAID, Message, Table, table_digest
 
 SMALL = 64
 """Plans and tables of up to so many places are spelled out once a round whoever is near, and tables in every exchange

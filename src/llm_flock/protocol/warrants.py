@@ -17,16 +17,8 @@ import msgspec
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
-from llm_flock.protocol.messages import (
-    BLOCKED,
-    MAX_BID,
-    NO_OWNER,
-    Entry,
-    Offer,
-    Pedigree,
-    Stamp,
-    max_payload_bytes,
-)
+from llm_flock.protocol.codec import max_payload_bytes
+from llm_flock.protocol.messages import BLOCKED, MAX_BID, NO_OWNER, Entry, Offer, Pedigree, Stamp
 
 OPERATOR = -2
 """Member id of who gives missions."""

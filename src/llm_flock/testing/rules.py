@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
+from llm_flock.protocol.codec import decode, encode
 from llm_flock.protocol.consensus import ConsensusRule, Standing
-from llm_flock.protocol.messages import Message, Pedigree, decode, encode
+from llm_flock.protocol.messages import Message, Pedigree
 from llm_flock.protocol.plan import Plan
 
 DIGEST = "0" * 16
