@@ -17,8 +17,9 @@ from llm_flock.protocol.assignment import AssignmentRule
 from llm_flock.protocol.consensus import ConsensusRule
 from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.robots.simulated import SimulatedTeam, check_start, draw_start
+from llm_flock.robots.simulated import check_start, draw_start
 from llm_flock.runtime import provenance
+from llm_flock.runtime.bodies import AtOnce
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.result import RunResult
@@ -112,7 +113,7 @@ async def _fly(
     given = config.trial.start_positions
     rule = config.trial.start
     start = draw_start(mission, rule, stream(seed, Stream.START)) if given is None else check_start(mission, given)
-    bodies = SimulatedTeam(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
+    bodies = AtOnce(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
     transport = MemoryTransport(mission.n_robots, config.links, stream(seed, Stream.LINKS))
     thinkers = Thinkers(config, lane)
     schedule = config.schedule()

@@ -33,7 +33,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
-from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.result import RunResult
@@ -76,7 +76,7 @@ class Trial:
         schedule: what happens to robots and mission in flight.
         roster: one mind per robot, and who is awake.
         thinkers: one planner per robot, and what the models have used.
-        bodies: the simulated bodies and sensors.
+        bodies: the bodies and their sensors.
         transport: carries the messages.
         journal: counts and records.
         on_round: told after each round, for a live display.
@@ -88,7 +88,7 @@ class Trial:
         schedule: Schedule,
         roster: Roster,
         thinkers: Thinkers,
-        bodies: SimulatedTeam,
+        bodies: Bodies,
         transport: MemoryTransport,
         journal: Journal,
         on_round: Callable[[Progress], None] | None = None,
@@ -173,7 +173,7 @@ class Trial:
         for tick in range(self.config.protocol.ticks or 1):
             self._exchange(number, tick)
         moves = await self._think_steps(number)
-        self._move(moves)
+        await self._move(moves)
         for robot, agent in self._minds():
             self._perform(number, None, robot, agent.handle(Arrived()))
         self.journal.state(number, self.bodies, self.roster, moves, self.transport.traffic)
@@ -238,12 +238,12 @@ class Trial:
                     moves[robot] = effect
         return dict(sorted(moves.items()))
 
-    def _move(self, moves: Mapping[int, MoveTo]) -> None:
+    async def _move(self, moves: Mapping[int, MoveTo]) -> None:
         """Bodies fly what was commanded, from where each robot believed it was; those of silent robots stay."""
         displacements: Points = np.zeros_like(self.bodies.positions)
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
-        self.bodies.move(displacements)
+        await self.bodies.fly(displacements)
 
     def _perform(self, number: int, tick: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
         """Record the notes among the effects; return the rest."""
