@@ -20,7 +20,7 @@ Row = list[Finite]
 _VOLATILE: dict[str, Any] = {"volatile": True}
 """Marks what may differ between two runs of one seed."""
 
-VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record"})
+VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record", "flight"})
 """Keys of the summary's result that may differ between two runs of one seed."""
 
 

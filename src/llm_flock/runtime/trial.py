@@ -36,7 +36,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.result import RunResult
+from llm_flock.runtime.result import FlightFigures, RunResult
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
 from llm_flock.runtime.summary import summarize
@@ -277,7 +277,7 @@ class Trial:
             )
         )
 
-    def finish(self, record: str | None) -> RunResult:
+    def finish(self, record: str | None, flight: FlightFigures | None = None) -> RunResult:
         """The result so far; writes it to the record. Call once, also after a cancelled `run`."""
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
@@ -293,6 +293,7 @@ class Trial:
             rounds=self.round,
             wall_s=time.perf_counter() - self._began,
             record=record,
+            flight=flight,
         )
         self.journal.writer.summary(summary.to_dict())
         return RunResult(

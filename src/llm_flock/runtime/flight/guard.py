@@ -80,9 +80,9 @@ class Guard:
         team = self._team
         while True:
             now = time.monotonic()
-            states, segments, airborne = team.states(), team.segments, frozenset(team.airborne)
-            self._log.look(now, states, segments, airborne)
-            for trouble in self._monitors.look(now, states, segments, airborne):
+            states, motions, airborne = team.states(), team.motions, frozenset(team.airborne)
+            self._log.look(now, states, motions, airborne)
+            for trouble in self._monitors.look(now, states, motions, airborne):
                 # On the way down nothing is done about a drone any more, unless it must be cut.
                 if trouble.robot in (team.aloft if trouble.cut else airborne):
                     self.trip(trouble)

@@ -91,14 +91,15 @@ class Heartbeat:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Say farewell, whatever happened: this process has done what can be done."""
+        """Say farewell, unless this process fails while somebody is in the air: then the deadman takes over."""
         process = self._process
         if process is None:
             return
         if self._beating is not None:
             self._beating.cancel()
-        self.say(Beat(farewell=True))
+        left = tuple(sorted(self._aloft())) if error is not None else ()
+        self.say(Beat(aloft=left, farewell=not left))
         assert process.stdin is not None
         process.stdin.close()
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(process.wait(), FAREWELL_S)
+            await asyncio.wait_for(process.wait(), None if left else FAREWELL_S)

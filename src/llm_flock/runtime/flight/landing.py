@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from llm_flock.robots.base import PEAK_SPEED, Position, RobotError
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import Segment, SetPointCheck
+from llm_flock.runtime.flight.setpoints import SetPointCheck, moving
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
 MARGIN_S = 1.5
 """After the time of a landing, so much longer is waited for a drone to say that it is down [s]."""
+
+LANDED = "landed"
+"""How a landing should end."""
 
 DOWN_M = 0.12
 """An estimate this near to the floor is of a drone that is down [m]."""
@@ -169,27 +172,29 @@ class Landing:
         await asyncio.wait_for(body.land(world.floor_m, safety.land_s), SEND_S)
         x, y, z = self._team.set_points()[robot]
         self._fly(robot, (x, y, z), (x, y, world.floor_m), safety.land_s)
-        seen = await self._down(robot, began + safety.land_s + MARGIN_S)
-        stopped = await asyncio.wait_for(body.stop_motors(), 2 * SEND_S)
-        self._team.aloft.discard(robot)
-        if seen and stopped:
+        if await self._down(robot, began + safety.land_s + MARGIN_S):
             self._log.note("landed", robot, seconds=round(time.monotonic() - began, 3))
-            self.ends[robot] = "landed"
+            self.ends[robot] = LANDED
         else:
-            self._log.note("not_down", robot)
+            # An emergency stop locks a drone until it is started anew: only for one that did not stop by itself.
+            stopped = await asyncio.wait_for(body.stop_motors(), 2 * SEND_S)
+            self._log.note("not_down", robot, stopped=stopped)
             self.ends[robot] = "motors stopped, not seen to land" if stopped else "told to land, not confirmed"
+        self._team.aloft.discard(robot)
 
     async def _down(self, robot: int, until_s: float) -> bool:
-        """Wait until a drone says that it is on the floor; False if it does not in time."""
+        """Wait until a drone says that its motors have stopped; in the end, low is enough. False if neither comes."""
         told_s = time.monotonic()
         floor = self._config.world.floor_m + DOWN_M
-        while time.monotonic() < until_s:
+        while True:
             state = self._team.robots[robot].state()
+            late = time.monotonic() >= until_s
             fresh = state.stamp_s > told_s and not state.link_lost
-            if fresh and (not state.flying or state.position[2] <= floor):
+            if fresh and (not state.flying or (late and state.position[2] <= floor)):
                 return True
+            if late:
+                return False
             await asyncio.sleep(LOOK_S)
-        return False
 
     async def _call_down(self, descent: Descent) -> None:
         """A drone that does not hear hovers where it is; it is called until it hears, and landed then."""
@@ -207,8 +212,8 @@ class Landing:
                 await asyncio.sleep(AGAIN_S)
             else:
                 return
-        self._log.note("given_up", robot, position=list(self._team.segments[robot].end))
+        self._log.note("given_up", robot, position=list(self._team.motions[robot].end))
         self.ends[robot] = "out of reach"
 
     def _fly(self, robot: int, start: Position, end: Position, seconds: float) -> None:
-        self._team.segments[robot] = Segment(start=start, end=end, began_s=time.monotonic(), duration_s=seconds)
+        self._team.motions[robot] = moving(start, end, time.monotonic(), seconds)

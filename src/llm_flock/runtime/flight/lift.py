@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from llm_flock.robots.base import Position
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import Segment
+from llm_flock.runtime.flight.setpoints import moving
 from llm_flock.runtime.flight.team import FlyingTeam
 
 MARGIN_S = 3.0
@@ -58,7 +58,7 @@ async def _lift(config: FlightConfig, team: FlyingTeam, log: FlightLog, robot: i
     began = time.monotonic()
     order = await asyncio.wait_for(body.take_off(altitude, safety.take_off_s), ARM_S)
     top: Position = (here[0], here[1], order.target[2])
-    team.segments[robot] = Segment(start=here, end=top, began_s=began, duration_s=order.duration_s)
+    team.motions[robot] = moving(here, top, began, order.duration_s)
     team.airborne.add(robot)
     until = began + order.duration_s + MARGIN_S
     while math.dist(body.state().position, top) > safety.tracking_m or time.monotonic() < began + order.duration_s:

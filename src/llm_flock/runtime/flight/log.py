@@ -13,7 +13,7 @@ from llm_flock.record.schema import BodySample, FlightEvent
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Position, RobotState
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Segment, squeezed
+from llm_flock.runtime.flight.setpoints import Motion, squeezed
 
 SAMPLE_S = 0.1
 """Time between two samples in the record [s]."""
@@ -55,10 +55,10 @@ class FlightLog:
         self._sink.flight(event)
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], segments: Sequence[Segment], airborne: frozenset[int]
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
     ) -> None:
         """Take a reading of all bodies; some of them go to the record."""
-        commanded = [segment.at(state.stamp_s) for state, segment in zip(states, segments, strict=True)]
+        commanded = [motion.at(state.stamp_s) for state, motion in zip(states, motions, strict=True)]
         figures = self.figures
         for robot in airborne:
             off = math.dist(states[robot].position, commanded[robot])

@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 
 from llm_flock.robots.base import Position, RobotState
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Segment, squeezed
+from llm_flock.runtime.flight.setpoints import Motion, squeezed
 
 PERIOD_S = 0.05
 """Time between two looks [s]."""
@@ -36,6 +36,7 @@ class Kind(Enum):
     SET_POINT = "set_point"
     TIME_UP = "time_up"
     REFUSED = "refused"
+    UNWATCHED = "unwatched"
     ABORT = "abort"
     EMERGENCY = "emergency"
 
@@ -74,23 +75,23 @@ class Monitors:
         self._off_since: dict[int, float] = {}
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], segments: Sequence[Segment], airborne: frozenset[int]
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
     ) -> list[Trouble]:
         """What is wrong now; the same trouble is told again as long as it lasts.
 
         Args:
             now_s: monotonic time [s].
             states: of all drones.
-            segments: what each is flying.
+            motions: what each is flying.
             airborne: drones that have taken off and were not told to land; only these have to be where they were sent.
         """
         found: list[Trouble] = []
-        for robot, (state, segment) in enumerate(zip(states, segments, strict=True)):
-            found.extend(self._one(now_s, robot, state, segment, robot in airborne))
+        for robot, (state, motion) in enumerate(zip(states, motions, strict=True)):
+            found.extend(self._one(now_s, robot, state, motion, robot in airborne))
         found.extend(self._pairs(states, airborne))
         return found
 
-    def _one(self, now: float, robot: int, state: RobotState, segment: Segment, airborne: bool) -> list[Trouble]:
+    def _one(self, now: float, robot: int, state: RobotState, motion: Motion, airborne: bool) -> list[Trouble]:
         safety = self._safety
         found: list[Trouble] = []
 
@@ -117,7 +118,7 @@ class Monitors:
         low = state.battery_v is not None and state.battery_v < safety.low_battery_v
         if self._lasts(self._low_since, robot, low, now, safety.low_battery_s):
             tell(Kind.BATTERY_LOW, f"its battery has {state.battery_v:.2f} V")
-        off = math.dist(state.position, segment.at(state.stamp_s))
+        off = math.dist(state.position, motion.at(state.stamp_s))
         if self._lasts(self._off_since, robot, airborne and off > safety.tracking_m, now, safety.off_course_s):
             tell(Kind.OFF_COURSE, f"it is {off:.2f} m from its set-point")
         return found

@@ -11,6 +11,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.robots.base import PEAK_SPEED, Position
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 
 SLACK_M = 1e-4
@@ -18,32 +19,35 @@ SLACK_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Segment:
-    """One motion from rest to rest along a straight line, as the drones fly it.
+class Motion:
+    """One motion along a straight line, as the drones fly it, and when it began.
 
     Attributes:
-        start: [m].
-        end: [m].
+        way: from rest to rest.
         began_s: monotonic time at which it was commanded [s].
-        duration_s: [s].
     """
 
-    start: Position
-    end: Position
+    way: Segment
     began_s: float
-    duration_s: float
+
+    @property
+    def end(self) -> Position:
+        """Where it ends [m]."""
+        return self.way.target
 
     def at(self, now_s: float) -> Position:
-        """The set-point at a time [m]: the degree 7 polynomial of `robots.base.PEAK_SPEED`."""
-        u = min(max((now_s - self.began_s) / self.duration_s, 0.0), 1.0)
-        share = u**4 * (35.0 - u * (84.0 - u * (70.0 - 20.0 * u)))
-        x, y, z = (a + share * (b - a) for a, b in zip(self.start, self.end, strict=True))
-        return (x, y, z)
+        """The set-point at a time [m]."""
+        return self.way.at(now_s - self.began_s)[0]
 
 
-def resting(position: Position) -> Segment:
+def moving(start: Position, end: Position, began_s: float, duration_s: float) -> Motion:
+    """A motion from rest to rest."""
+    return Motion(way=Segment(start=start, target=end, duration_s=duration_s), began_s=began_s)
+
+
+def resting(position: Position) -> Motion:
     """A set-point that stands still."""
-    return Segment(start=position, end=position, began_s=-math.inf, duration_s=1.0)
+    return moving(position, position, -math.inf, 1.0)
 
 
 def squeezed(positions: Sequence[Position], beside: float, above: float) -> Points:

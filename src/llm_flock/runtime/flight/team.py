@@ -14,7 +14,7 @@ from llm_flock.robots.base import Position, Robot, RobotState
 from llm_flock.robots.simulated import Sensing, SimulatedTeam
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import Segment, SetPointCheck, resting
+from llm_flock.runtime.flight.setpoints import Motion, SetPointCheck, moving, resting
 
 LOOK_S = 0.02
 """Time between two looks at whether the drones have arrived [s]."""
@@ -43,7 +43,7 @@ class FlyingTeam:
         log: takes note of what the drivers changed.
 
     Attributes:
-        segments: what each drone is flying.
+        motions: what each drone is flying.
         airborne: drones that have taken off, and were not told to land.
         aloft: those, and whoever is on the way down.
     """
@@ -58,7 +58,7 @@ class FlyingTeam:
         self._check = SetPointCheck(config)
         self._log = log
         places = [state.position for state in self.states()]
-        self.segments: list[Segment] = [resting(place) for place in places]
+        self.motions: list[Motion] = [resting(place) for place in places]
         self._aims = self._seen_from(np.array([self._start(place) for place in places]))
 
     def _start(self, place: Position) -> Point:
@@ -75,11 +75,11 @@ class FlyingTeam:
     def set_points(self) -> list[Position]:
         """Where everybody is meant to be now [m]."""
         now = time.monotonic()
-        return [segment.at(now) for segment in self.segments]
+        return [motion.at(now) for motion in self.motions]
 
     def rests(self, robot: int, position: Position) -> None:
         """A drone's set-point is, and stays, here; to be called for all before the first motion."""
-        self.segments[robot] = resting(position)
+        self.motions[robot] = resting(position)
         aims = self._aims.positions.copy()
         aims[robot] = self._frame.to_mission(position)
         self._aims = self._seen_from(aims)
@@ -120,7 +120,7 @@ class FlyingTeam:
         """
         self._log.round += 1
         safety = self._config.safety
-        before = [segment.end for segment in self.segments]
+        before = [motion.end for motion in self.motions]
         aims = self._aims.positions + displacements
         after = [self._frame.to_world(tuple(row)) for row in aims.tolist()]
         faults = self._check.faults(before, after, safety.round_s)
@@ -132,7 +132,7 @@ class FlyingTeam:
                 self._log.note("clipped", robot, asked=list(asked), sent=list(end))
                 aims[robot] = self._frame.to_mission(end)
         self._aims = self._seen_from(aims)
-        await asyncio.sleep(max(0.0, self.segments[0].began_s + safety.round_s - time.monotonic()))
+        await asyncio.sleep(max(0.0, self.motions[0].began_s + safety.round_s - time.monotonic()))
         await self._settle(safety.tracking_m / 2, safety.settle_s)
 
     async def _send(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[Position]:
@@ -142,7 +142,7 @@ class FlyingTeam:
         async def one(robot: int) -> Position:
             order = await asyncio.wait_for(self.robots[robot].go_to(after[robot], duration_s), SEND_S)
             end = order.target if math.dist(order.target, after[robot]) > CLIPPED_M else after[robot]
-            self.segments[robot] = Segment(start=before[robot], end=end, began_s=began, duration_s=order.duration_s)
+            self.motions[robot] = moving(before[robot], end, began, order.duration_s)
             return end
 
         results = await asyncio.gather(*map(one, range(len(self.robots))), return_exceptions=True)
@@ -157,6 +157,6 @@ class FlyingTeam:
         until = time.monotonic() + longest_s
         while time.monotonic() < until:
             places = [state.position for state in self.states()]
-            if all(math.dist(x, segment.end) <= within_m for x, segment in zip(places, self.segments, strict=True)):
+            if all(math.dist(x, motion.end) <= within_m for x, motion in zip(places, self.motions, strict=True)):
                 return
             await asyncio.sleep(LOOK_S)
