@@ -40,7 +40,7 @@ class FlightFigures:
         ended: what ended it: the mission, or the kind of trouble.
         reason: that trouble in words.
         ends: by name, how each drone ended: landed, never took off, cut, out of reach, ...
-        safe: whether each drone landed, never took off, or was cut and confirmed it.
+        safe: whether each drone landed, never took off, or confirmed that its motors were cut.
         air_s: from the first take-off until the last drone was down [s].
         min_separation_m: smallest distance of two drones, heights scaled by the vertical rule [m]; None for one alone.
         tracking_rms_m: distance of the drones from their moving set-points, root of the mean square [m].

@@ -112,8 +112,7 @@ class Trial:
         Raises:
             asyncio.CancelledError: after the record was brought to a readable end by `finish`.
         """
-        self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
-        self.journal.writer.end_round(0)
+        self.begin()
         try:
             while self.round < self.config.trial.rounds:
                 await self._fly_round(self.round + 1)
@@ -137,6 +136,12 @@ class Trial:
         finally:
             for agent in self.roster.agents:
                 agent.handle(Stopped())
+
+    def begin(self) -> None:
+        """Record the start, where everybody is before the first round; once, whoever asks for it first."""
+        if not self.journal.positions:
+            self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
+            self.journal.writer.end_round(0)
 
     @property
     def _done(self) -> bool:

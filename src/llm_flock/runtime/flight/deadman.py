@@ -24,7 +24,7 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import Robot
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.landing import LANDED, Landing
+from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.preflight import connect
 from llm_flock.runtime.flight.team import FlyingTeam
@@ -155,7 +155,7 @@ def main() -> int:
     if wait_for_the_end(ears, config.fleet.deadman_s) or not ears.last.aloft:
         return 0
     ends = take_over(config, ears.last.aloft, parent)
-    return 0 if all(end == LANDED for end in ends.values()) else 1
+    return 0 if all(end in (LANDED, STOPPED) for end in ends.values()) else 1
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Robot, RobotError
@@ -11,7 +12,7 @@ from llm_flock.runtime.api import minds, open_books
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.guard import Grounded, Guard
 from llm_flock.runtime.flight.heartbeat import Heartbeat
-from llm_flock.runtime.flight.landing import LANDED, Landing
+from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.lift import NotAloft, take_off
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import Kind, Trouble
@@ -30,7 +31,7 @@ from llm_flock.transport.memory import MemoryTransport
 NEVER_UP = "never took off"
 CUT = "motors cut"
 CUT_UNCONFIRMED = "motors cut, not confirmed"
-SAFE_ENDS = frozenset({LANDED, NEVER_UP, CUT})
+SAFE_ENDS = frozenset({LANDED, STOPPED, NEVER_UP, CUT})
 """Ends of a drone after which nothing is to be done about it."""
 
 
@@ -133,19 +134,22 @@ class Flight:
 
     async def _mission(self, guard: Guard, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         """Take off and flock, until the mission or the flight is over."""
+        with suppress(Grounded):
+            await self._until_grounded(guard, team, trial, log)
+        trial.begin()
+        if guard.trouble is not None:
+            trial.stopped, trial.reason = guard.trouble.kind.value, guard.trouble.detail
+
+    async def _until_grounded(self, guard: Guard, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         try:
             self._say("taking off")
             await guard.while_safe(take_off(self._config, team, log))
             self._say("flying")
             await guard.while_safe(trial.run())
-        except Grounded as grounded:
-            trial.stopped, trial.reason = grounded.trouble.kind.value, grounded.trouble.detail
         except SetPointRefused as refused:
             guard.trip(Trouble(kind=Kind.SET_POINT, detail=str(refused)))
         except (RobotError, NotAloft, TimeoutError) as error:
             guard.trip(Trouble(kind=Kind.REFUSED, detail=str(error) or "a drone did not answer in time"))
-        if guard.trouble is not None:
-            trial.stopped, trial.reason = guard.trouble.kind.value, guard.trouble.detail
 
     def _impatience(self, thinkers: Thinkers, guard: Guard) -> None:
         safety = self._config.safety

@@ -99,6 +99,9 @@ class Guard:
         Raises:
             Grounded: it was ended.
         """
+        if self.trouble is not None:
+            work.close()
+            raise Grounded(self.trouble)
         task = asyncio.ensure_future(work)
         tripped = asyncio.ensure_future(self._tripped.wait())
         try:

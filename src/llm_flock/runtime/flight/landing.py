@@ -20,6 +20,9 @@ MARGIN_S = 1.5
 LANDED = "landed"
 """How a landing should end."""
 
+STOPPED = "motors stopped, not seen to land"
+"""How it ends for a drone that is not heard to have landed, but that its motors were cut when it should have."""
+
 DOWN_M = 0.12
 """An estimate this near to the floor is of a drone that is down [m]."""
 
@@ -179,7 +182,7 @@ class Landing:
             # An emergency stop locks a drone until it is started anew: only for one that did not stop by itself.
             stopped = await asyncio.wait_for(body.stop_motors(), 2 * SEND_S)
             self._log.note("not_down", robot, stopped=stopped)
-            self.ends[robot] = "motors stopped, not seen to land" if stopped else "told to land, not confirmed"
+            self.ends[robot] = STOPPED if stopped else "told to land, not confirmed"
         self._team.aloft.discard(robot)
 
     async def _down(self, robot: int, until_s: float) -> bool:
