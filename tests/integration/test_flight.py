@@ -199,7 +199,7 @@ def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
     assert result.result is None and not result.report.passed
     failed = [check for check in result.report.checks if not check.passed]
     assert [(check.who, check.name) for check in failed] == [("d1", "battery")]
-    assert "3.50 V" in failed[0].detail
+    assert str(failed[0]) == "d1: battery: 3.50 V, at least 3.80 V"
 
 
 def test_who_does_not_confirm_does_not_fly() -> None:

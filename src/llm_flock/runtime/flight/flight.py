@@ -28,6 +28,9 @@ from llm_flock.runtime.team import Thinkers
 from llm_flock.runtime.trial import Progress, Trial
 from llm_flock.transport.memory import MemoryTransport
 
+TAKING_OFF = "taking off"
+"""What is said when it begins: from then on the operator may end the flight."""
+
 NEVER_UP = "never took off"
 CUT = "motors cut"
 CUT_UNCONFIRMED = "motors cut, not confirmed"
@@ -142,7 +145,7 @@ class Flight:
 
     async def _until_grounded(self, guard: Guard, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         try:
-            self._say("taking off")
+            self._say(TAKING_OFF)
             await guard.while_safe(take_off(self._config, team, log))
             self._say("flying")
             await guard.while_safe(trial.run())

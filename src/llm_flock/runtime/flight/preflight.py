@@ -29,13 +29,18 @@ class Check:
         name: of the check.
         who: name of the drone, or "team".
         passed: whether it may fly.
-        detail: what was found.
+        found: what was found.
+        asked: what is asked for; empty where that is plain.
     """
 
     name: str
     who: str
     passed: bool
-    detail: str
+    found: str
+    asked: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.who}: {self.name}: {self.found}" + (f", {self.asked}" if self.asked else "")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,8 +69,8 @@ async def connect(config: FlightConfig, robots: Sequence[Robot]) -> tuple[list[C
         try:
             await robot.connect(config.fleet.connect_s)
         except RobotError as error:
-            return Check(name="connected", who=robot.name, passed=False, detail=error.what)
-        return Check(name="connected", who=robot.name, passed=True, detail=f"{time.monotonic() - began:.2f} s")
+            return Check(name="connected", who=robot.name, passed=False, found=error.what)
+        return Check(name="connected", who=robot.name, passed=True, found=f"{time.monotonic() - began:.2f} s")
 
     checks = await asyncio.gather(*map(one, robots))
     return list(checks), time.monotonic() - began
@@ -96,57 +101,65 @@ def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState
     found: list[Check] = []
     for robot, (name, state) in enumerate(zip(names, states, strict=True)):
         for title, check in _CHECKS:
-            passed, detail = check(config, robot, state, now_s)
-            found.append(Check(name=title, who=name, passed=passed, detail=detail))
+            passed, said, asked = check(config, robot, state, now_s)
+            found.append(Check(name=title, who=name, passed=passed, found=said, asked=asked))
     found.append(_apart(config, names, states))
     return found
 
 
-def _link(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str]:
+def _link(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     if state.link_lost:
-        return False, "lost"
+        return False, "lost", "there"
     least = config.safety.ready_link
     if state.link is None:
-        return True, "not told"
-    return state.link >= least, f"{state.link:.0%} of packets acknowledged, at least {least:.0%}"
+        return True, "not told", ""
+    return state.link >= least, f"{state.link:.0%}", f"at least {least:.0%} of packets acknowledged"
 
 
-def _battery(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str]:
+def _battery(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     least = config.safety.ready_battery_v
     if state.battery_v is None:
-        return True, "not told"
-    return state.battery_v >= least, f"{state.battery_v:.2f} V, at least {least:.2f} V"
+        return True, "not told", ""
+    return state.battery_v >= least, f"{state.battery_v:.2f} V", f"at least {least:.2f} V"
 
 
-def _estimator(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str]:
+def _estimator(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     age = now - state.stamp_s
     fresh = age <= config.safety.stall_s
-    return state.settled and fresh, ("converged" if state.settled else "not converged") + f", {age:.2f} s old"
+    said = "converged" if state.settled else "not converged"
+    if not fresh:
+        said = f"{age:.1f} s old"
+    return state.settled and fresh, said, "a fresh estimate of a converged estimator"
 
 
-def _on_floor(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str]:
+def _on_floor(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     above = state.position[2] - config.world.floor_m
-    return not state.flying and abs(above) <= ON_FLOOR_M, f"{above:+.2f} m from the floor"
+    return (
+        not state.flying and abs(above) <= ON_FLOOR_M,
+        f"{above:+.2f} m",
+        f"at most {ON_FLOOR_M:g} m from the floor, motors off",
+    )
 
 
-def _start(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str]:
+def _start(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     drones = config.fleet.drones
     start = drones[robot].start if drones else None
     if start is None:
-        return True, "not given"
+        return True, "not given", ""
     off = math.dist(start[:2], state.position[:2])
-    return off <= config.safety.start_tolerance_m, f"{off:.2f} m from ({start[0]:g}, {start[1]:g}) m"
+    most = config.safety.start_tolerance_m
+    return off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
 
 
-def _arena(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str]:
+def _arena(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     x, y, _ = state.position
     row = config.frame.to_mission((x, y, config.world.altitude_m))
     low, high = config.mission.arena
     inside = all(a <= value <= b for a, value, b in zip(low, row, high, strict=True))
-    return inside, f"({x:.2f}, {y:.2f}) m" + ("" if inside else ", not in the mission's arena")
+    return inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
 
 
-_CHECKS: tuple[tuple[str, Callable[[FlightConfig, int, RobotState, float], tuple[bool, str]]], ...] = (
+_CHECKS: tuple[tuple[str, Callable[[FlightConfig, int, RobotState, float], tuple[bool, str, str]]], ...] = (
     ("link", _link),
     ("battery", _battery),
     ("estimator", _estimator),
@@ -166,8 +179,9 @@ def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotSta
         for j, b in enumerate(states[:i])
     ]
     nearest, who = min(pairs, default=(math.inf, ""))
-    detail = f"{who}: {nearest:.2f} m, at least {least:g} m" if pairs else "alone"
-    return Check(name="apart", who="team", passed=nearest >= least, detail=detail)
+    said = f"{nearest:.2f} m" if pairs else "alone"
+    asked = f"at least {least:g} m between {who}"
+    return Check(name="apart", who="team", passed=nearest >= least, found=said, asked=asked)
 
 
 NAMES = ("connected", *(name for name, _ in _CHECKS), "apart")
