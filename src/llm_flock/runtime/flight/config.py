@@ -70,6 +70,9 @@ class FleetConfig(Section):
     crazyflies: str | None = Field(
         default=None, description="Crazyswarm2's crazyflies.yaml with the drones, instead of a list of them"
     )
+    cache: str | None = Field(
+        default=None, description="Folder for the drones' tables: connecting is faster from the second time on"
+    )
     take_off_group: int = Field(default=1, ge=1, le=1000, description="Drones that take off at once")
     connect_s: float = _seconds(10.0, "Longest wait for a connection")
     deadman: bool = Field(default=True, description="A process apart lands the drones where this one dies or hangs")

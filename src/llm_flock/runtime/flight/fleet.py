@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TypeAlias, cast
 
 from llm_flock.errors import InputError
@@ -61,7 +62,19 @@ def _simulated(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]
     return robots
 
 
-_DRIVERS: dict[str, Driver] = {"simulated": _simulated}
+def _crazyflie(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+    from llm_flock.robots.crazyflie import CrazyflieRobot
+
+    cache = None if config.fleet.cache is None else Path(config.fleet.cache)
+    robots: list[Robot] = []
+    for drone in wanted:
+        if drone.uri is None:
+            raise InputError("drones", drone.name, "a uri for each Crazyflie, such as radio://0/80/2M/E7E7E7E701")
+        robots.append(CrazyflieRobot(drone.name, drone.uri, limits=config.driver_limits, cache=cache))
+    return robots
+
+
+_DRIVERS: dict[str, Driver] = {"simulated": _simulated, "crazyflie": _crazyflie}
 
 
 def _driver(name: str) -> Driver:

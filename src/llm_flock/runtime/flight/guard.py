@@ -15,10 +15,10 @@ from llm_flock.runtime.flight.team import FlyingTeam
 
 T = TypeVar("T")
 
-CUT_FOR_S = 2.0
+CUT_FOR_S = 4.0
 """So long an emergency stop is repeated until it is confirmed [s]."""
 
-CUT_TRY_S = 0.5
+CUT_TRY_S = 1.5
 """Longest wait for one confirmation [s]."""
 
 
