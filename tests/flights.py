@@ -14,7 +14,7 @@ from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.preflight import Report
 
 ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}
-BRISK = {"round_s": 0.6, "max_speed_m_s": 3.0, "take_off_s": 0.4, "land_s": 0.4, "settle_s": 0.3, "deadman": False}
+BRISK = {"round_s": 0.6, "max_speed_m_s": 6.0, "take_off_s": 0.4, "land_s": 0.4, "settle_s": 0.3, "deadman": False}
 STARTS = ((-1.2, -1.2), (1.2, -1.2), (1.2, 1.2), (-1.2, 1.2))
 
 Sabotage = Callable[[Flight, list[SimulatedRobot]], None]

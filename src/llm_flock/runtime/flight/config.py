@@ -188,6 +188,18 @@ class FlightConfig(RunConfig):
                 f"its middle as on average, and the limit is {self.safety.max_speed_m_s:g} m/s",
             )
 
+        height = self.world.altitude_m - self.world.floor_m
+        if height <= 0:
+            raise InputError("altitude_m", self.world.altitude_m, f"above the floor at z = {self.world.floor_m:g} m")
+        least = PEAK_SPEED * height / self.safety.max_speed_m_s
+        for field in ("take_off_s", "land_s"):
+            if getattr(self.safety, field) < least - ROUNDING_M:
+                raise InputError(
+                    field,
+                    getattr(self.safety, field),
+                    f"at least {least:.3g} s for {height:g} m at no more than {self.safety.max_speed_m_s:g} m/s",
+                )
+
     def _check_fence(self) -> None:
         low, high = self.world.geofence
         if any(a >= b for a, b in zip(low, high, strict=True)):

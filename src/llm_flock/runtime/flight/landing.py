@@ -32,6 +32,9 @@ LOOK_S = 0.05
 AGAIN_S = 0.5
 """Time between two calls of a drone that is out of reach [s]."""
 
+CONNECT_S = 3.0
+"""Longest wait for one connection to such a drone [s]."""
+
 RINGS, SPOTS = 12, 24
 """A free spot is looked for on so many rings, in so many directions each."""
 
@@ -208,7 +211,7 @@ class Landing:
             try:
                 if body.state().link_lost:
                     await body.close()
-                    await body.connect(min(self._config.fleet.connect_s, max(0.1, until - time.monotonic())))
+                    await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))
                 self._log.note("landing", robot, spot=list(descent.spot))
                 await self._sink(robot)
             except (RobotError, TimeoutError):

@@ -11,7 +11,7 @@ from llm_flock.robots.base import Position
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import moving
-from llm_flock.runtime.flight.team import FlyingTeam
+from llm_flock.runtime.flight.team import CLIPPED_M, FlyingTeam
 
 MARGIN_S = 3.0
 """After the time of a take-off, so much longer is waited for a drone to be at its altitude [s]."""
@@ -58,8 +58,10 @@ async def _lift(config: FlightConfig, team: FlyingTeam, log: FlightLog, robot: i
     began = time.monotonic()
     order = await asyncio.wait_for(body.take_off(altitude, safety.take_off_s), ARM_S)
     top: Position = (here[0], here[1], order.target[2])
-    team.motions[robot] = moving(here, top, began, order.duration_s)
     team.airborne.add(robot)
+    team.motions[robot] = moving(here, top, began, order.duration_s)
+    if abs(order.target[2] - altitude) > CLIPPED_M:
+        raise NotAloft(f"{body.name} was not sent to {altitude:g} m but to {order.target[2]:.2f} m by its driver")
     until = began + order.duration_s + MARGIN_S
     while math.dist(body.state().position, top) > safety.tracking_m or time.monotonic() < began + order.duration_s:
         if time.monotonic() > until:

@@ -151,19 +151,3 @@ class Monitors:
             return []
         detail = f"{self._names[one]} and {self._names[two]} are {nearest:.3f} m apart"
         return [Trouble(kind=Kind.TOO_NEAR, robot=one, detail=detail)]
-
-
-def detection_s(config: FlightConfig, kind: Kind) -> float:
-    """The longest time from a cause until a monitor has it [s], where the cause shows in the drone's state.
-
-    A lost link shows as soon as its driver gives it up, and as an estimate that stands still before that.
-    """
-    safety = config.safety
-    waits = {
-        Kind.LINK_LOST: safety.stall_s,
-        Kind.ESTIMATE_STALLED: safety.stall_s,
-        Kind.OFF_COURSE: safety.off_course_s,
-        Kind.BATTERY_LOW: safety.low_battery_s,
-        Kind.MODEL_SILENT: safety.silent_rounds * (2 * safety.think_s + safety.round_s + safety.settle_s),
-    }
-    return waits.get(kind, 0.0) + 2 * PERIOD_S
