@@ -98,11 +98,11 @@ def _drone(name: str, kind: str, where: str, merged: Mapping[str, Any]) -> Drone
     uri = merged.get("uri")
     if not isinstance(uri, str) or "://" not in uri:
         raise InputError(f"{where}.uri", uri, "a URI such as radio://0/80/2M/E7E7E7E701")
-    home: object = merged.get("initial_position")
-    rows = cast("list[object]", home) if isinstance(home, list) else []
-    if len(rows) != 3:
-        raise InputError(f"{where}.initial_position", home, "three numbers [m]")
-    x, y, z = (_number(f"{where}.initial_position", value) for value in rows)
+    given = merged.get("initial_position")
+    home = cast("list[Any]", given) if isinstance(given, list) else []
+    if len(home) != 3:
+        raise InputError(f"{where}.initial_position", given, "three numbers [m]")
+    x, y, z = (_number(f"{where}.initial_position", value) for value in home)
     battery = _table(f"{where}.battery", merged.get("battery"))
     parameters: dict[str, float] = {}
     for group, values in _table(f"{where}.firmware_params", merged.get("firmware_params")).items():
