@@ -12,6 +12,8 @@
             (only when named)
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`: see
             benchmarks/swarm.py (only when named)
+`flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
+            benchmarks/flight.py (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it.
 """
@@ -29,7 +31,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import swarm, sweeps
+from benchmarks import flight, swarm, sweeps
 
 import llm_flock
 
@@ -134,6 +136,7 @@ def late() -> None:
 
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
+LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":

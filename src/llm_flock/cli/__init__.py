@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.fly import fly
 from llm_flock.cli.keys import keys
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
 from llm_flock.cli.report import export, report
@@ -125,6 +126,7 @@ def compare(
 
 
 app.command()(sweep)
+app.command()(fly)
 for command in (swarm, robot, world, mission, watch):
     app.command()(command)
 
