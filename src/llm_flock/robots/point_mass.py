@@ -151,7 +151,7 @@ class PointMass:
             return BUSY
         if self.mode == "landing":
             return REFUSED
-        start, _, _ = self._set_point(now)
+        start, _, _ = self.set_point(now)
         self._fly(Segment(start=start, target=(*start[:2], height_m), duration_s=duration_s), "landing", now)
         return 0
 
@@ -166,13 +166,14 @@ class PointMass:
         self.stop(now)
         self.locked, self.armed = True, False
 
-    def _set_point(self, now: float) -> tuple[Position, Position, Position]:
+    def set_point(self, now: float) -> tuple[Position, Position, Position]:
+        """Where the high-level commander wants it: position [m], velocity [m/s], acceleration [m/s^2]."""
         if self._segment is None:
             return self.estimate(now), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         return self._segment.at(now - self._began)
 
     def _from_here(self, target: Position, duration_s: float, now: float) -> Segment:
-        at, velocity, acceleration = self._set_point(now)
+        at, velocity, acceleration = self.set_point(now)
         return Segment(start=at, target=target, duration_s=duration_s, velocity=velocity, acceleration=acceleration)
 
     def _fly(self, segment: Segment, mode: Mode, now: float) -> None:
@@ -182,7 +183,7 @@ class PointMass:
 
     def _set_error(self, here: Position, now: float) -> None:
         """What remains between the body and where its set-point wants it."""
-        believed, _, _ = self._set_point(now)
+        believed, _, _ = self.set_point(now)
         x, y, z = (p + o - b for p, o, b in zip(here, self._offset, believed, strict=True))
         self._error, self._error_at = (x, y, z), now
 

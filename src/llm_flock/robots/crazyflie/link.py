@@ -42,7 +42,7 @@ def library() -> Any:
         InputError: it is not installed.
     """
     try:
-        from cflib import crazyflie, crtp
+        from cflib import crazyflie, crtp  # pyright: ignore[reportMissingTypeStubs]
     except ImportError as error:
         hint = "cflib, which is an extra: pip install 'llm-flock[crazyflie]'"
         raise InputError("drone", str(error), hint) from None
