@@ -25,7 +25,7 @@ from typing import Any
 from llm_flock.robots.base import Position
 from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet, drones
+from llm_flock.runtime.flight.fleet import build_fleet, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.patience import Impatient
 from llm_flock.runtime.flight.promises import promises
@@ -55,7 +55,9 @@ def flight_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightC
     """A flight from random starts that are apart, its drones without addresses yet; and those starts [m]."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
     config = build_config_of(FlightConfig, {"mission": mission}, **{**FAST, "seed": seed, **fields})
-    return config, [((d.start or (0.0, 0.0))[0], (d.start or (0.0, 0.0))[1], 0.0) for d in drones(config)]
+    return config, [
+        ((d.start or (0.0, 0.0))[0], (d.start or (0.0, 0.0))[1], 0.0) for d in with_drones(config).fleet.drones
+    ]
 
 
 def addressed(config: FlightConfig, homes: Sequence[Position], uris: Sequence[str]) -> FlightConfig:

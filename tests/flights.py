@@ -9,7 +9,7 @@ from typing import Any
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet
+from llm_flock.runtime.flight.fleet import build_fleet, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.preflight import Report
 
@@ -27,7 +27,7 @@ def flight_config(
     room = {"shape": shape, "n_robots": n, **ROOM, **(mission or {})}
     if n == 4 and "drones" not in fields:
         fields["drones"] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
-    return build_config_of(FlightConfig, {"mission": room}, **{**BRISK, "take_off_group": 10, **fields})
+    return with_drones(build_config_of(FlightConfig, {"mission": room}, **{**BRISK, "take_off_group": 10, **fields}))
 
 
 async def yes(report: Report) -> bool:

@@ -115,9 +115,9 @@ LANDED = {"landed"}
     ("sabotage", "at", "ended", "ends", "within_s"),
     [
         (lose_link_for_a_while, "round 1", {Kind.LINK_LOST}, LANDED, 3.5),
-        (stall, "round 1", {Kind.ESTIMATE_STALLED}, {"landed", STOPPED}, 3.5),
+        (stall, "round 1", {Kind.ESTIMATE_STALLED}, {"landed", STOPPED}, 6.0),
         (jump, "round 1", {Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
-        (frozen, "round 1", {Kind.OFF_COURSE}, {"landed", STOPPED}, 3.5),
+        (frozen, "round 1", {Kind.OFF_COURSE}, {"landed", STOPPED}, 6.0),
         (low_battery, "round 1", {Kind.BATTERY_LOW}, LANDED, 3.0),
         (outside, "round 1", {Kind.GEOFENCE, Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
         (far_outside, "round 1", {Kind.FAR_OUTSIDE, Kind.ESTIMATE_JUMPED}, {"landed", "motors cut"}, 2.0),

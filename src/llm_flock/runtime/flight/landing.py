@@ -14,8 +14,9 @@ from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import SetPointCheck, moving
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
-MARGIN_S = 1.5
-"""After the time of a landing, so much longer is waited for a drone to say that it is down [s]."""
+MARGIN_S = 3.0
+"""After the time of a landing, so much longer is waited for a drone to say that its motors are off [s]: a Crazyflie
+says so two seconds late (docs/firmware.md)."""
 
 LANDED = "landed"
 """How a landing should end."""
