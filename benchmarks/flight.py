@@ -25,7 +25,7 @@ from typing import Any
 from llm_flock.robots.base import Position
 from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet, with_drones
+from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.patience import Impatient
 from llm_flock.runtime.flight.promises import promises
@@ -55,9 +55,7 @@ def flight_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightC
     """A flight from random starts that are apart, its drones without addresses yet; and those starts [m]."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
     config = build_config_of(FlightConfig, {"mission": mission}, **{**FAST, "seed": seed, **fields})
-    return config, [
-        ((d.start or (0.0, 0.0))[0], (d.start or (0.0, 0.0))[1], 0.0) for d in with_drones(config).fleet.drones
-    ]
+    return config, homes_of(config)
 
 
 def addressed(config: FlightConfig, homes: Sequence[Position], uris: Sequence[str]) -> FlightConfig:
@@ -67,6 +65,11 @@ def addressed(config: FlightConfig, homes: Sequence[Position], uris: Sequence[st
     ]
     base = config.model_dump(exclude_unset=True)
     return build_config_of(FlightConfig, base, drones=fleet)
+
+
+def homes_of(config: FlightConfig) -> list[Position]:
+    """Where its drones stand before take-off [m]."""
+    return [start_of(config, drone) for drone in with_drones(config).fleet.drones]
 
 
 async def yes(_: object) -> bool:
@@ -344,10 +347,11 @@ def safety_cases() -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """For parts of it: cases by name, one after the other, or SHAPE/N/SEED, all at once; a line of JSON each."""
+    """For parts of it: cases by name, one after the other, or SHAPE/N/SEED, five at once; a line of JSON each."""
     flights = [(shape, int(n), int(seed)) for shape, n, seed in (text.split("/") for text in arguments if "/" in text)]
-    for row in asyncio.run(fly_all(flights)):
-        print(json.dumps(row), flush=True)
+    for k in range(0, len(flights), TOGETHER):
+        for row in asyncio.run(fly_all(flights[k : k + TOGETHER])):
+            print(json.dumps(row), flush=True)
     for text in arguments:
         if "/" not in text:
             print(json.dumps(case(text)), flush=True)
