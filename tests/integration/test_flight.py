@@ -232,7 +232,9 @@ def test_landing_of_a_mission_in_space() -> None:
         stretch=2.4,
         altitude_m=2.8,
         geofence=[[-3, -3, -0.5], [3, 3, 6]],
-        max_speed_m_s=6.0,
+        max_speed_m_s=8.0,
+        take_off_s=0.8,
+        land_s=0.8,
         drones=[{"name": f"d{k}", "start": [k - 1.0, 0.0]} for k in range(3)],
     )
     low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)
