@@ -10,8 +10,12 @@
 `sweep`     experiments/simulated.toml from scratch, two processes: time and memory (only when named)
 `twenty`    twenty trials of a circle of ten in one process on a server that takes 1 s, beside the longest of them alone
             (only when named)
+`links`     ten stand-ins for Crazyflies connected and told to move, through cflib (only when named)
+`physics`   flights of drones with real dynamics, and how fast that is; see benchmarks/physics.py (only when named)
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`: see
             benchmarks/swarm.py (only when named)
+`flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
+            benchmarks/flight.py (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it.
 """
@@ -29,7 +33,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import swarm, sweeps
+from benchmarks import flight, links, physics, swarm, sweeps
 
 import llm_flock
 
@@ -134,6 +138,8 @@ def late() -> None:
 
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
+LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
+LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":

@@ -16,9 +16,11 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.fly import fly
 from llm_flock.cli.keys import keys
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
 from llm_flock.cli.report import export, report
+from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
 from llm_flock.errors import FlockError, InputError
@@ -124,6 +126,7 @@ def compare(
 
 
 app.command()(sweep)
+app.command()(fly)
 for command in (swarm, robot, world, mission, watch):
     app.command()(command)
 
@@ -200,6 +203,7 @@ def inspect(
 app.command()(keys)
 app.command()(report)
 app.command()(export)
+app.command()(stand_ins)
 
 
 @app.command()

@@ -20,7 +20,7 @@ from llm_flock.runtime.config import RunConfig
 SHORT = {"n_robots": "--robots"}
 """Flags that are shorter than their field's name."""
 
-JSON_LISTS = frozenset({"obstacles", "changes"})
+JSON_LISTS = frozenset({"obstacles", "changes", "drones"})
 """Fields that are lists of tables: a flag takes them as JSON, or as the name of a file with it."""
 
 NOT_FLAGS = frozenset({"points"})
@@ -35,6 +35,9 @@ SET_BY_SWEEP = SET_BY_COMPARE
 SET_BY_SWARM = frozenset({"kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds"})
 """Fields that mean nothing in a swarm of processes, where real things happen to real processes."""
 
+SET_BY_FLY = frozenset({"kill", "join", "kill_random", "join_random", "noise", "start_positions"})
+"""Fields that mean nothing in a flight, where real things happen to real bodies."""
+
 PANELS = {
     "mission": "Mission",
     "protocol": "Protocol",
@@ -43,6 +46,9 @@ PANELS = {
     "links": "Messages",
     "trial": "Run",
     "network": "Network",
+    "world": "World",
+    "fleet": "Drones",
+    "safety": "Safety",
 }
 
 
@@ -127,7 +133,7 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         InputError: a list of numbers cannot be read.
     """
     values = {field: value for field, value in flags.items() if value is not None}
-    for field in ("center", "velocity"):
+    for field in ("center", "velocity", "origin_m"):
         if field in values:
             values[field] = _numbers(field, values[field])
     if "arena" in values:
@@ -135,6 +141,9 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         half = len(corner) // 2
         low, high = (corner[:half], corner[half:]) if len(corner) >= 4 else ((0.0,) * len(corner), corner)
         values["arena"] = (low, high)
+    if "geofence" in values:
+        box = _numbers("geofence", values["geofence"])
+        values["geofence"] = (box[:3], box[3:])
     for field in JSON_LISTS & values.keys():
         values[field] = _json_list(field, values[field])
     if "start_positions" in values:

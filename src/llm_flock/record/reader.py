@@ -21,7 +21,9 @@ from llm_flock.record.schema import (
     CHANNELS,
     FORMAT_VERSION,
     ROUND_NS,
+    BodySample,
     Entry,
+    FlightEvent,
     LlmEntry,
     MetricsRow,
     MissionInfo,
@@ -68,6 +70,8 @@ class RunRecord:
         events: what robots decided or met.
         llm: model calls.
         metrics: the figures of each round.
+        bodies: of a flight, every drone some ten times a second, measured and commanded [m].
+        flight: of a flight, what happened to it.
         result: what the run reported; None when it did not end cleanly.
         positions: true positions, shape (rounds + 1, n, d) [units; world frame].
     """
@@ -80,6 +84,8 @@ class RunRecord:
     events: tuple[ProtocolEvent, ...] = field(repr=False)
     llm: tuple[LlmEntry, ...] = field(repr=False)
     metrics: tuple[MetricsRow, ...] = field(repr=False)
+    bodies: tuple[BodySample, ...] = field(repr=False)
+    flight: tuple[FlightEvent, ...] = field(repr=False)
     result: dict[str, Any] | None
     positions: NDArray[np.float64] = field(repr=False)
 
@@ -159,6 +165,8 @@ def read_record(path: Path) -> RunRecord:
         events=all_of(ProtocolEvent),
         llm=all_of(LlmEntry),
         metrics=metrics,
+        bodies=all_of(BodySample),
+        flight=all_of(FlightEvent),
         result=results[-1].result if results else None,
         positions=np.array([state.positions for state in states], dtype=np.float64),
     )

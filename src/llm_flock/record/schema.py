@@ -20,7 +20,7 @@ Row = list[Finite]
 _VOLATILE: dict[str, Any] = {"volatile": True}
 """Marks what may differ between two runs of one seed."""
 
-VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record"})
+VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record", "flight"})
 """Keys of the summary's result that may differ between two runs of one seed."""
 
 
@@ -151,6 +151,38 @@ class MetricsRow(Entry):
     messages_rejected: dict[str, int] = Field(description="Messages refused on receipt so far, by reason")
 
 
+class BodySample(Entry):
+    """Every body of a flight at a time: where it is, and where it was told to be. Some ten of them a second."""
+
+    round: int = Field(description="Motion round; 0 before the first")
+    time_s: Finite = Field(description="Since the flight began [s]", json_schema_extra=_VOLATILE)
+    measured: list[Row] = Field(
+        description="The position estimate of each drone, x, y, z [m; world frame]", json_schema_extra=_VOLATILE
+    )
+    commanded: list[Row] = Field(
+        description="Its moving set-point when that estimate was made, x, y, z [m; world frame]",
+        json_schema_extra=_VOLATILE,
+    )
+    flying: list[bool] = Field(description="Whether it is in the air", json_schema_extra=_VOLATILE)
+    battery_v: list[Finite | None] = Field(
+        description="Battery voltage [V], null if unknown", json_schema_extra=_VOLATILE
+    )
+    link: list[Finite | None] = Field(
+        description="Share of packets that were acknowledged, 0 when the link is lost, null if unknown",
+        json_schema_extra=_VOLATILE,
+    )
+
+
+class FlightEvent(Entry):
+    """What happened to a flight as a whole, or to the body of one of its drones."""
+
+    round: int = Field(description="Motion round")
+    time_s: Finite = Field(description="Since the flight began [s]", json_schema_extra=_VOLATILE)
+    kind: str = Field(description="What happened: connected, take_off, landing, landed, cut, link_lost, ...")
+    robot: int | None = Field(None, description="Whose body; left out where it is about everybody's")
+    detail: dict[str, Any] = Field(description="What belongs to this kind of event", json_schema_extra=_VOLATILE)
+
+
 class RoundEnd(Entry):
     """The last message of a round: when it is there, the whole round is there."""
 
@@ -171,6 +203,8 @@ CHANNELS: dict[str, type[Entry]] = {
     "/protocol": ProtocolEvent,
     "/llm": LlmEntry,
     "/metrics": MetricsRow,
+    "/body": BodySample,
+    "/flight": FlightEvent,
     "/round": RoundEnd,
     "/summary": Summary,
 }

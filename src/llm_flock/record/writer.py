@@ -23,7 +23,9 @@ from llm_flock.record.schema import (
     ROUND_NS,
     SCENE_TOPIC,
     TOPICS,
+    BodySample,
     Entry,
+    FlightEvent,
     LlmEntry,
     MetricsRow,
     MissionInfo,
@@ -72,6 +74,14 @@ class RecordSink(Protocol):
         """The figures of one round."""
         ...
 
+    def body(self, sample: BodySample) -> None:
+        """Every body of a flight at a time."""
+        ...
+
+    def flight(self, event: FlightEvent) -> None:
+        """What happened to a flight."""
+        ...
+
     def end_round(self, number: int) -> None:
         """The round is complete and must survive whatever comes."""
         ...
@@ -113,6 +123,12 @@ class NullWriter:
         """Ignored."""
 
     def metrics(self, row: MetricsRow) -> None:
+        """Ignored."""
+
+    def body(self, sample: BodySample) -> None:
+        """Ignored."""
+
+    def flight(self, event: FlightEvent) -> None:
         """Ignored."""
 
     def end_round(self, number: int) -> None:
@@ -165,6 +181,16 @@ class Tee:
         """To both."""
         for sink in self._both:
             sink.metrics(row)
+
+    def body(self, sample: BodySample) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.body(sample)
+
+    def flight(self, event: FlightEvent) -> None:
+        """To both."""
+        for sink in self._both:
+            sink.flight(event)
 
     def end_round(self, number: int) -> None:
         """To both."""
@@ -259,6 +285,15 @@ class RecordWriter:
     def metrics(self, row: MetricsRow) -> None:
         """The figures of one round."""
         self._put(row, row.round)
+
+    def body(self, sample: BodySample) -> None:
+        """Every body of a flight at a time."""
+        self._put(sample, sample.round)
+
+    def flight(self, event: FlightEvent) -> None:
+        """What happened to a flight; handed to the operating system at once, with all that came before."""
+        self._put(event, event.round)
+        self._flush()
 
     def end_round(self, number: int) -> None:
         """Mark the round as complete and hand it to the operating system."""

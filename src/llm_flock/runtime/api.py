@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ from llm_flock.protocol.assignment import AssignmentRule
 from llm_flock.protocol.consensus import ConsensusRule
 from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.robots.simulated import SimulatedTeam, check_start, draw_start
+from llm_flock.robots.simulated import check_start, draw_start
 from llm_flock.runtime import provenance
+from llm_flock.runtime.bodies import AtOnce
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.result import RunResult
@@ -84,11 +85,19 @@ async def run_async(
         assignment = assignment_rule(protocol.assignment or "")
     rules = consensus, assignment
 
+    return await _fly(config, minds(config, *rules), on_round, sink, lane)
+
+
+def minds(config: RunConfig, consensus: ConsensusRule, assignment: AssignmentRule) -> Callable[[int], Agent]:
+    """What makes the mind of each robot."""
+    protocol = config.protocol
+
     def mind(robot: int) -> Agent:
         return Agent(
             robot,
             config.mission,
-            *rules,
+            consensus,
+            assignment,
             shield_on=bool(protocol.shield),
             verify=bool(protocol.verify),
             on_event=config.model.decide == "on-event",
@@ -97,7 +106,7 @@ async def run_async(
             gaps=protocol.gaps,
         )
 
-    return await _fly(config, mind, on_round, sink, lane)
+    return mind
 
 
 async def _fly(
@@ -112,11 +121,34 @@ async def _fly(
     given = config.trial.start_positions
     rule = config.trial.start
     start = draw_start(mission, rule, stream(seed, Stream.START)) if given is None else check_start(mission, given)
-    bodies = SimulatedTeam(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
+    bodies = AtOnce(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
     transport = MemoryTransport(mission.n_robots, config.links, stream(seed, Stream.LINKS))
     thinkers = Thinkers(config, lane)
     schedule = config.schedule()
     roster = Roster(mind, mission.n_robots, schedule.asleep)
+    with open_books(config, thinkers, sink) as (journal, record):
+        journal.mission_given(mission, 0, start)
+        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round)
+        try:
+            await trial.run()
+        except BaseException:
+            with suppress(FlockError):  # the record's own trouble must not hide what happened
+                trial.finish(record)
+            raise
+        finally:
+            await thinkers.close()
+        return trial.finish(record)
+
+
+@contextmanager
+def open_books(
+    config: RunConfig, thinkers: Thinkers, sink: RecordSink | None = None
+) -> Generator[tuple[Journal, str | None]]:
+    """Open everything that a run is written to: its journal, and the path of its record.
+
+    Raises:
+        InputError: a file is in the way, or cannot be made.
+    """
     with ExitStack() as stack:
         path = None if config.trial.out is None else Path(config.trial.out) / RECORD_NAME
         cassette = None if config.model.record_llm is None else Path(config.model.record_llm)
@@ -129,23 +161,12 @@ async def _fly(
                 cassette.unlink()  # this run made it a moment ago, and nothing is in it
             raise
         journal = Journal(
-            mission, writer if sink is None else Tee(writer, sink), remakes=config.protocol.gaps == "remake"
+            config.mission, writer if sink is None else Tee(writer, sink), remakes=config.protocol.gaps == "remake"
         )
         thinkers.listen(journal.attempt)
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
             writer.run(_run_info(config, thinkers))
-        journal.mission_given(mission, 0, start)
-        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round)
-        record = None if path is None else str(path)
-        try:
-            await trial.run()
-        except BaseException:
-            with suppress(FlockError):  # the record's own trouble must not hide what happened
-                trial.finish(record)
-            raise
-        finally:
-            await thinkers.close()
-        return trial.finish(record)
+        yield journal, None if path is None else str(path)
 
 
 def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:

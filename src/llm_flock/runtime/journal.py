@@ -27,7 +27,7 @@ from llm_flock.record.schema import (
     State,
 )
 from llm_flock.record.writer import RecordSink
-from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.episode import Episode, blocked_places
 from llm_flock.runtime.roster import Roster
 from llm_flock.transport.memory import Traffic
@@ -140,7 +140,7 @@ class Journal:
     def state(
         self,
         round_number: int,
-        team: SimulatedTeam,
+        team: Bodies,
         roster: Roster,
         moves: Mapping[int, MoveTo] | None,
         traffic: Traffic,

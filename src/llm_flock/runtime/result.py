@@ -33,6 +33,33 @@ class MissionOutcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FlightFigures:
+    """The figures of a flight. Distances are those of estimates, while both drones were in the air.
+
+    Attributes:
+        ended: what ended it: the mission, or the kind of trouble.
+        reason: that trouble in words.
+        ends: by name, how each drone ended: landed, never took off, cut, out of reach, ...
+        safe: whether each drone landed, never took off, or confirmed that its motors were cut.
+        air_s: from the first take-off until the last drone was down [s].
+        min_separation_m: smallest distance of two drones, heights scaled by the vertical rule [m]; None for one alone.
+        tracking_rms_m: distance of the drones from their moving set-points, root of the mean square [m].
+        tracking_max_m: the largest [m].
+        fan_out_ms: longest time to tell all drones where to go [ms]; None where none was told.
+    """
+
+    ended: str
+    reason: str | None
+    ends: dict[str, str]
+    safe: bool
+    air_s: float
+    min_separation_m: float | None
+    tracking_rms_m: float | None
+    tracking_max_m: float | None
+    fan_out_ms: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """The figures of one trial; field names are the keys of `--json`.
 
@@ -90,6 +117,7 @@ class Summary:
         missions: every mission of the run, the first one first.
         gaps: places of the plan that are nobody's at the end; None without one plan.
         spares: robots awake at the end that have no place in it; None without one plan.
+        flight: the figures of a flight; None in simulation.
     """
 
     shape: str
@@ -137,6 +165,7 @@ class Summary:
     missions: tuple[MissionOutcome, ...] = ()
     gaps: int | None = None
     spares: int | None = None
+    flight: FlightFigures | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 from llm_flock.protocol.agent import Agent
 from llm_flock.record.schema import ASLEEP, DEAD
-from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.runtime.bodies import Bodies
 
 
 class Roster:
@@ -48,7 +48,7 @@ class Roster:
         """Phase of a robot's state machine, or what stands for it."""
         return self._silent.get(robot) or self.agents[robot].phase.value
 
-    def hears(self, team: SimulatedTeam, robot: int) -> tuple[int, ...]:
+    def hears(self, team: Bodies, robot: int) -> tuple[int, ...]:
         """Robots that are awake within radio range of one that is; none for one that is not."""
         if not self._silent:
             return team.in_radio_range[robot]

@@ -8,7 +8,7 @@ from llm_flock import metrics
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.episode import Episode
 from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.result import MissionOutcome, Summary
+from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
 from llm_flock.runtime.team import Thinkers
@@ -27,6 +27,7 @@ def summarize(
     rounds: int,
     wall_s: float,
     record: str | None,
+    flight: FlightFigures | None,
 ) -> Summary:
     """The summary of a run that has ended.
 
@@ -41,6 +42,7 @@ def summarize(
         rounds: motion rounds flown.
         wall_s: how long it took [s].
         record: path of the record.
+        flight: the figures of a flight; None in simulation.
     """
     minds, episode = roster.minds(), journal.episode
     plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
@@ -95,6 +97,7 @@ def summarize(
         missions=tuple(_outcome(e) for e in journal.episodes),
         gaps=None if plan is None else len(plan) - len(owned),
         spares=None if plan is None else slots.count(None),
+        flight=flight,
     )
 
 

@@ -33,10 +33,10 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
-from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.result import RunResult
+from llm_flock.runtime.result import FlightFigures, RunResult
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
 from llm_flock.runtime.summary import summarize
@@ -76,7 +76,7 @@ class Trial:
         schedule: what happens to robots and mission in flight.
         roster: one mind per robot, and who is awake.
         thinkers: one planner per robot, and what the models have used.
-        bodies: the simulated bodies and sensors.
+        bodies: the bodies and their sensors.
         transport: carries the messages.
         journal: counts and records.
         on_round: told after each round, for a live display.
@@ -88,7 +88,7 @@ class Trial:
         schedule: Schedule,
         roster: Roster,
         thinkers: Thinkers,
-        bodies: SimulatedTeam,
+        bodies: Bodies,
         transport: MemoryTransport,
         journal: Journal,
         on_round: Callable[[Progress], None] | None = None,
@@ -112,8 +112,7 @@ class Trial:
         Raises:
             asyncio.CancelledError: after the record was brought to a readable end by `finish`.
         """
-        self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
-        self.journal.writer.end_round(0)
+        self.begin()
         try:
             while self.round < self.config.trial.rounds:
                 await self._fly_round(self.round + 1)
@@ -137,6 +136,12 @@ class Trial:
         finally:
             for agent in self.roster.agents:
                 agent.handle(Stopped())
+
+    def begin(self) -> None:
+        """Record the start, where everybody is before the first round; once, whoever asks for it first."""
+        if not self.journal.positions:
+            self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
+            self.journal.writer.end_round(0)
 
     @property
     def _done(self) -> bool:
@@ -173,7 +178,7 @@ class Trial:
         for tick in range(self.config.protocol.ticks or 1):
             self._exchange(number, tick)
         moves = await self._think_steps(number)
-        self._move(moves)
+        await self._move(moves)
         for robot, agent in self._minds():
             self._perform(number, None, robot, agent.handle(Arrived()))
         self.journal.state(number, self.bodies, self.roster, moves, self.transport.traffic)
@@ -238,12 +243,12 @@ class Trial:
                     moves[robot] = effect
         return dict(sorted(moves.items()))
 
-    def _move(self, moves: Mapping[int, MoveTo]) -> None:
+    async def _move(self, moves: Mapping[int, MoveTo]) -> None:
         """Bodies fly what was commanded, from where each robot believed it was; those of silent robots stay."""
         displacements: Points = np.zeros_like(self.bodies.positions)
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
-        self.bodies.move(displacements)
+        await self.bodies.fly(displacements)
 
     def _perform(self, number: int, tick: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
         """Record the notes among the effects; return the rest."""
@@ -277,7 +282,7 @@ class Trial:
             )
         )
 
-    def finish(self, record: str | None) -> RunResult:
+    def finish(self, record: str | None, flight: FlightFigures | None = None) -> RunResult:
         """The result so far; writes it to the record. Call once, also after a cancelled `run`."""
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
@@ -293,6 +298,7 @@ class Trial:
             rounds=self.round,
             wall_s=time.perf_counter() - self._began,
             record=record,
+            flight=flight,
         )
         self.journal.writer.summary(summary.to_dict())
         return RunResult(

@@ -1,0 +1,55 @@
+"""Ten stand-ins through the real cflib: `python -m benchmarks links`."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import statistics
+import time
+
+from llm_flock.robots.crazyflie import CrazyflieRobot
+from llm_flock.testing.crtp import StandIns
+from llm_flock.testing.robots import wait_until
+
+DRONES = 10
+ROUNDS = 30
+
+
+async def measure() -> None:
+    """One connection of all, and way-points for all at once."""
+    homes = [(0.6 * k, 0.0, 0.0) for k in range(DRONES)]
+    with StandIns(homes) as stand_ins:
+        team = [CrazyflieRobot(f"cf{k}", uri) for k, uri in enumerate(stand_ins.uris)]
+        began = time.perf_counter()
+        await asyncio.gather(*(robot.connect(5.0) for robot in team))
+        connected = time.perf_counter() - began
+        await wait_until(lambda: all(robot.state().settled for robot in team), 5.0, "all settled")
+        ready = time.perf_counter() - began
+        await asyncio.gather(*(robot.arm() for robot in team))
+        await asyncio.gather(*(robot.take_off(0.5, 1.0) for robot in team))
+        await asyncio.sleep(1.1)
+        times: list[float] = []
+        for number in range(ROUNDS):
+            y = 0.05 if number % 2 else 0.0
+            began = time.perf_counter()
+            await asyncio.gather(
+                *(robot.go_to((home[0], y, 0.5), 0.4) for robot, home in zip(team, homes, strict=True))
+            )
+            times.append(1000 * (time.perf_counter() - began))
+            await asyncio.sleep(0.45)
+        await asyncio.gather(*(robot.land(0.0, 1.0) for robot in team))
+        await asyncio.sleep(1.1)
+        await asyncio.gather(*(robot.close() for robot in team))
+    print(f"{DRONES} stand-ins: connected after {connected:.2f} s, estimators settled after {ready:.2f} s   bar 5")
+    print(
+        f"  go_to to all, every one confirmed: median {statistics.median(times):.1f} ms, "
+        f"largest of {ROUNDS} {max(times):.1f} ms   bar 20",
+        flush=True,
+    )
+
+
+def links() -> None:
+    """Bar 4: connect and preflight in under 5 s, go_to to all in under 20 ms; three times."""
+    logging.disable(logging.WARNING)
+    for _ in range(3):
+        asyncio.run(measure())

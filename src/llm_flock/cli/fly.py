@@ -1,0 +1,225 @@
+"""Fly a mission with real drones, after a preflight and a confirmation; or on paper."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.keyboard import Keyboard
+from llm_flock.cli.options import SET_BY_FLY, parse_flags, with_config_flags
+from llm_flock.runtime.config import load_config_of
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.flight import TAKING_OFF, Flight, FlightResult
+from llm_flock.runtime.flight.preflight import NAMES, Check, Report
+from llm_flock.runtime.flight.rehearsal import Rehearsal, rehearse
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+WORD = "fly"
+"""What an operator types to confirm."""
+
+
+@with_config_flags(without=SET_BY_FLY, kind=FlightConfig)
+def fly(
+    config: Annotated[Path | None, typer.Option(help="Flight file (TOML); flags override it")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the whole plan with every set-point checked; no drone is called")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Take off without asking, once the preflight is passed")] = False,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables")] = False,
+    record: Annotated[bool, typer.Option("--record/--no-record", help="Write a record of the flight")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No live progress")] = False,
+    **flags: Any,
+) -> None:
+    """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
+
+    In flight, l (or Ctrl-C) lands everybody, and x (or Ctrl-C twice) cuts all motors.
+    """
+    from llm_flock.runtime.flight.fleet import with_drones
+
+    settings = with_drones(load_config_of(FlightConfig, config, **parse_flags(flags)))
+    if dry_run:
+        _rehearse(settings, json_output)
+        return
+    folder = settings.trial.out
+    if folder is None:
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        folder = f"runs/{stamp}-flight-{settings.mission.shape.split(':')[0]}-{settings.mission.n_robots}"
+    trial = settings.trial.model_copy(update={"out": folder if record else None})
+    settings = settings.model_copy(update={"trial": trial})
+    result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet))
+    safe = result.result is not None and result.result.summary.flight is not None and result.result.summary.flight.safe
+    if json_output:
+        print(json.dumps(_plain(result), allow_nan=False))
+    elif result.result is not None:
+        Console().print(summary_table(result.result.summary, settings.mission.safe_distance))
+        Console().print(_flight_table(result))
+    if not safe or result.result is None or result.result.summary.flight is None:
+        raise typer.Exit(EXIT_FAILED)
+    if result.result.summary.flight.ended != "mission":
+        raise typer.Exit(EXIT_FAILED)
+
+
+async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool) -> FlightResult:
+    from llm_flock.runtime.flight.fleet import build_fleet
+
+    async def confirm(report: Report) -> bool:
+        if not as_json:
+            Console().print(_preflight_table(report.checks))
+        if yes:
+            return True
+        answer = await asyncio.to_thread(_ask, f"Type '{WORD}' to take off, anything else to stay: ")
+        return answer.strip().lower() == WORD
+
+    live = not quiet and not as_json
+
+    def tell(stage: str) -> None:
+        if live:
+            print(stage, file=sys.stderr)
+        if stage == TAKING_OFF:  # until then the terminal belongs to the question
+            keyboard.listen()
+            stack.enter_context(line)
+
+    line = LiveLine(settings.mission.shape, enabled=live)
+    with ExitStack() as stack:
+        flight = Flight(
+            settings,
+            build_fleet(settings),
+            on_round=line.update,
+            on_stage=lambda stage: tell(stage),
+        )
+        with Keyboard(flight) as keyboard:
+            try:
+                result = await flight.run(confirm)
+            except asyncio.CancelledError:
+                print("interrupted; nothing has taken off", file=sys.stderr)
+                raise typer.Exit(EXIT_INTERRUPTED) from None
+    if not result.report.passed and not as_json:
+        Console().print(_preflight_table(result.report.checks))
+        for check in result.report.checks:
+            if not check.passed:
+                print(f"error: {check}", file=sys.stderr)
+        print("error: the preflight was not passed; nothing has taken off", file=sys.stderr)
+    elif result.result is None:
+        print("not confirmed; nothing has taken off", file=sys.stderr)
+    return result
+
+
+def _ask(question: str) -> str:
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    return sys.stdin.readline()
+
+
+def _rehearse(settings: FlightConfig, as_json: bool) -> None:
+    plan = asyncio.run(rehearse(settings))
+    if as_json:
+        print(json.dumps(_plan(plan), allow_nan=False))
+    else:
+        for table in _plan_tables(settings, plan):
+            Console().print(table)
+        for fault in plan.faults:
+            print(f"error: {fault}", file=sys.stderr)
+        print(f"{sum(len(step.targets) for step in plan.steps)} set-points, {len(plan.faults)} faults")
+    if plan.faults:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _preflight_table(checks: Sequence[Check]) -> Table:
+    table = Table("drone", *NAMES, title="preflight", title_justify="left")
+    found = {(check.who, check.name): check for check in checks}
+    for who in dict.fromkeys(check.who for check in checks):
+        table.add_row(escape(who), *(_cell(found.get((who, name))) for name in NAMES))
+    return table
+
+
+def _cell(check: Check | None) -> str:
+    if check is None:
+        return ""
+    return f"[green]{escape(check.found)}[/]" if check.passed else f"[bold red]{escape(check.found)}: FAILED[/]"
+
+
+def _flight_table(result: FlightResult) -> Table:
+    assert result.result is not None
+    found = result.result.summary.flight
+    assert found is not None
+    table = Table(title="flight", show_header=False, title_justify="left")
+
+    def length(value: float | None) -> str:
+        return "not known" if value is None else f"{value:.3f} m"
+
+    table.add_row("ended by", escape(found.ended if found.reason is None else f"{found.ended}: {found.reason}"))
+    for name, end in found.ends.items():
+        table.add_row(escape(name), end)
+    table.add_row("in the air", f"{found.air_s:.1f} s")
+    table.add_row("smallest distance", length(found.min_separation_m))
+    table.add_row("off the set-points", f"rms {length(found.tracking_rms_m)}, at most {length(found.tracking_max_m)}")
+    return table
+
+
+def _plan_tables(settings: FlightConfig, plan: Rehearsal) -> list[Table]:
+    names = [drone.name for drone in plan.drones]
+    group = settings.fleet.take_off_group
+    rising = Table("group", "drone", "from x, y [m]", "to z [m]", title="take-off", title_justify="left")
+    for robot, drone in enumerate(plan.drones):
+        spot = "{:.2f}, {:.2f}".format(*(drone.start or (0.0, 0.0)))
+        rising.add_row(str(1 + robot // group), escape(drone.name), spot, f"{settings.world.altitude_m:g}")
+    way = Table("round", "drone", "set-point [m]", "peak [m/s]", "nearest [m]", "check", title="set-points")
+    way.title_justify = "left"
+    for step in plan.steps:
+        for robot, (target, peak) in enumerate(zip(step.targets, step.peaks_m_s, strict=True)):
+            x, y, z = target
+            nearest = f"{step.separation_m:.3f}" if robot == 0 else ""
+            check = ("[green]ok[/]" if not step.faults else "[bold red]FAULT[/]") if robot == 0 else ""
+            number = str(step.round) if robot == 0 else ""
+            way.add_row(number, escape(names[robot]), f"{x:.3f}, {y:.3f}, {z:.3f}", f"{peak:.2f}", nearest, check)
+    down = Table("group", "drone", "spot x, y [m]", "by way of [m]", title="landing", title_justify="left")
+    for number, descents in enumerate(plan.landing, start=1):
+        for descent in descents:
+            via = "" if descent.via is None else "{:.2f}, {:.2f}, {:.2f}".format(*descent.via)
+            down.add_row(str(number), escape(names[descent.robot]), "{:.2f}, {:.2f}".format(*descent.spot), via)
+    return [rising, way, down]
+
+
+def _plan(plan: Rehearsal) -> dict[str, Any]:
+    """Plain values for JSON."""
+    return {
+        "drones": [drone.model_dump() for drone in plan.drones],
+        "rounds": [
+            {
+                "round": step.round,
+                "targets_m": [list(target) for target in step.targets],
+                "peaks_m_s": list(step.peaks_m_s),
+                "separation_m": step.separation_m if step.separation_m < float("inf") else None,
+                "faults": list(step.faults),
+            }
+            for step in plan.steps
+        ],
+        "landing": [[{"robot": d.robot, "spot_m": list(d.spot)} for d in group] for group in plan.landing],
+        "formed": plan.result.formed,
+        "faults": plan.faults,
+    }
+
+
+def _plain(result: FlightResult) -> dict[str, Any]:
+    """Plain values for JSON."""
+    return {
+        "preflight": {
+            "passed": result.report.passed,
+            "connect_s": result.report.connect_s,
+            "failed": [str(c) for c in result.report.checks if not c.passed],
+        },
+        "summary": None if result.result is None else result.result.summary.to_dict(),
+    }

@@ -1,0 +1,89 @@
+"""The operator's keys in flight: one lands everybody, one cuts all motors."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+LAND_KEYS = frozenset("lL ")
+"""Keys that land everybody: l, or the space bar."""
+
+CUT_KEYS = frozenset("xX")
+"""Keys that cut all motors."""
+
+
+class Controllable(Protocol):
+    """What the keys act on."""
+
+    def abort(self) -> bool:
+        """Land everybody; whether there was a flight to end."""
+        ...
+
+    def emergency(self) -> bool:
+        """Cut all motors; whether there was a flight to end."""
+        ...
+
+
+class Keyboard:
+    """Listens to a terminal's keys and to signals while the event loop runs; leaves the terminal as it was.
+
+    Ctrl-C and SIGTERM land everybody, a second one cuts all motors. Before a flight begins they end the program.
+    Keys are listened to once the flight has begun: until then, what is typed is the answer to a question.
+
+    Args:
+        flight: what they act on.
+    """
+
+    def __init__(self, flight: Controllable) -> None:
+        self._flight = flight
+        self._told = 0
+        self._terminal: list[Any] | None = None
+
+    def __enter__(self) -> Self:
+        loop = asyncio.get_running_loop()
+        task = asyncio.current_task()
+        assert task is not None
+        self._task = task
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self._signalled)
+        return self
+
+    def listen(self) -> None:
+        """From now on keys are orders; nothing without a terminal."""
+        if not sys.stdin.isatty() or self._terminal is not None:
+            return
+        import termios
+        import tty
+
+        number = sys.stdin.fileno()
+        self._terminal = termios.tcgetattr(number)
+        tty.setcbreak(number)
+        asyncio.get_running_loop().add_reader(number, self._pressed)
+
+    def _pressed(self) -> None:
+        for key in os.read(sys.stdin.fileno(), 64).decode(errors="ignore"):
+            if key in CUT_KEYS:
+                self._flight.emergency()
+            elif key in LAND_KEYS:
+                self._flight.abort()
+
+    def _signalled(self) -> None:
+        self._told += 1
+        if self._told > 1:
+            self._flight.emergency()
+        elif not self._flight.abort():
+            self._task.cancel()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+        if self._terminal is not None:
+            import termios
+
+            loop.remove_reader(sys.stdin.fileno())
+            termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._terminal)

@@ -1,0 +1,191 @@
+"""What a robot's driver offers: the state of a body, and the few commands that a flight is made of.
+
+All positions are [m; world frame of the localisation system, z up], all times [s]. A driver holds its own limits and
+says what it really sent. Conformance checks that any driver must pass: `llm_flock.testing.robots`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from llm_flock.errors import FlockError, InputError
+
+Position: TypeAlias = tuple[float, float, float]
+
+PEAK_SPEED = 2.1875
+"""Highest over mean speed on a segment flown from rest to rest by a polynomial of degree 7 whose first three
+derivatives vanish at both ends, s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: its derivative at u = 1/2."""
+
+
+class RobotError(FlockError):
+    """A robot cannot do, or did not confirm, what it was told.
+
+    Attributes:
+        name: the robot's name.
+        what: what went wrong, in words.
+    """
+
+    def __init__(self, name: str, what: str) -> None:
+        self.name = name
+        self.what = what
+        super().__init__(f"{name}: {what}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotState:
+    """The newest that a driver knows of its robot.
+
+    Attributes:
+        position: the estimate that the robot itself flies by [m].
+        stamp_s: when that estimate came, on this process's `time.monotonic`; stands still when none come any more.
+        battery_v: [V]; None where the robot does not say.
+        link: share of packets that were acknowledged, in [0, 1]; None where the link does not say.
+        link_lost: the driver gave the link up; the robot gets no command any more. Never false again without `connect`.
+        armed: motors may turn.
+        flying: in the air, as far as the driver knows.
+        settled: the robot's estimator has converged.
+    """
+
+    position: Position
+    stamp_s: float
+    battery_v: float | None = None
+    link: float | None = None
+    link_lost: bool = False
+    armed: bool = False
+    flying: bool = False
+    settled: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Commanded:
+    """A set-point as it was really sent, after the driver's limits.
+
+    Attributes:
+        target: [m].
+        duration_s: time from rest to rest [s].
+    """
+
+    target: Position
+    duration_s: float
+
+
+class Robot(Protocol):
+    """One robot, driven. Commands return when they are sent, not when they are flown.
+
+    Every command raises `RobotError` where the robot is not connected, the link is lost or the robot refuses.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name in reports and errors."""
+        ...
+
+    async def connect(self, timeout_s: float) -> None:
+        """Open the link and wait for the first estimate.
+
+        Raises:
+            RobotError: not done within `timeout_s`, whatever the link's own library does.
+        """
+        ...
+
+    def state(self) -> RobotState:
+        """The newest state; never blocks, and still answers when the link is lost.
+
+        Raises:
+            RobotError: never connected.
+        """
+        ...
+
+    async def arm(self) -> None:
+        """Allow the motors to turn; returns when the robot says that it is armed."""
+        ...
+
+    async def take_off(self, height_m: float, duration_s: float) -> Commanded:
+        """Rise straight up to `height_m` (a z of the world frame) within `duration_s`."""
+        ...
+
+    async def go_to(self, target: Position, duration_s: float) -> Commanded:
+        """Fly the straight segment from the last set-point to `target`, arriving at rest after `duration_s`.
+
+        A target outside the driver's limits is brought nearer along the segment, never aside and never later: a
+        shorter way on the same line keeps what the shield promised for the whole of it.
+        """
+        ...
+
+    async def hold(self) -> None:
+        """Stop where the robot is, and stay there."""
+        ...
+
+    async def land(self, height_m: float, duration_s: float) -> None:
+        """Sink straight down to `height_m` within `duration_s`; the motors stop there."""
+        ...
+
+    async def stop_motors(self) -> bool:
+        """Emergency stop: cut the motors now, whatever the state; the robot falls.
+
+        Returns:
+            True when the robot confirmed it, False when no confirmation came in time.
+        """
+        ...
+
+    async def close(self) -> None:
+        """Close the link. Sends nothing to the robot; harmless when called twice or never connected."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What a driver never exceeds.
+
+    Attributes:
+        low: lowest corner of the geofence box [m].
+        high: highest corner of it [m].
+        max_speed_m_s: highest speed anywhere on a segment [m/s], the peak in its middle included.
+    """
+
+    low: Position = (-100.0, -100.0, -1.0)
+    high: Position = (100.0, 100.0, 100.0)
+    max_speed_m_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        if any(low > high for low, high in zip(self.low, self.high, strict=True)):
+            raise InputError("low", self.low, f"a corner below {self.high}")
+        if not self.max_speed_m_s > 0.0:
+            raise InputError("max_speed_m_s", self.max_speed_m_s, "a positive number")
+
+    def contains(self, position: Position) -> bool:
+        """Whether the position is within the box."""
+        return all(a <= x <= b for a, x, b in zip(self.low, position, self.high, strict=True))
+
+    def clip(self, start: Position, target: Position, duration_s: float) -> Commanded:
+        """The farthest point towards `target` that keeps the box and the speed, in the same duration.
+
+        From a start outside the box the target is clamped axis by axis first: coming back goes before keeping the line.
+
+        Raises:
+            InputError: a duration that is not positive.
+        """
+        if not duration_s > 0.0:
+            raise InputError("duration_s", duration_s, "a positive time")
+        if not self.contains(start):
+            clamped = (min(max(x, a), b) for a, x, b in zip(self.low, target, self.high, strict=True))
+            x, y, z = clamped
+            target = (x, y, z)
+        step = tuple(b - a for a, b in zip(start, target, strict=True))
+        length = sum(d * d for d in step) ** 0.5
+        share = 1.0
+        if length > 0.0:
+            share = min(1.0, self.max_speed_m_s * duration_s / (PEAK_SPEED * length))
+        for x, d, low, high in zip(start, step, self.low, self.high, strict=True):
+            if x + d > high >= x:
+                share = min(share, (high - x) / d)
+            elif x + d < low <= x:
+                share = min(share, (low - x) / d)
+        if share >= 1.0:
+            return Commanded(target=target, duration_s=duration_s)
+        # Rounding may put the point outside by one last digit: the box is closed.
+        near = [start[k] + share * step[k] for k in range(3)]
+        if self.contains(start):
+            near = [min(max(x, a), b) for a, x, b in zip(self.low, near, self.high, strict=True)]
+        return Commanded(target=(near[0], near[1], near[2]), duration_s=duration_s)

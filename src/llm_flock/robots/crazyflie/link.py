@@ -1,0 +1,300 @@
+"""One link to one Crazyflie: the only place that knows cflib, its threads and its traps.
+
+- cflib opens a link with callbacks and without a time limit: over UDP nothing is sent again, so that one lost packet
+  blocks it for ever. Here packets are sent again, and an attempt in which nothing comes for a while is given up.
+- cflib's `close_link` sends a set-point of no thrust first. In flight that would take the drone from its high-level
+  commander and drop it, so that set-point is not sent.
+- cflib notices a dead radio link, but not a silent UDP one: `silent_s` tells.
+- cflib's calls may block (a radio's queue holds one packet): they run in threads of their own, never on the event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from llm_flock.errors import InputError
+from llm_flock.robots.base import RobotError
+
+T = TypeVar("T")
+
+SILENCE_S = 1.0
+"""An attempt to open a link is given up when nothing came for so long [s]."""
+
+PAUSE_S = 0.1
+"""Between two attempts [s]."""
+
+SEND_S = 2.5
+"""The longest that sending one packet may block: cflib's radio driver gives up after 2 s."""
+
+HIGH_LEVEL_PORT = 8
+SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
+
+
+def library() -> Any:
+    """`cflib.crazyflie`, its link drivers ready.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        from cflib import crazyflie, crtp  # pyright: ignore[reportMissingTypeStubs]
+    except ImportError as error:
+        hint = "cflib, which is an extra: pip install 'llm-flock[crazyflie]'"
+        raise InputError("drone", str(error), hint) from None
+    drivers: Any = crtp
+    if not drivers.CLASSES:
+        drivers.init_drivers()
+    return crazyflie
+
+
+async def in_thread(call: Callable[[], T], timeout_s: float) -> T:
+    """Run a blocking call in a thread that nobody waits for when it hangs.
+
+    Raises:
+        TimeoutError: not done in time; the thread is left to itself.
+    """
+    loop = asyncio.get_running_loop()
+    future: asyncio.Future[T] = loop.create_future()
+
+    def settle(result: T | None, error: Exception | None) -> None:
+        if future.done():
+            return
+        if error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(result)  # pyright: ignore[reportArgumentType]
+
+    def work() -> None:
+        result: T | None = None
+        failure: Exception | None = None
+        try:
+            result = call()
+        except Exception as error:  # noqa: BLE001  # handed to the one who waits
+            failure = error
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(settle, result, failure)
+
+    threading.Thread(target=work, name="crazyflie", daemon=True).start()
+    return await asyncio.wait_for(future, timeout_s)
+
+
+class Link:
+    """One link, opened and closed once.
+
+    Args:
+        name: of the robot, for errors.
+        uri: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850` and so on.
+        cache: folder for the drone's tables; without one they are fetched at every connect.
+    """
+
+    def __init__(self, name: str, uri: str, cache: Path | None) -> None:
+        self.lost: str | None = None
+        self.quality: float | None = None
+        self._name = name
+        self._uri = uri
+        self._cache = cache
+        self._cf: Any = None
+        self._heard_s = 0.0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._answers: dict[int, asyncio.Future[int]] = {}
+
+    @property
+    def open(self) -> bool:
+        """Whether packets can be handed to it."""
+        return self._cf is not None and self._cf.link is not None
+
+    @property
+    def cf(self) -> Any:
+        """The `Crazyflie` of cflib.
+
+        Raises:
+            RobotError: the link is not open.
+        """
+        if not self.open:
+            raise RobotError(self._name, self.why_closed)
+        return self._cf
+
+    @property
+    def why_closed(self) -> str:
+        """Why nothing can be sent, in words."""
+        return f"the link is lost: {self.lost}" if self.lost else "is not connected"
+
+    def silent_s(self, now: float) -> float:
+        """How long nothing was heard [s]."""
+        return now - self._heard_s
+
+    # ------------------------------------------------------------ opening
+
+    async def connect(self, timeout_s: float, parameters: Mapping[str, float]) -> None:
+        """Open the link, fetch the tables, set the parameters; try again as often as time allows.
+
+        Raises:
+            RobotError: not done within `timeout_s`.
+        """
+        library()
+        self._loop = asyncio.get_running_loop()
+        end = time.monotonic() + timeout_s
+        attempts, why = 0, "no answer"
+        while True:
+            left = end - time.monotonic()
+            if left <= 0.0:
+                raise RobotError(
+                    self._name, f"not connected to {self._uri} in {timeout_s:g} s ({attempts} times): {why}"
+                )
+            attempts += 1
+            try:
+                await self._attempt(end, bool(parameters))
+                for name, value in parameters.items():
+                    await in_thread(lambda n=name, v=value: self.cf.param.set_value(n, v), end - time.monotonic())
+            except (TimeoutError, RobotError) as error:
+                why = error.what if isinstance(error, RobotError) else "no answer"
+                await self.close()
+                await asyncio.sleep(min(PAUSE_S, max(0.0, end - time.monotonic())))
+            except (KeyError, AttributeError) as error:
+                await self.close()
+                raise RobotError(self._name, f"a parameter cannot be set: {error}") from None
+            except BaseException:
+                await self.close()
+                raise
+            else:
+                return
+
+    async def _attempt(self, end: float, with_values: bool) -> None:
+        """One try to open the link, up to `end`.
+
+        Raises:
+            RobotError: it failed, or nothing came for too long.
+            TimeoutError: not done in time.
+        """
+        self.lost, self._heard_s = None, time.monotonic()
+        cf = self._cf = library().Crazyflie(rw_cache=str(self._cache) if self._cache else None)
+        cf.commander.send_setpoint = _nothing
+        ready = asyncio.Event()
+
+        def done(_uri: str) -> None:
+            self._call(ready.set)
+
+        (cf.fully_connected if with_values else cf.connected).add_callback(done)
+        for caller in (cf.connection_failed, cf.connection_lost, cf.disconnected_link_error):
+            caller.add_callback(self._lose)
+        cf.packet_received.add_callback(self._hear)
+        cf.link_statistics.link_quality_updated.add_callback(self._rate)
+        cf.add_port_callback(HIGH_LEVEL_PORT, self._answered)
+        await in_thread(lambda: cf.open_link(self._uri), end - time.monotonic())
+        if self._uri.startswith("udp://") and cf.link is not None:
+            cf.link.needs_resending = True
+        while not ready.is_set():
+            now = time.monotonic()
+            if self.lost is not None:
+                raise RobotError(self._name, self.lost)
+            if now >= end or self.silent_s(now) > SILENCE_S:
+                raise TimeoutError
+            try:
+                await asyncio.wait_for(ready.wait(), min(0.1, end - now))
+            except TimeoutError:
+                continue
+
+    async def log(
+        self, name: str, period_ms: int, variables: Mapping[str, str], take: Callable[[Mapping[str, float]], None]
+    ) -> None:
+        """Have variables logged.
+
+        Args:
+            name: of the block.
+            period_ms: of the packets, a multiple of 10.
+            variables: names and as what they travel.
+            take: called in cflib's thread with a dictionary of values.
+
+        Raises:
+            RobotError: the firmware does not know one of them.
+        """
+
+        def came(_stamp: int, data: dict[str, float], _block: object) -> None:
+            take(data)
+
+        block = library().log.LogConfig(name, period_ms)
+        for variable, kind in variables.items():
+            block.add_variable(variable, kind)
+        block.data_received_cb.add_callback(came)
+        try:
+            self.cf.log.add_config(block)
+        except KeyError as error:
+            raise RobotError(self._name, f"the firmware does not log {error}: update it") from None
+        await in_thread(block.start, SEND_S)
+
+    # ------------------------------------------------------------ sending
+
+    async def send(self, call: Callable[[Any], None]) -> None:
+        """Send something with cflib's `Crazyflie`.
+
+        Raises:
+            RobotError: the link is not open, or does not take the packet.
+        """
+        cf = self.cf
+        try:
+            await in_thread(lambda: call(cf), SEND_S)
+        except TimeoutError:
+            raise RobotError(self._name, "the link takes no packet") from None
+
+    async def ask(self, command: int, call: Callable[[Any], None], timeout_s: float) -> int | None:
+        """Send a command of the high-level commander and wait for its answer: 0, or the firmware's error.
+
+        Returns:
+            None when no answer came in time.
+        """
+        answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        self._answers[command] = answer
+        try:
+            await self.send(call)
+            return await asyncio.wait_for(answer, timeout_s)
+        except TimeoutError:
+            return None
+        finally:
+            self._answers.pop(command, None)
+
+    async def close(self) -> None:
+        """Close the link; the drone goes on with what it does."""
+        cf, self._cf = self._cf, None
+        if cf is None:
+            return
+
+        def shut() -> None:
+            # Before the link goes: this thread of cflib's sends through it without looking twice.
+            cf.link_statistics.stop()
+            cf.close_link()
+
+        await in_thread(shut, 10.0)
+
+    # ------------------------------------------------------------ called in cflib's threads
+
+    def _call(self, call: Callable[..., object], *arguments: object) -> None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(call, *arguments)
+
+    def _hear(self, _packet: object) -> None:
+        self._heard_s = time.monotonic()
+
+    def _lose(self, _uri: str, why: str) -> None:
+        self.lost = self.lost or (why.strip().splitlines() or ["link error"])[0]
+
+    def _rate(self, percent: float) -> None:
+        self.quality = min(1.0, max(0.0, percent / 100.0))
+
+    def _answered(self, packet: Any) -> None:
+        data = bytes(packet.data)
+        if len(data) >= 4:
+            self._call(self._settle, data[0], data[3])
+
+    def _settle(self, command: int, result: int) -> None:
+        answer = self._answers.get(command)
+        if answer is not None and not answer.done():
+            answer.set_result(result)
+
+
+def _nothing(*_: object) -> None:
+    """Instead of a set-point of no thrust."""

@@ -1,0 +1,262 @@
+"""A Crazyflie behind the protocol of `llm_flock.robots.base`."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from llm_flock.errors import InputError
+from llm_flock.robots.base import Commanded, Limits, Position, RobotError, RobotState
+from llm_flock.robots.crazyflie.link import SCHEMES, Link
+from llm_flock.robots.crazyflie.telemetry import (
+    ARMED,
+    FLYING,
+    LOCKED,
+    POSITION_LOG,
+    POSITION_PERIOD_MS,
+    VARIANCE_LOG,
+    VARIANCE_PERIOD_MS,
+    Telemetry,
+    says,
+)
+from llm_flock.robots.segment import Segment, stopping_point
+
+TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
+"""Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
+
+GO_TO_VERSION = 8
+"""Of the protocol: the first that knows `GO_TO`."""
+
+ANSWER_S = 0.2
+"""How long a command waits for its answer before it is sent again [s]."""
+
+ATTEMPTS = 4
+SHORTEST_S = 0.1
+"""Least duration of a command that is sent again [s]."""
+
+ARM_S = 2.0
+STOP_S = 1.0
+"""How long arming, and an emergency stop, are tried for [s]."""
+
+HOLD_S = 1.0
+"""Time in which a robot that shall hold comes to rest [s]."""
+
+REFUSED = 1
+"""The firmware's answer to a take-off of one that flies, and to a landing of one that lands."""
+
+
+class CrazyflieRobot:
+    """One Crazyflie. Commands are confirmed by the firmware, and sent again with what is left of their duration.
+
+    Args:
+        name: for reports and errors.
+        uri: where it is: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850`.
+        limits: what the driver never exceeds.
+        link_timeout_s: a link from which nothing came for so long is lost.
+        parameters: firmware parameters to set on connect, by `group.name`.
+        cache: folder for the drones' tables, which saves seconds at every connect but the first.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        uri: str,
+        *,
+        limits: Limits | None = None,
+        link_timeout_s: float = 1.0,
+        parameters: Mapping[str, float] | None = None,
+        cache: Path | None = None,
+    ) -> None:
+        if not uri.startswith(SCHEMES):
+            raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
+        self.uri = uri
+        self._name = name
+        self._limits = limits or Limits()
+        self._link_timeout_s = link_timeout_s
+        self._parameters = dict(parameters or {})
+        self._cache = cache
+        self._link = Link(name, uri, cache)
+        self._log = Telemetry()
+        self._connected = self._lost = self._aloft = False
+        self._set_point: Position | None = None
+        self._segment: tuple[Segment, float] | None = None
+        self._yaw = 0.0
+
+    @property
+    def name(self) -> str:
+        """The name in reports and errors."""
+        return self._name
+
+    # ------------------------------------------------------------ link and state
+
+    async def connect(self, timeout_s: float) -> None:
+        """Open the link and wait for the first estimate; a lost link is opened anew, also in flight.
+
+        Raises:
+            InputError: cflib is not installed.
+            RobotError: not done within `timeout_s`.
+        """
+        end = time.monotonic() + timeout_s
+        await self._link.close()
+        self._link, log = Link(self._name, self.uri, self._cache), Telemetry()
+        self._set_point, self._segment = None, None
+        await self._link.connect(timeout_s, self._parameters)
+        try:
+            await self._link.log(
+                "position", POSITION_PERIOD_MS, POSITION_LOG, lambda data: log.take_position(data, time.monotonic())
+            )
+            await self._link.log(
+                "variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, lambda data: log.take_variance(data, time.monotonic())
+            )
+            while log.position is None:
+                if time.monotonic() >= end:
+                    raise RobotError(self._name, f"no position within {timeout_s:g} s")
+                await asyncio.sleep(0.005)
+        except BaseException:
+            await self._link.close()
+            raise
+        self._log, self._connected, self._lost = log, True, False
+
+    def state(self) -> RobotState:
+        """The newest that was logged; the last that came where the link is lost."""
+        log, now = self._log, time.monotonic()
+        if not self._connected or log.position is None:
+            raise RobotError(self._name, "was never connected")
+        if self._link.lost is not None or self._link.silent_s(now) > self._link_timeout_s:
+            self._lost = True
+        return RobotState(
+            position=log.position,
+            stamp_s=log.stamp_s,
+            battery_v=log.battery_v,
+            link=0.0 if self._lost else self._link.quality,
+            link_lost=self._lost,
+            armed=bool(log.info & ARMED),
+            flying=bool(log.info & FLYING),
+            settled=log.settled(now),
+        )
+
+    async def close(self) -> None:
+        """Close the link; a drone in the air hovers on until its battery is empty."""
+        await self._link.close()
+
+    def _ready(self) -> RobotState:
+        """The state, of a robot whose link works.
+
+        Raises:
+            RobotError: not connected, or the link is lost.
+        """
+        if not self._connected or not self._link.open:
+            raise RobotError(self._name, self._link.why_closed)
+        state = self.state()
+        if state.link_lost:
+            raise RobotError(self._name, f"the link is lost: {self._link.lost or 'nothing comes any more'}")
+        return state
+
+    # ------------------------------------------------------------ flying
+
+    async def arm(self) -> None:
+        """Ask until the supervisor says that it is armed."""
+        end = time.monotonic() + ARM_S
+        while not self._ready().armed:
+            if time.monotonic() >= end:
+                raise RobotError(self._name, f"does not arm; its supervisor says: {says(self._log.info)}")
+            await self._link.send(lambda cf: cf.supervisor.send_arming_request(True))
+            await self._until(lambda: self.state().armed, min(0.2, max(0.0, end - time.monotonic())))
+
+    async def take_off(self, height_m: float, duration_s: float) -> Commanded:
+        """Rise straight up to `height_m`, keeping the yaw."""
+        start = self._ready().position
+        sent = self._limits.clip(start, (start[0], start[1], height_m), duration_s)
+        self._yaw, self._aloft = math.radians(self._log.yaw_deg), True
+        height = sent.target[2]
+        await self._command(TAKE_OFF, lambda cf, left: cf.takeoff(height, left, yaw=None), duration_s, "take-off")
+        return self._flies(start, sent)
+
+    async def go_to(self, target: Position, duration_s: float) -> Commanded:
+        """Fly the straight segment from the last set-point, keeping the yaw."""
+        state = self._ready()
+        if not self._aloft and not state.flying:
+            raise RobotError(self._name, "is not in the air")
+        start = self._set_point or state.position
+        sent = self._limits.clip(start, target, duration_s)
+        await self._go(sent.target, duration_s)
+        return self._flies(start, sent)
+
+    async def hold(self) -> None:
+        """Stop where the robot is."""
+        state = self._ready()
+        if not self._aloft and not state.flying:
+            return
+        stop: Position | None = state.position
+        if self._segment is not None:
+            segment, began = self._segment
+            stop = stopping_point(segment, time.monotonic() - began, HOLD_S)
+        if stop is not None:
+            await self._go(stop, HOLD_S)
+            self._segment, self._set_point = None, stop
+
+    async def land(self, height_m: float, duration_s: float) -> None:
+        """Sink straight down; tried even where the link is lost. One that stands on the ground stays there."""
+        if not self._connected:
+            self._ready()
+        if not self._aloft and not self.state().flying:
+            return
+        self._segment, self._set_point = None, None
+        await self._command(LAND, lambda cf, left: cf.land(height_m, left, yaw=None), duration_s, "landing")
+        self._aloft = False
+
+    async def stop_motors(self) -> bool:
+        """Emergency stop, sent again until the supervisor says that it is locked; tried even where the link is lost."""
+        end = time.monotonic() + STOP_S
+        while time.monotonic() < end and self._link.open:
+            try:
+                await self._link.send(lambda cf: cf.supervisor.send_emergency_stop())
+            except RobotError:
+                return False
+            if await self._until(lambda: bool(self._log.info & LOCKED), 0.06):
+                self._aloft = False
+                return True
+        return False
+
+    def _flies(self, start: Position, sent: Commanded) -> Commanded:
+        segment = Segment(start=start, target=sent.target, duration_s=sent.duration_s)
+        self._segment, self._set_point = (segment, time.monotonic()), sent.target
+        return sent
+
+    async def _go(self, target: Position, duration_s: float) -> None:
+        x, y, z = target
+        old = self._link.cf.platform.get_protocol_version() < GO_TO_VERSION
+        number = GO_TO_OLD if old else GO_TO
+        await self._command(number, lambda cf, left: cf.go_to(x, y, z, self._yaw, left), duration_s, "a way-point")
+
+    async def _command(self, number: int, send: Callable[[Any, float], None], duration_s: float, what: str) -> None:
+        """Send until the firmware answers; every time with what is left of the duration.
+
+        Raises:
+            RobotError: refused, or never answered.
+        """
+        began = time.monotonic()
+        for attempt in range(ATTEMPTS):
+            left = max(SHORTEST_S, duration_s - (time.monotonic() - began))
+            answer = await self._link.ask(number, lambda cf, left=left: send(cf.high_level_commander, left), ANSWER_S)
+            if answer == 0:
+                return
+            # Sent again because only the answer was lost: the robot does it already.
+            if answer == REFUSED and (number == LAND or (number == TAKE_OFF and attempt)):
+                return
+            if answer is not None:
+                said = says(self._log.info)
+                raise RobotError(self._name, f"refused {what} (answer {answer}); its supervisor says: {said}")
+        raise RobotError(self._name, f"did not confirm {what}, sent {ATTEMPTS} times")
+
+    async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() >= end:
+                return False
+            await asyncio.sleep(0.005)
+        return True

@@ -1,0 +1,88 @@
+"""What a Crazyflie's log packets say, as a state: sans-IO."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from llm_flock.robots.base import Position
+
+POSITION_LOG: Mapping[str, str] = MappingProxyType(
+    {
+        "stateEstimate.x": "float",
+        "stateEstimate.y": "float",
+        "stateEstimate.z": "float",
+        "stateEstimate.yaw": "FP16",
+        "pm.vbat": "FP16",
+        "supervisor.info": "uint16_t",
+    }
+)
+"""What is logged often, and as what it travels: 18 of the 26 bytes that a packet holds."""
+
+VARIANCE_LOG: Mapping[str, str] = MappingProxyType(
+    {"kalman.varPX": "float", "kalman.varPY": "float", "kalman.varPZ": "float"}
+)
+"""What is logged for `settled`."""
+
+POSITION_PERIOD_MS = 50
+VARIANCE_PERIOD_MS = 100
+
+SETTLED_SAMPLES = 10
+SETTLED_RANGE = 0.001
+"""The estimator has converged when the variance of no axis changed by more than this [m^2] over the last
+`SETTLED_SAMPLES` samples (the measure of cflib's `Swarm.reset_estimators`, over one second instead of five)."""
+
+CAN_ARM, ARMED, FLYING, TUMBLED, LOCKED, CRASHED = 0x01, 0x02, 0x10, 0x20, 0x40, 0x80
+"""Bits of `supervisor.info` (firmware: `src/modules/src/supervisor.c`)."""
+
+_NAMES = {
+    CAN_ARM: "can be armed",
+    ARMED: "armed",
+    FLYING: "flying",
+    TUMBLED: "tumbled",
+    LOCKED: "locked: restart it",
+    CRASHED: "crashed: recover it",
+}
+
+
+def says(info: int) -> str:
+    """What the supervisor says, in words."""
+    return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
+
+
+class Telemetry:
+    """The newest of everything that was logged. Written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self.position: Position | None = None
+        self.stamp_s = 0.0
+        self.yaw_deg = 0.0
+        self.battery_v: float | None = None
+        self.info = 0
+        self._variances: deque[tuple[float, float, float]] = deque(maxlen=SETTLED_SAMPLES)
+        self._variance_stamp_s = 0.0
+
+    def take_position(self, data: Mapping[str, float], now: float) -> None:
+        """One packet of `POSITION_LOG`, come at `now`."""
+        self.battery_v = float(data["pm.vbat"])
+        self.info = int(data["supervisor.info"])
+        self.yaw_deg = float(data["stateEstimate.yaw"])
+        self.position = (
+            float(data["stateEstimate.x"]),
+            float(data["stateEstimate.y"]),
+            float(data["stateEstimate.z"]),
+        )
+        self.stamp_s = now
+
+    def take_variance(self, data: Mapping[str, float], now: float) -> None:
+        """One packet of `VARIANCE_LOG`, come at `now`."""
+        self._variances.append((data["kalman.varPX"], data["kalman.varPY"], data["kalman.varPZ"]))
+        self._variance_stamp_s = now
+
+    def settled(self, now: float) -> bool:
+        """Whether the estimator has converged, and says so still."""
+        samples = list(self._variances)
+        if len(samples) < SETTLED_SAMPLES or now - self._variance_stamp_s > SETTLED_SAMPLES * VARIANCE_PERIOD_MS / 1e3:
+            return False
+        return all(max(axis) - min(axis) < SETTLED_RANGE for axis in zip(*samples, strict=True))

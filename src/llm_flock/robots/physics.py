@@ -1,0 +1,188 @@
+"""Drones with the dynamics of real Crazyflies: crazyflow's identified models and Mellinger's controller.
+
+The high-level commander, arming and faults are the point mass's; only where the body is comes from the physics, so that
+it lags behind its set-point as a real one does. Batteries, estimators and downwash are not modelled.
+crazyflow is an extra of more than a gigabyte (`pip install 'llm-flock[physics]'`), imported when a world is built;
+it wants SCIPY_ARRAY_API=1 in the environment from the start of the process.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from llm_flock.arrays import Points
+from llm_flock.errors import InputError
+from llm_flock.robots.base import Limits, Position
+from llm_flock.robots.point_mass import FALL_HEIGHT, PointMass
+from llm_flock.robots.simulated_robot import SimulatedRobot
+
+STEP_S = 0.01
+"""A new set-point so often, as from the firmware's high-level commander (`RATE_HL_COMMANDER`, 100 Hz)."""
+
+SUBSTEPS = 5
+"""Steps of the dynamics and the attitude controller in each of these, hence 500 Hz."""
+
+DRONE = "cf2x_L250"
+"""crazyflow's Crazyflie 2.1. Its Brushless, `cf21B_500`, flies 8 cm above its set-points: see docs/physics.md."""
+
+
+@dataclass(slots=True)
+class PhysicalBody(PointMass):
+    """A body whose place is the physics's while its motors turn.
+
+    Attributes:
+        world: that it is part of.
+        index: which one it is.
+    """
+
+    world: PhysicsWorld | None = None
+    index: int = 0
+
+    def position(self, now: float) -> Position:
+        """Where the body is [m]; in flight as of the last step of the world."""
+        self.advance(now)
+        return self._place() if self.flying else PointMass.position(self, now)
+
+    def _place(self) -> Position:
+        assert self.world is not None
+        x, y, z = self.world.positions[self.index].tolist()
+        return (x, y, z)
+
+    def _motors_off(self, now: float) -> None:
+        """From where the physics has it: onto the ground, or falling."""
+        if not self.flying:
+            return
+        x, y, z = self._place()
+        low = z < self.ground_m + FALL_HEIGHT
+        self.mode, self._segment = "idle", None
+        self._rest, self._fell = (x, y, self.ground_m if low else z), None if low else now
+
+    def _fly(self, segment: Any, mode: Any, now: float) -> None:
+        if self.world is not None and not self.flying:
+            self.world.place(self.index, self.position(now))
+        PointMass._fly(self, segment, mode, now)  # noqa: SLF001  # its own
+
+
+class PhysicsWorld:
+    """All drones of a flight in one simulation.
+
+    Time passes only in `run_until`. Between `__enter__` and `__exit__` a thread calls it, at the pace of `clock`.
+
+    Args:
+        homes: where they stand at first [m], one each; the ground is at z = 0.
+        drone: crazyflow's name of the kind of drone.
+        clock: what tells the time [s].
+
+    Attributes:
+        bodies: one a drone, to be given to `SimulatedRobot`.
+        positions: true positions at the last step, shape (n, 3) [m].
+        targets: set-points of the same moment, shape (n, 3) [m].
+
+    Raises:
+        InputError: crazyflow is not installed, or does not know the drone.
+    """
+
+    def __init__(
+        self, homes: Sequence[Position], *, drone: str = DRONE, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        try:
+            from crazyflow.control import Control  # pyright: ignore[reportMissingTypeStubs]
+            from crazyflow.sim import Sim  # pyright: ignore[reportMissingTypeStubs]
+        except ImportError:
+            raise InputError("physics", "not installed", "possible with: pip install 'llm-flock[physics]'") from None
+        except RuntimeError as error:
+            # It wants scipy's array API, which is chosen by the environment when scipy is first imported.
+            raise InputError("physics", str(error), "possible with SCIPY_ARRAY_API=1 in the environment") from None
+        simulation: Any = Sim
+        freq = round(SUBSTEPS / STEP_S)
+        try:
+            self._sim: Any = simulation(
+                n_drones=len(homes), drone=drone, control=Control.state, freq=freq, state_freq=freq // SUBSTEPS
+            )
+        except (ValueError, AssertionError, FileNotFoundError, KeyError) as error:
+            raise InputError("drone", drone, f"a kind of drone that crazyflow knows ({error})") from None
+        self.clock = clock
+        self.bodies = [PhysicalBody(home=home, world=self, index=k) for k, home in enumerate(homes)]
+        self.positions: Points = np.array(homes, dtype=np.float64)
+        self.targets: Points = self.positions.copy()
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self.time_s = clock()
+        self._write(self.positions)
+        self._warm_up()
+        self.time_s = clock()
+
+    def robot(self, index: int, name: str, limits: Limits | None = None) -> SimulatedRobot:
+        """A driver of one of the drones."""
+        body = self.bodies[index]
+        return SimulatedRobot(name, body.home, limits=limits, clock=self.clock, body=body)
+
+    def run_until(self, time_s: float) -> None:
+        """Let time pass, in steps of `STEP_S`."""
+        while self.time_s + STEP_S <= time_s:
+            with self._lock:
+                self._step()
+
+    def place(self, index: int, position: Position) -> None:
+        """Put one drone somewhere, at rest [m]."""
+        with self._lock:
+            self.positions[index] = position
+            self._write(self.positions, only=index)
+
+    def __enter__(self) -> PhysicsWorld:
+        self.time_s = self.clock()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self.run_until(self.clock())
+            self._stop.wait(STEP_S / 2.0)
+
+    def _step(self) -> None:
+        commands = np.zeros((1, len(self.bodies), 16), dtype=np.float32)
+        commands[0, :, 12] = 1.0  # no rotation
+        now = self.time_s
+        for k, body in enumerate(self.bodies):
+            body.advance(now)
+            # One on the ground holds its place there, so that its controller has nothing to correct when it starts.
+            rows = body.set_point(now) if body.flying else (body.position(now), (0.0,) * 3, (0.0,) * 3)
+            commands[0, k, :9] = np.concatenate(rows)
+        self._sim.state_control(commands)
+        self._sim.step(SUBSTEPS)
+        self.positions = np.array(self._sim.data.states.pos[0], dtype=np.float64)
+        self.targets = commands[0, :, :3].astype(np.float64)
+        self.time_s = now + STEP_S
+
+    def _write(self, positions: Points, only: int | None = None) -> None:
+        """Set positions in the simulation, of one drone or all, at rest."""
+        states = self._sim.data.states
+        chosen: Any = slice(None) if only is None else only
+        self._sim.data = self._sim.data.replace(
+            states=states.replace(
+                pos=states.pos.at[0, chosen].set(positions[chosen]),
+                vel=states.vel.at[0, chosen].set(0.0),
+                ang_vel=states.ang_vel.at[0, chosen].set(0.0),
+            )
+        )
+
+    def _warm_up(self) -> None:
+        """Compile now all that will be needed: it takes seconds."""
+        data, positions = self._sim.data, self.positions.copy()
+        for index in range(2):
+            self._step()
+            self.place(min(index, len(self.bodies) - 1), self.bodies[0].home)
+        self._step()
+        self._sim.data, self.positions = data, positions
+        self._step()

@@ -1,0 +1,212 @@
+"""A drone without dynamics: it follows its high-level commander exactly, and fails in ways that flights must survive.
+
+Sans-IO: every call is given the time. The simulated robot flies it in the process, the stand-in behind a UDP socket.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from llm_flock.robots.base import Position
+from llm_flock.robots.segment import Segment
+
+Mode: TypeAlias = Literal["idle", "flying", "landing"]
+
+GRAVITY = 9.81
+"""[m/s^2]"""
+
+PULL = 4.0
+"""How fast a robot whose estimate is suddenly off flies back to where it believes its set-point to be [1/s]."""
+
+FALL_HEIGHT = 0.1
+"""A landing that ends lower than this [m] ends on the ground."""
+
+SETTLED_VARIANCE = 1e-5
+"""Of each axis of the position, while the localisation works [m^2]."""
+
+STALL_GROWTH = 0.05
+"""How fast that variance grows once the localisation is gone [m^2/s]."""
+
+REFUSED = 1
+"""What the firmware answers to a command that makes no sense now."""
+
+BUSY = 16
+"""What the firmware answers while motors may not run (EBUSY)."""
+
+
+@dataclass(slots=True, kw_only=True)
+class PointMass:
+    """One body. `estimate` is what the robot believes, `position` where it is.
+
+    Attributes:
+        home: where it stands at first [m].
+        ground_m: height of the ground [m].
+        auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
+        battery_v: [V]; a number that stays until somebody changes it.
+        drain_v_s: how fast the battery empties in flight [V/s].
+    """
+
+    home: Position
+    ground_m: float = 0.0
+    auto_arm: bool = False
+    battery_v: float = 4.0
+    drain_v_s: float = 0.0
+    mode: Mode = field(default="idle", init=False)
+    armed: bool = field(default=False, init=False)
+    locked: bool = field(default=False, init=False)
+    _segment: Segment | None = field(default=None, init=False)
+    _began: float = field(default=0.0, init=False)
+    _rest: Position = field(init=False)
+    _fell: float | None = field(default=None, init=False)
+    _offset: Position = field(default=(0.0, 0.0, 0.0), init=False)
+    _error: Position = field(default=(0.0, 0.0, 0.0), init=False)
+    _error_at: float = field(default=0.0, init=False)
+    _stalled: tuple[float, Position] | None = field(default=None, init=False)
+    _drained: float | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._rest = self.home
+        self.armed = self.auto_arm
+
+    # ------------------------------------------------------------ where it is
+
+    @property
+    def flying(self) -> bool:
+        """Motors turn."""
+        return self.mode != "idle"
+
+    def advance(self, now: float) -> None:
+        """Let time pass: a landing ends, a battery drains."""
+        if self._drained is not None and self.flying:
+            self.battery_v = max(0.0, self.battery_v - self.drain_v_s * (now - self._drained))
+        self._drained = now
+        if self.mode == "landing" and self._segment is not None:
+            down = self._began + self._segment.duration_s
+            if now >= down:
+                self._motors_off(down)
+        if self._fell is not None and self._height(now) <= self.ground_m:
+            self._rest = (self._rest[0], self._rest[1], self.ground_m)
+            self._fell = None
+
+    def position(self, now: float) -> Position:
+        """Where the body is [m]."""
+        self.advance(now)
+        if self._segment is None:
+            return (self._rest[0], self._rest[1], self._height(now))
+        believed, _, _ = self._segment.at(now - self._began)
+        left = math.exp(-PULL * max(0.0, now - self._error_at))
+        x, y, z = (b - o + left * e for b, o, e in zip(believed, self._offset, self._error, strict=True))
+        return (x, y, max(z, self.ground_m))
+
+    def estimate(self, now: float) -> Position:
+        """Where the robot believes that it is [m]."""
+        if self._stalled is not None:
+            return self._stalled[1]
+        x, y, z = (p + o for p, o in zip(self.position(now), self._offset, strict=True))
+        return (x, y, z)
+
+    def variance(self, now: float) -> float:
+        """Of the estimate, one axis [m^2]."""
+        return SETTLED_VARIANCE + (0.0 if self._stalled is None else STALL_GROWTH * (now - self._stalled[0]))
+
+    def _height(self, now: float) -> float:
+        if self._fell is None:
+            return self._rest[2]
+        return max(self.ground_m, self._rest[2] - GRAVITY * (now - self._fell) ** 2 / 2.0)
+
+    # ------------------------------------------------------------ what it is told
+
+    def arm(self, wanted: bool) -> bool:
+        """Returns whether it is as wanted."""
+        if self.locked or (wanted and self.flying):
+            return not wanted
+        self.armed = wanted
+        return True
+
+    def take_off(self, height_m: float, duration_s: float, now: float) -> int:
+        """0, or why not."""
+        self.advance(now)
+        if not self.armed:
+            return BUSY
+        if self.mode != "idle":
+            return REFUSED
+        x, y, z = self.estimate(now)
+        self._fly(Segment(start=(x, y, z), target=(x, y, height_m), duration_s=duration_s), "flying", now)
+        return 0
+
+    def go_to(self, target: Position, duration_s: float, now: float) -> int:
+        """0, or why not. From the last set-point with its velocity, as the firmware plans it."""
+        self.advance(now)
+        if not self.armed:
+            return BUSY
+        self._fly(self._from_here(target, duration_s, now), "flying", now)
+        return 0
+
+    def land(self, height_m: float, duration_s: float, now: float) -> int:
+        """0, or why not."""
+        self.advance(now)
+        if not self.armed:
+            return BUSY
+        if self.mode == "landing":
+            return REFUSED
+        start, _, _ = self.set_point(now)
+        self._fly(Segment(start=start, target=(*start[:2], height_m), duration_s=duration_s), "landing", now)
+        return 0
+
+    def stop(self, now: float) -> int:
+        """The high-level commander's stop: motors off, and the body falls."""
+        self.advance(now)
+        self._motors_off(now)
+        return 0
+
+    def emergency_stop(self, now: float) -> None:
+        """Motors off until it is started anew."""
+        self.stop(now)
+        self.locked, self.armed = True, False
+
+    def set_point(self, now: float) -> tuple[Position, Position, Position]:
+        """Where the high-level commander wants it: position [m], velocity [m/s], acceleration [m/s^2]."""
+        if self._segment is None:
+            return self.estimate(now), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        return self._segment.at(now - self._began)
+
+    def _from_here(self, target: Position, duration_s: float, now: float) -> Segment:
+        at, velocity, acceleration = self.set_point(now)
+        return Segment(start=at, target=target, duration_s=duration_s, velocity=velocity, acceleration=acceleration)
+
+    def _fly(self, segment: Segment, mode: Mode, now: float) -> None:
+        here = self.position(now)
+        self._segment, self._began, self.mode, self._fell = segment, now, mode, None
+        self._set_error(here, now)
+
+    def _set_error(self, here: Position, now: float) -> None:
+        """What remains between the body and where its set-point wants it."""
+        believed, _, _ = self.set_point(now)
+        x, y, z = (p + o - b for p, o, b in zip(here, self._offset, believed, strict=True))
+        self._error, self._error_at = (x, y, z), now
+
+    def _motors_off(self, now: float) -> None:
+        if self._segment is None:
+            return
+        mode, self.mode = self.mode, "idle"
+        self._rest = self.position(now)
+        if mode == "landing" and self._rest[2] < self.ground_m + FALL_HEIGHT:
+            self._rest = (self._rest[0], self._rest[1], self.ground_m)
+        self._segment = None
+        self._fell = now if self._rest[2] > self.ground_m else None
+
+    # ------------------------------------------------------------ what goes wrong
+
+    def jump(self, offset: Position, now: float) -> None:
+        """The estimate is off by that much from now on [m]; in flight the body then follows its wrong belief."""
+        here = self.position(now)
+        x, y, z = (a + b for a, b in zip(self._offset, offset, strict=True))
+        self._offset = (x, y, z)
+        if self._segment is not None:
+            self._set_error(here, now)
+
+    def stall(self, now: float, stalled: bool = True) -> None:
+        """The estimate stands still from now on, and its variance grows; or works again."""
+        self._stalled = (now, self.estimate(now)) if stalled else None

@@ -1,0 +1,166 @@
+"""A simulated robot behind the protocol of `llm_flock.robots.base`: for tests of flights, and for trying one out."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from llm_flock.robots.base import Commanded, Limits, Position, RobotError, RobotState
+from llm_flock.robots.point_mass import PointMass
+from llm_flock.robots.segment import Segment, stopping_point
+
+HOLD_S = 1.0
+"""Time in which a robot that shall hold comes to rest [s]."""
+
+
+class SimulatedRobot:
+    """One point mass in this process.
+
+    Args:
+        name: for reports and errors.
+        home: where it stands at first [m].
+        limits: what the driver never exceeds.
+        clock: what tells the time [s].
+        body: the point mass itself, for tests that make it fail; built from `home` where none is given.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        home: Position,
+        *,
+        limits: Limits | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        body: PointMass | None = None,
+    ) -> None:
+        self.body = body or PointMass(home=home)
+        self._name = name
+        self._limits = limits or Limits()
+        self._clock = clock
+        self._set_point = home
+        self._segment: tuple[Segment, float] | None = None
+        self._seen: RobotState | None = None
+        self._open = False
+        self._lost = False
+
+    @property
+    def name(self) -> str:
+        """The name in reports and errors."""
+        return self._name
+
+    async def connect(self, timeout_s: float) -> None:
+        """Open the link; a simulated one opens at once, unless it was made to fail with `lose_link`."""
+        if self._lost:
+            await asyncio.sleep(timeout_s)
+            raise RobotError(self._name, f"no answer within {timeout_s:g} s")
+        self._open = True
+        self._set_point = self.body.estimate(self._clock())
+        self._look()
+
+    def state(self) -> RobotState:
+        """The newest state; the last one that came where the link is lost."""
+        if self._seen is None:
+            raise RobotError(self._name, "was never connected")
+        if self._open and not self._lost:
+            return self._look()
+        return self._seen
+
+    def _look(self) -> RobotState:
+        now = self._clock()
+        self._seen = RobotState(
+            position=self.body.estimate(now),
+            stamp_s=now,
+            battery_v=self.body.battery_v,
+            link=1.0,
+            armed=self.body.armed,
+            flying=self.body.flying,
+            settled=self.body.variance(now) < 0.001,
+        )
+        return self._seen
+
+    async def arm(self) -> None:
+        """Allow the motors to turn."""
+        self._need_link()
+        if not self.body.arm(True):
+            raise RobotError(self._name, "cannot be armed: it is locked, or flies")
+
+    async def take_off(self, height_m: float, duration_s: float) -> Commanded:
+        """Rise straight up to `height_m`."""
+        self._need_link()
+        now = self._clock()
+        start = self.body.estimate(now)
+        sent = self._limits.clip(start, (start[0], start[1], height_m), duration_s)
+        self._need_success(self.body.take_off(sent.target[2], duration_s, now), "take-off")
+        return self._fly(start, sent, now)
+
+    async def go_to(self, target: Position, duration_s: float) -> Commanded:
+        """Fly the straight segment from the last set-point."""
+        self._need_link()
+        if not self.body.flying:
+            raise RobotError(self._name, "is not in the air")
+        now = self._clock()
+        sent = self._limits.clip(self._set_point, target, duration_s)
+        self._need_success(self.body.go_to(sent.target, duration_s, now), "a way-point")
+        return self._fly(self._set_point, sent, now)
+
+    async def hold(self) -> None:
+        """Stop where the robot is."""
+        self._need_link()
+        if self._segment is None or not self.body.flying:
+            return
+        segment, began = self._segment
+        now = self._clock()
+        stop = stopping_point(segment, now - began, HOLD_S)
+        if stop is not None:
+            self._need_success(self.body.go_to(stop, HOLD_S, now), "a stop")
+            self._segment, self._set_point = None, stop
+
+    async def land(self, height_m: float, duration_s: float) -> None:
+        """Sink straight down; one that stands on the ground stays there."""
+        self._need_link()
+        if self.body.flying:
+            self._need_success(self.body.land(height_m, duration_s, self._clock()), "landing")
+            self._segment = None
+
+    async def stop_motors(self) -> bool:
+        """Cut the motors; confirmed at once while there is a link."""
+        if not self._open or self._lost:
+            return False
+        self.body.emergency_stop(self._clock())
+        return True
+
+    async def close(self) -> None:
+        """Close the link; the body goes on with what it does."""
+        self._open = False
+
+    def lose_link(self) -> None:
+        """For tests: nothing gets through any more, in either direction."""
+        if self._seen is not None and not self._lost:
+            seen = self._look()
+            self._seen = RobotState(
+                position=seen.position,
+                stamp_s=seen.stamp_s,
+                battery_v=seen.battery_v,
+                link=0.0,
+                link_lost=True,
+                armed=seen.armed,
+                flying=seen.flying,
+                settled=seen.settled,
+            )
+        self._lost = True
+
+    def _fly(self, start: Position, sent: Commanded, now: float) -> Commanded:
+        self._segment = (Segment(start=start, target=sent.target, duration_s=sent.duration_s), now)
+        self._set_point = sent.target
+        return sent
+
+    def _need_link(self) -> None:
+        if not self._open:
+            raise RobotError(self._name, "is not connected")
+        if self._lost:
+            raise RobotError(self._name, "the link is lost")
+
+    def _need_success(self, answer: int, what: str) -> None:
+        if answer:
+            raise RobotError(self._name, f"refused {what} (answer {answer})")

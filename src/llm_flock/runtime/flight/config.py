@@ -1,0 +1,259 @@
+"""The flight file: a run's configuration, where it is in the world, who flies it, and what keeps it safe."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from llm_flock.errors import InputError
+from llm_flock.robots.base import PEAK_SPEED, Limits, Position
+from llm_flock.runtime.config import RunConfig, Section
+from llm_flock.runtime.flight.frame import Frame, middle
+
+Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
+
+NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
+"""Fields of a run that mean nothing where real things happen to real bodies."""
+
+ROUNDING_M = 1e-6
+"""Lengths this much beyond a limit are still within it [m]."""
+
+
+def _length(default: float, description: str) -> float:
+    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
+
+
+def _seconds(default: float, description: str) -> float:
+    return Field(default=default, gt=0, le=3600, allow_inf_nan=False, description=f"{description} [s]")
+
+
+class WorldConfig(Section):
+    """Where the mission is in the world of the localisation system, z up."""
+
+    scale_m: float = _length(0.1, "One mission unit")
+    stretch: float = Field(
+        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: z is scaled so much more"
+    )
+    yaw_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
+    )
+    origin_m: tuple[Metres, Metres] = Field(
+        default=(0.0, 0.0), description="Where the middle of the arena is in the world, x and y [m]"
+    )
+    altitude_m: float = _length(1.0, "z of a mission in the plane, or of the middle of the arena")
+    floor_m: Metres = Field(default=0.0, description="z of the floor [m]")
+    geofence: tuple[tuple[Metres, Metres, Metres], tuple[Metres, Metres, Metres]] = Field(
+        default=((-6.0, -6.0, -0.5), (6.0, 6.0, 2.5)),
+        description="Lower and upper corner of the box that nobody leaves, in the world [m]",
+    )
+
+
+class Drone(Section):
+    """One robot of the fleet."""
+
+    name: str = Field(min_length=1, max_length=64, description="Its name in reports")
+    uri: str | None = Field(default=None, description="Its address: radio://... or udp://...")
+    start: tuple[Metres, ...] | None = Field(
+        default=None, min_length=2, max_length=3, description="Where it stands before take-off, x, y and z [m]"
+    )
+    parameters: dict[str, float] = Field(
+        default_factory=dict, description="Firmware parameters to set when connecting, by group.name"
+    )
+
+
+class FleetConfig(Section):
+    """Who flies: robot 0 of the mission is the first drone, and so on."""
+
+    robot: str = Field(
+        default="simulated", description="Driver: simulated, crazyflie, physics, or package.module:function"
+    )
+    drones: tuple[Drone, ...] = Field(default=(), description="The drones, in the order of the mission's robots")
+    crazyflies: str | None = Field(
+        default=None, description="Crazyswarm2's crazyflies.yaml with the drones, instead of a list of them"
+    )
+    cache: str | None = Field(
+        default=None, description="Folder for the drones' tables: connecting is faster from the second time on"
+    )
+    take_off_group: int = Field(default=1, ge=1, le=1000, description="Drones that take off at once")
+    connect_s: float = _seconds(10.0, "Longest wait for a connection")
+    deadman: bool = Field(default=True, description="A process apart lands the drones where this one dies or hangs")
+    deadman_s: float = _seconds(1.5, "Silence of the flight process after which the deadman takes over")
+
+    @property
+    def watched(self) -> bool:
+        """Whether a deadman is started: drones that are part of the flight process end with it."""
+        return self.deadman and self.robot not in ("simulated", "physics")
+
+
+class SafetyConfig(Section):
+    """What is kept, what is watched, and how soon something is done about it."""
+
+    min_separation_m: float = _length(0.2, "Smallest distance of two drones side by side, centre to centre")
+    downwash_m: float = _length(0.6, "Smallest distance of two drones above each other")
+    tracking_m: float = _length(0.05, "Largest distance of a drone from its moving set-point")
+    max_speed_m_s: float = Field(
+        default=1.0, gt=0, le=20, allow_inf_nan=False, description="Highest speed of a set-point [m/s]"
+    )
+    round_s: float = _seconds(3.0, "Time of each motion, from rest to rest")
+    settle_s: float = _seconds(1.0, "Longest wait after a motion for the drones to be where they were sent")
+    take_off_s: float = _seconds(2.5, "Time of a take-off")
+    land_s: float = _seconds(3.0, "Time of a landing")
+    start_tolerance_m: float = _length(0.15, "Preflight: largest distance from the given start position")
+    ready_battery_v: float = Field(default=3.8, ge=0, le=100, description="Preflight: lowest battery voltage [V]")
+    ready_link: float = Field(default=0.7, ge=0, le=1, description="Preflight: lowest share of acknowledged packets")
+    low_battery_v: float = Field(default=3.2, ge=0, le=100, description="In flight: below it, everybody lands [V]")
+    low_battery_s: float = _seconds(1.0, "So long the battery must be low")
+    stall_s: float = _seconds(0.5, "Oldest position estimate")
+    jump_m: float = _length(0.3, "A position estimate may be so much farther from the last than a drone flies")
+    off_course_s: float = _seconds(0.5, "So long a drone may be farther than tracking_m from its set-point")
+    cut_outside_m: float = _length(1.0, "A drone so far outside the geofence has its motors cut")
+    silent_rounds: int = Field(
+        default=3, ge=1, le=1000, description="Rounds on end without an answer of a drone's model: everybody lands"
+    )
+    think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
+    max_flight_s: float = _seconds(240.0, "Everybody lands after so long in the air")
+    reach_s: float = _seconds(15.0, "So long a drone that is out of reach is called again to land it")
+
+
+class FlightConfig(RunConfig):
+    """Everything that defines a flight.
+
+    Raises:
+        InputError: what is asked for cannot be flown safely, or not within the given limits.
+    """
+
+    world: WorldConfig = Field(default_factory=WorldConfig)
+    fleet: FleetConfig = Field(default_factory=FleetConfig)
+    safety: SafetyConfig = Field(default_factory=SafetyConfig)
+
+    @model_validator(mode="after")
+    def _check_flight(self) -> Self:
+        for field in NOT_IN_FLIGHT:
+            if getattr(self.trial, field):
+                raise InputError(field, getattr(self.trial, field), "nothing in a flight")
+        if not self.protocol.shield:
+            raise InputError("shield", self.protocol.shield, "on in a flight, whatever the protocol")
+        self._check_drones()
+        self._check_distances()
+        self._check_speed()
+        self._check_fence()
+        return self
+
+    def _check_drones(self) -> None:
+        drones, n = self.fleet.drones, self.mission.n_robots
+        if drones and self.fleet.crazyflies is not None:
+            raise InputError("drones", f"{len(drones)} drones", "either drones, or crazyflies")
+        if drones and len(drones) != n:
+            raise InputError("drones", f"{len(drones)} drones", f"one for each of the mission's {n} robots")
+        for field in ("name", "uri"):
+            given = [value for drone in drones if (value := getattr(drone, field)) is not None]
+            twice = next((value for value in given if given.count(value) > 1), None)
+            if twice is not None:
+                raise InputError("drones", twice, f"a {field} for each drone; this one is there twice")
+        starts = {drone.name: (drone.start[0], drone.start[1]) for drone in drones if drone.start is not None}
+        names = list(starts)
+        for k, one in enumerate(names):
+            for two in names[:k]:
+                apart = math.dist(starts[one], starts[two])
+                if apart < self.safe_distance_m - ROUNDING_M:
+                    raise InputError(
+                        "drones",
+                        f"{two} and {one}",
+                        f"starts at least {self.safe_distance_m:g} m apart, the safe distance (here {apart:.3f} m)",
+                    )
+
+    def _check_distances(self) -> None:
+        """The safe distance contains what may not be less, and twice what a drone may be off its set-point."""
+        safety, world = self.safety, self.world
+        least = safety.min_separation_m + 2 * safety.tracking_m
+        if self.safe_distance_m < least - ROUNDING_M:
+            raise InputError(
+                "safe_distance",
+                self.mission.safe_distance,
+                f"at least {least / world.scale_m:g} units: min_separation_m + 2 tracking_m = {least:g} m, and one "
+                f"unit is {world.scale_m:g} m (here {self.safe_distance_m:g} m)",
+            )
+        above = safety.downwash_m + 2 * safety.tracking_m
+        if self.mission.dim == 3 and self.safe_distance_m * world.stretch < above - ROUNDING_M:
+            raise InputError(
+                "stretch",
+                world.stretch,
+                f"at least {above / self.safe_distance_m:.3g}, so that nobody flies in another's downwash: "
+                f"downwash_m + 2 tracking_m = {above:g} m above each other",
+            )
+
+    def _check_speed(self) -> None:
+        steepest = self.world.stretch if self.mission.dim == 3 else 1.0
+        longest = self.mission.max_step * self.world.scale_m * steepest
+        least = PEAK_SPEED * longest / self.safety.max_speed_m_s
+        if self.safety.round_s < least - ROUNDING_M:
+            raise InputError(
+                "round_s",
+                self.safety.round_s,
+                f"at least {least:.3g} s: a step of {longest:g} m from rest to rest is {PEAK_SPEED:g} times as fast in "
+                f"its middle as on average, and the limit is {self.safety.max_speed_m_s:g} m/s",
+            )
+
+        height = self.world.altitude_m - self.world.floor_m
+        if height <= 0:
+            raise InputError("altitude_m", self.world.altitude_m, f"above the floor at z = {self.world.floor_m:g} m")
+        least = PEAK_SPEED * height / self.safety.max_speed_m_s
+        for field in ("take_off_s", "land_s"):
+            if getattr(self.safety, field) < least - ROUNDING_M:
+                raise InputError(
+                    field,
+                    getattr(self.safety, field),
+                    f"at least {least:.3g} s for {height:g} m at no more than {self.safety.max_speed_m_s:g} m/s",
+                )
+
+    def _check_fence(self) -> None:
+        low, high = self.world.geofence
+        if any(a >= b for a, b in zip(low, high, strict=True)):
+            raise InputError("geofence", self.world.geofence, "two corners, each number of the first one lower")
+        inner_low, inner_high = self.inner_fence
+        for corner in self.frame.corners(self.mission):
+            if not all(
+                a - ROUNDING_M <= x <= b + ROUNDING_M for a, x, b in zip(inner_low, corner, inner_high, strict=True)
+            ):
+                x, y, z = corner
+                raise InputError(
+                    "geofence",
+                    self.world.geofence,
+                    f"the arena of the mission in it, and tracking_m = {self.safety.tracking_m:g} m around it: a "
+                    f"corner of the arena is at ({x:.3g}, {y:.3g}, {z:.3g}) m",
+                )
+        if self.world.floor_m < low[2]:
+            raise InputError("floor_m", self.world.floor_m, f"within the geofence, which begins at z = {low[2]:g} m")
+
+    @property
+    def safe_distance_m(self) -> float:
+        """The safe distance in the plane [m]."""
+        return self.mission.safe_distance * self.world.scale_m
+
+    @property
+    def inner_fence(self) -> tuple[Position, Position]:
+        """The box for set-points: a drone that is off by the tracking error is still within the geofence [m]."""
+        margin = self.safety.tracking_m
+        (a, b, c), (x, y, z) = self.world.geofence
+        return (a + margin, b + margin, c + margin), (x - margin, y - margin, z - margin)
+
+    @property
+    def frame(self) -> Frame:
+        """Where the mission is in the world."""
+        world = self.world
+        return Frame(
+            anchor=middle(self.mission),
+            scale_m=world.scale_m,
+            stretch=world.stretch if self.mission.dim == 3 else 1.0,
+            yaw=math.radians(world.yaw_deg),
+            origin=world.origin_m,
+            altitude_m=world.altitude_m,
+        )
+
+    @property
+    def driver_limits(self) -> Limits:
+        """What the drivers hold to by themselves, as a last gate behind the checks of the flight."""
+        low, high = self.world.geofence
+        return Limits(low=low, high=high, max_speed_m_s=1.001 * self.safety.max_speed_m_s)

@@ -1,0 +1,122 @@
+"""Builds the drones of a flight from its file: which driver, which addresses, where they stand."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeAlias, cast
+
+from llm_flock.errors import InputError
+from llm_flock.robots.base import Position, Robot
+from llm_flock.robots.simulated import draw_start
+from llm_flock.runtime.config import build_config_of
+from llm_flock.runtime.flight.config import Drone, FlightConfig
+from llm_flock.runtime.seeds import Stream, stream
+
+Driver: TypeAlias = Callable[[FlightConfig, Sequence[Drone]], Sequence[Robot]]
+"""Makes the robots of a flight, one for each drone, in their order."""
+
+
+def with_drones(config: FlightConfig) -> FlightConfig:
+    """The same flight with all its drones named.
+
+    They are those of the flight file, or of `crazyflies.yaml`; where there are none, they stand where the seed says.
+
+    Raises:
+        InputError: the file cannot be used, or has another number of drones than the mission.
+    """
+    if config.fleet.drones:
+        return config
+    found: list[dict[str, object]]
+    if config.fleet.crazyflies is not None:
+        from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
+
+        found = [
+            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": dict(drone.parameters)}
+            for drone in read_crazyflies(Path(config.fleet.crazyflies))
+        ]
+    else:
+        rows = draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START)).tolist()
+        places = [config.frame.to_world(tuple(row)) for row in rows]
+        found = [{"name": f"drone{robot}", "start": place[:2]} for robot, place in enumerate(places)]
+    fleet = config.fleet.model_dump(exclude={"drones", "crazyflies"})
+    base = {**config.model_dump(exclude={"fleet"}), "fleet": {**fleet, "drones": found}}
+    return build_config_of(FlightConfig, base)
+
+
+def build_fleet(config: FlightConfig) -> Sequence[Robot]:
+    """The robots of a flight; nobody is connected yet.
+
+    Raises:
+        InputError: there is no such driver, or it cannot make these drones.
+    """
+    wanted = config.fleet.drones
+    if not wanted:
+        raise InputError("drones", "none", "one for each robot of the mission")
+    robots = _driver(config.fleet.robot)(config, wanted)
+    if len(robots) != len(wanted):
+        raise InputError("robot", config.fleet.robot, f"a driver that makes {len(wanted)} robots (here {len(robots)})")
+    return robots
+
+
+def start_of(config: FlightConfig, drone: Drone) -> Position:
+    """Where a drone stands before take-off [m].
+
+    Raises:
+        InputError: the file does not say it.
+    """
+    if drone.start is None:
+        raise InputError("drones", drone.name, "a start for each drone of this driver")
+    return (drone.start[0], drone.start[1], config.world.floor_m if len(drone.start) < 3 else drone.start[2])
+
+
+def _simulated(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+    from llm_flock.robots.point_mass import PointMass
+    from llm_flock.robots.simulated_robot import SimulatedRobot
+
+    robots: list[Robot] = []
+    for drone in wanted:
+        home = start_of(config, drone)
+        body = PointMass(home=home, ground_m=config.world.floor_m)
+        robots.append(SimulatedRobot(drone.name, home, limits=config.driver_limits, body=body))
+    return robots
+
+
+def _crazyflie(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+    from llm_flock.robots.crazyflie import CrazyflieRobot
+
+    cache = None if config.fleet.cache is None else Path(config.fleet.cache)
+    robots: list[Robot] = []
+    for drone in wanted:
+        if drone.uri is None:
+            raise InputError("drones", drone.name, "a uri for each Crazyflie, such as radio://0/80/2M/E7E7E7E701")
+        robots.append(
+            CrazyflieRobot(drone.name, drone.uri, limits=config.driver_limits, parameters=drone.parameters, cache=cache)
+        )
+    return robots
+
+
+def _physics(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+    from llm_flock.robots.physics import PhysicsWorld
+
+    if config.world.floor_m != 0.0:
+        raise InputError("floor_m", config.world.floor_m, "0 in physics")
+    world = PhysicsWorld([start_of(config, drone) for drone in wanted])
+    world.__enter__()  # its thread ends with the process: a flight is all that this process does
+    return [world.robot(k, drone.name, config.driver_limits) for k, drone in enumerate(wanted)]
+
+
+_DRIVERS: dict[str, Driver] = {"simulated": _simulated, "crazyflie": _crazyflie, "physics": _physics}
+
+
+def _driver(name: str) -> Driver:
+    if name in _DRIVERS:
+        return _DRIVERS[name]
+    module, colon, function = name.partition(":")
+    if not colon:
+        raise InputError("robot", name, f"{', '.join(_DRIVERS)}, or package.module:function")
+    try:
+        return cast("Driver", getattr(importlib.import_module(module), function))
+    except (ImportError, AttributeError) as error:
+        raise InputError("robot", name, f"a function that can be imported ({error})") from None

@@ -1,0 +1,89 @@
+"""What a flight writes down: events, samples of every body, and the figures made of them."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from llm_flock import metrics
+from llm_flock.record.schema import BodySample, FlightEvent
+from llm_flock.record.writer import RecordSink
+from llm_flock.robots.base import Position, RobotState
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.setpoints import Motion, squeezed
+
+SAMPLE_S = 0.1
+"""Time between two samples in the record [s]."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Figures:
+    """Running figures of a flight; distances of drones in the air only."""
+
+    nearest_m: float = math.inf
+    worst_m: float = 0.0
+    squares: float = 0.0
+    counted: int = 0
+    fan_outs_s: list[float] = field(default_factory=list[float])
+
+
+class FlightLog:
+    """Writes a flight's own entries of the record.
+
+    Args:
+        config: the vertical rule, by which distances are measured.
+        sink: takes the record.
+    """
+
+    def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
+        self.round = 0
+        self.figures = Figures()
+        self.events: list[FlightEvent] = []
+        self._safety = config.safety
+        self._sink = sink
+        self._began = time.monotonic()
+        self._sampled = -math.inf
+
+    def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
+        """Something happened."""
+        seconds = round(time.monotonic() - self._began, 3)
+        event = FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail)
+        self.events.append(event)
+        self._sink.flight(event)
+
+    def look(
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
+    ) -> None:
+        """Take a reading of all bodies; some of them go to the record."""
+        commanded = [motion.at(state.stamp_s) for state, motion in zip(states, motions, strict=True)]
+        figures = self.figures
+        for robot in airborne:
+            off = math.dist(states[robot].position, commanded[robot])
+            figures.worst_m = max(figures.worst_m, off)
+            figures.squares += off * off
+            figures.counted += 1
+        safety = self._safety
+        flying = [states[robot].position for robot in sorted(airborne)]
+        if len(flying) > 1:
+            nearest = metrics.min_separation(squeezed(flying, safety.min_separation_m, safety.downwash_m))
+            figures.nearest_m = min(figures.nearest_m, nearest)
+        if now_s - self._sampled >= SAMPLE_S:
+            self._sampled = now_s
+            self._sink.body(
+                BodySample(
+                    round=self.round,
+                    time_s=round(now_s - self._began, 3),
+                    measured=[_millimetres(state.position) for state in states],
+                    commanded=[_millimetres(point) for point in commanded],
+                    flying=[state.flying for state in states],
+                    battery_v=[state.battery_v for state in states],
+                    link=[0.0 if state.link_lost else state.link for state in states],
+                )
+            )
+
+
+def _millimetres(position: Position) -> list[float]:
+    return [round(x, 4) for x in position]

@@ -1,0 +1,188 @@
+"""Preflight: everybody connected, awake, where it should be, and apart; a report that names every check."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from llm_flock.robots.base import Robot, RobotError, RobotState
+from llm_flock.runtime.flight.config import FlightConfig
+
+SETTLE_S = 3.0
+"""So long drones may take until they pass, once they are connected: estimators converge, batteries are read [s]."""
+
+LOOK_S = 0.05
+"""Time between two looks [s]."""
+
+ON_FLOOR_M = 0.3
+"""A drone on the floor may be estimated so far above or below it [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One check of one drone, or of the team.
+
+    Attributes:
+        name: of the check.
+        who: name of the drone, or "team".
+        passed: whether it may fly.
+        found: what was found.
+        asked: what is asked for; empty where that is plain.
+    """
+
+    name: str
+    who: str
+    passed: bool
+    found: str
+    asked: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.who}: {self.name}: {self.found}" + (f", {self.asked}" if self.asked else "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What the preflight found.
+
+    Attributes:
+        checks: all that were made.
+        connect_s: from the first call until all were connected, or had failed [s].
+    """
+
+    checks: tuple[Check, ...]
+    connect_s: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check was passed."""
+        return all(check.passed for check in self.checks)
+
+
+async def connect(config: FlightConfig, robots: Sequence[Robot]) -> tuple[list[Check], float]:
+    """Connect to all at once; how it went, and how long it took [s]."""
+    began = time.monotonic()
+
+    async def one(robot: Robot) -> Check:
+        try:
+            await robot.connect(config.fleet.connect_s)
+        except RobotError as error:
+            return Check(name="connected", who=robot.name, passed=False, found=error.what)
+        return Check(name="connected", who=robot.name, passed=True, found=f"{time.monotonic() - began:.2f} s")
+
+    checks = await asyncio.gather(*map(one, robots))
+    return list(checks), time.monotonic() - began
+
+
+async def preflight(config: FlightConfig, robots: Sequence[Robot]) -> Report:
+    """Connect, and look at everybody until all checks are passed or the time for that is over."""
+    connections, seconds = await connect(config, robots)
+    if not all(check.passed for check in connections):
+        return Report(checks=tuple(connections), connect_s=seconds)
+    until = time.monotonic() + SETTLE_S
+    while True:
+        checks = look(config, [robot.name for robot in robots], [robot.state() for robot in robots], time.monotonic())
+        if all(check.passed for check in checks) or time.monotonic() > until:
+            return Report(checks=(*connections, *checks), connect_s=seconds)
+        await asyncio.sleep(LOOK_S)
+
+
+def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState], now_s: float) -> list[Check]:
+    """Every check but the connection, by drone.
+
+    Args:
+        config: what is asked for.
+        names: of the drones.
+        states: of the drones.
+        now_s: monotonic time [s].
+    """
+    found: list[Check] = []
+    for robot, (name, state) in enumerate(zip(names, states, strict=True)):
+        for title, check in _CHECKS:
+            passed, said, asked = check(config, robot, state, now_s)
+            found.append(Check(name=title, who=name, passed=passed, found=said, asked=asked))
+    found.append(_apart(config, names, states))
+    return found
+
+
+def _link(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    if state.link_lost:
+        return False, "lost", "there"
+    least = config.safety.ready_link
+    if state.link is None:
+        return True, "not told", ""
+    return state.link >= least, f"{state.link:.0%}", f"at least {least:.0%} of packets acknowledged"
+
+
+def _battery(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    least = config.safety.ready_battery_v
+    if state.battery_v is None:
+        return True, "not told", ""
+    return state.battery_v >= least, f"{state.battery_v:.2f} V", f"at least {least:.2f} V"
+
+
+def _estimator(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    age = now - state.stamp_s
+    fresh = age <= config.safety.stall_s
+    said = "converged" if state.settled else "not converged"
+    if not fresh:
+        said = f"{age:.1f} s old"
+    return state.settled and fresh, said, "a fresh estimate of a converged estimator"
+
+
+def _on_floor(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    above = state.position[2] - config.world.floor_m
+    return (
+        not state.flying and abs(above) <= ON_FLOOR_M,
+        f"{above:+.2f} m",
+        f"at most {ON_FLOOR_M:g} m from the floor, motors off",
+    )
+
+
+def _start(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    drones = config.fleet.drones
+    start = drones[robot].start if drones else None
+    if start is None:
+        return True, "not given", ""
+    off = math.dist(start[:2], state.position[:2])
+    most = config.safety.start_tolerance_m
+    return off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
+
+
+def _arena(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    x, y, _ = state.position
+    row = config.frame.to_mission((x, y, config.world.altitude_m))
+    low, high = config.mission.arena
+    inside = all(a <= value <= b for a, value, b in zip(low, row, high, strict=True))
+    return inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
+
+
+_CHECKS: tuple[tuple[str, Callable[[FlightConfig, int, RobotState, float], tuple[bool, str, str]]], ...] = (
+    ("link", _link),
+    ("battery", _battery),
+    ("estimator", _estimator),
+    ("on the floor", _on_floor),
+    ("start position", _start),
+    ("in the arena", _arena),
+)
+"""The arena is within the geofence, so a drone in the arena is as well."""
+
+
+def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
+    """Side by side, as heights do not count on the floor."""
+    least = config.safe_distance_m
+    pairs = [
+        (math.dist(a.position[:2], b.position[:2]), f"{names[j]} and {names[i]}")
+        for i, a in enumerate(states)
+        for j, b in enumerate(states[:i])
+    ]
+    nearest, who = min(pairs, default=(math.inf, ""))
+    said = f"{nearest:.2f} m" if pairs else "alone"
+    asked = f"at least {least:g} m between {who}"
+    return Check(name="apart", who="team", passed=nearest >= least, found=said, asked=asked)
+
+
+NAMES = ("connected", *(name for name, _ in _CHECKS), "apart")
+"""Every check, in the order in which it is made."""

@@ -1,0 +1,106 @@
+"""Set-points: where each drone is meant to be at any time, and what every command is checked for before it is sent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from llm_flock import metrics
+from llm_flock.arrays import Points
+from llm_flock.robots.base import PEAK_SPEED, Position
+from llm_flock.robots.segment import Segment
+from llm_flock.runtime.flight.config import FlightConfig
+
+SLACK_M = 1e-4
+"""The shield's rounding in metres, generously: set-points may be so much nearer than planned [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """One motion along a straight line, as the drones fly it, and when it began.
+
+    Attributes:
+        way: from rest to rest.
+        began_s: monotonic time at which it was commanded [s].
+    """
+
+    way: Segment
+    began_s: float
+
+    @property
+    def end(self) -> Position:
+        """Where it ends [m]."""
+        return self.way.target
+
+    def at(self, now_s: float) -> Position:
+        """The set-point at a time [m]."""
+        return self.way.at(now_s - self.began_s)[0]
+
+
+def moving(start: Position, end: Position, began_s: float, duration_s: float) -> Motion:
+    """A motion from rest to rest."""
+    return Motion(way=Segment(start=start, target=end, duration_s=duration_s), began_s=began_s)
+
+
+def resting(position: Position) -> Motion:
+    """A set-point that stands still."""
+    return moving(position, position, -math.inf, 1.0)
+
+
+def squeezed(positions: Sequence[Position], beside: float, above: float) -> Points:
+    """Positions with their heights scaled so that an ellipsoid of these half axes becomes a sphere of `beside`."""
+    scaled = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    scaled[:, 2] *= beside / above
+    return scaled
+
+
+class SetPointCheck:
+    """Checks the set-points of a round.
+
+    Args:
+        config: the limits.
+    """
+
+    def __init__(self, config: FlightConfig) -> None:
+        safety = config.safety
+        self._low, self._high = config.inner_fence
+        self._fastest = safety.max_speed_m_s
+        self._beside = safety.min_separation_m + 2 * safety.tracking_m
+        self._above = safety.downwash_m + 2 * safety.tracking_m
+
+    def separation(self, before: Sequence[Position], after: Sequence[Position]) -> float:
+        """Smallest distance of two set-points on the way, heights scaled by the vertical rule [m]."""
+        return metrics.segment_separation(
+            squeezed(before, self._beside, self._above), squeezed(after, self._beside, self._above)
+        )
+
+    def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
+        """What is wrong with a motion of all from rest to rest, in words; nothing where it may be flown.
+
+        Args:
+            before: set-points now, by robot [m].
+            after: set-points at the end [m].
+            duration_s: of the motion [s].
+        """
+        found = [
+            text for k, (x, y) in enumerate(zip(before, after, strict=True)) for text in self._one(k, x, y, duration_s)
+        ]
+        nearest = self.separation(before, after)
+        if nearest < self._beside - SLACK_M:
+            found.append(f"two set-points come as near as {nearest:.3f} m; at least {self._beside:g} m is asked for")
+        return found
+
+    def _one(self, robot: int, before: Position, after: Position, duration_s: float) -> list[str]:
+        found: list[str] = []
+        if not all(map(math.isfinite, after)):
+            return [f"robot {robot}: {after} is no place"]
+        if not all(a - SLACK_M <= x <= b + SLACK_M for a, x, b in zip(self._low, after, self._high, strict=True)):
+            x, y, z = after
+            found.append(f"robot {robot}: ({x:.3f}, {y:.3f}, {z:.3f}) m is not within the geofence and its margin")
+        peak = PEAK_SPEED * math.dist(before, after) / duration_s
+        if peak > self._fastest * (1 + 1e-6):
+            found.append(f"robot {robot}: {peak:.3f} m/s on the way; at most {self._fastest:g} m/s")
+        return found

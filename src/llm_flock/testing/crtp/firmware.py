@@ -1,0 +1,262 @@
+"""What a Crazyflie answers to each packet, sans-IO: bytes and the time go in, bytes come out.
+
+Numbers of ports, channels and commands are the firmware's (`crtp.h`, `crtp_commander_high_level.c`,
+`crtp_supervisor.c`, `log.c`, `param_logic.c`, `platformservice.c`); times and states are its supervisor's
+(`supervisor.c`, `supervisor_state_machine.c`). See docs/firmware.md.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from llm_flock.robots.point_mass import PointMass
+from llm_flock.testing.crtp.tables import LOG_TYPES, LOGGED, contents, parameters
+
+PARAM, COMMANDER, MEM, LOGGING, LOCALIZATION = 2, 3, 4, 5, 6
+HIGH_LEVEL, SUPERVISOR, PLATFORM, LINK = 8, 9, 13, 15
+VERSION = 12
+"""Of the protocol: the first that knows the supervisor's port."""
+
+FLYING_LINGERS_S = 2.0
+"""`IS_FLYING_HYSTERESIS_THRESHOLD`: so long after its motors slowed down, a drone still says that it flies."""
+
+SETPOINT_TIMEOUT_S = 2.0
+"""`COMMANDER_WDT_TIMEOUT_SHUTDOWN`: without a low-level set-point for so long after the first, a flying drone locks."""
+
+STOP_WATCHDOG_S = 1.0
+"""`DEFAULT_EMERGENCY_STOP_WATCHDOG_TIMEOUT`: the watchdog, once started, wants to hear something so often."""
+
+NO_SUCH = 2
+EXISTS = 17
+
+
+def packet(port: int, channel: int, data: bytes | Sequence[int]) -> bytes:
+    """One packet as it travels."""
+    return bytes([port << 4 | 3 << 2 | channel]) + bytes(data)
+
+
+@dataclass(slots=True)
+class _Block:
+    """One log block: what it sends, how often, and when next."""
+
+    variables: list[tuple[str, str]]
+    period_s: float = 0.0
+    due: float | None = None
+
+
+class Firmware:
+    """One drone's answers.
+
+    Args:
+        body: the drone itself.
+        noise_m: how much the estimate trembles [m].
+
+    Attributes:
+        commands: when [s] and which commands of the high-level commander came, the refused ones included.
+        parameters: values by name.
+    """
+
+    def __init__(self, body: PointMass, noise_m: float = 1e-4) -> None:
+        self.body = body
+        self.commands: list[tuple[float, int]] = []
+        self.parameters = parameters()
+        self._noise_m = noise_m
+        self._names = list(self.parameters)
+        self._tables = {
+            PARAM: contents(self._names, [p.kind for p in self.parameters.values()]),
+            LOGGING: contents(list(LOGGED), list(LOGGED.values())),
+        }
+        self._blocks: dict[int, _Block] = {}
+        self._flew: float | None = None
+        self._low_level: float | None = None
+        self._watchdog: float | None = None
+        self._tremble = 0
+
+    # ------------------------------------------------------------ what comes in
+
+    def handle(self, raw: bytes, now: float) -> list[bytes]:
+        """Answers to one packet."""
+        if not raw or raw[0] == 0xFF:
+            return [b"\xff"]
+        port, channel, data = raw[0] >> 4, raw[0] & 3, raw[1:]
+        self._pass_time(now)
+        answer = self._answer(port, channel, data, now)
+        return [] if answer is None else [packet(port, channel, answer)]
+
+    def _answer(self, port: int, channel: int, data: bytes, now: float) -> bytes | None:
+        if port == LINK:
+            return b"Bitcraze Crazyflie".ljust(30, b"\0") if channel == 1 else data
+        if port == PLATFORM:
+            return bytes([0, VERSION]) if channel == 1 else None
+        if port == MEM:
+            return bytes([1, 0])
+        if port in (PARAM, LOGGING) and channel == 0:
+            return self._table(port, data)
+        if port == PARAM:
+            return self._parameter(channel, data)
+        if port == LOGGING:
+            return self._settings(data, now)
+        if port == HIGH_LEVEL:
+            return self._high_level(data, now)
+        if port == SUPERVISOR:
+            return self._supervisor(channel, data, now)
+        if port == LOCALIZATION and channel == 1 and data[0] in (3, 4):
+            self._emergency(data[0], now)
+        if port == COMMANDER:
+            self._set_point(now)
+        return None
+
+    def _table(self, port: int, data: bytes) -> bytes | None:
+        checksum, rows = self._tables[port]
+        if data[0] == 3:
+            return struct.pack("<BHI", 3, len(rows), checksum)
+        if data[0] == 2:
+            (number,) = struct.unpack_from("<H", data, 1)
+            return data[:3] + rows[number]
+        return None
+
+    def _parameter(self, channel: int, data: bytes) -> bytes | None:
+        if channel not in (1, 2):
+            return None
+        (number,) = struct.unpack_from("<H", data)
+        if number >= len(self._names):
+            return data[:2] + bytes([NO_SUCH])
+        parameter = self.parameters[self._names[number]]
+        if channel == 1:
+            return data[:2] + b"\0" + parameter.packed()
+        parameter.take(data[2:])
+        return data[:2] + parameter.packed()
+
+    def _settings(self, data: bytes, now: float) -> bytes:
+        command = data[0]
+        block = data[1] if len(data) > 1 else 0
+        result = 0
+        if command == 5:
+            self._blocks.clear()
+        elif command in (6, 7):
+            if command == 6 and block in self._blocks:
+                return bytes([command, block, EXISTS])
+            variables = self._blocks.setdefault(block, _Block([])).variables
+            for kind, number in struct.iter_unpack("<BH", data[2:]):
+                variables.append((list(LOGGED)[number], LOG_TYPES[kind & 0x0F]))
+        elif block not in self._blocks:
+            result = NO_SUCH
+        elif command == 3:
+            self._blocks[block].period_s = data[2] / 100.0
+            self._blocks[block].due = now
+        elif command == 4:
+            self._blocks[block].due = None
+        elif command == 2:
+            del self._blocks[block]
+        return bytes([command, block, result])
+
+    def _high_level(self, data: bytes, now: float) -> bytes:
+        command, body = data[0], self.body
+        self.commands.append((now, command))
+        result = 0
+        if command == 3:
+            result = body.stop(now)
+        elif command in (7, 8):
+            _, height, _, _, duration = struct.unpack_from("<Bff?f", data, 1)
+            result = (body.take_off if command == 7 else body.land)(height, duration, now)
+        elif command == 12:
+            _, relative, _, x, y, z, _, duration = struct.unpack_from("<B??fffff", data, 1)
+            if relative:
+                x, y, z = (a + b for a, b in zip(body.estimate(now), (x, y, z), strict=True))
+            result = body.go_to((x, y, z), duration, now)
+        return bytes([*data[:3].ljust(3, b"\0"), result])
+
+    def _supervisor(self, channel: int, data: bytes, now: float) -> bytes | None:
+        command = data[0]
+        if channel == 0 and command == 0x0C:
+            return struct.pack("<BH", 0x8C, self.info(now))
+        if channel == 1 and command == 1:
+            done = self.body.arm(bool(data[1]))
+            return bytes([0x81, done, self.body.armed])
+        if channel == 1 and command in (3, 4):
+            self._emergency(command, now)
+        return None
+
+    def _emergency(self, command: int, now: float) -> None:
+        if command == 3:
+            self.body.emergency_stop(now)
+        else:
+            self._watchdog = now
+
+    def _set_point(self, now: float) -> None:
+        """A low-level set-point goes before the high-level commander, which stops; here its thrust is always none."""
+        if self.body.flying:
+            self._low_level = now
+            self.body.stop(now)
+
+    # ------------------------------------------------------------ what goes out by itself
+
+    def tick(self, now: float) -> list[bytes]:
+        """Log packets that are due."""
+        self._pass_time(now)
+        out: list[bytes] = []
+        for number, block in self._blocks.items():
+            if block.due is None or now < block.due:
+                continue
+            block.due = max(block.due + block.period_s, now)
+            values = self._logged(now)
+            data = b"".join(struct.pack(code, values[name]) for name, code in block.variables)
+            stamp = struct.pack("<I", int(now * 1000) & 0xFFFFFF)[:3]
+            out.append(packet(LOGGING, 2, bytes([number]) + stamp + data))
+        return out
+
+    def info(self, now: float) -> int:
+        """`supervisor.info`: what the supervisor thinks, one bit each."""
+        body, flies = self.body, self._flies(now)
+        bits = (
+            not body.armed and not body.locked,
+            body.armed,
+            body.auto_arm,
+            body.armed,
+            flies,
+            False,
+            body.locked,
+            False,
+            body.flying,
+            not body.flying,
+        )
+        return sum(1 << k for k, bit in enumerate(bits) if bit)
+
+    def _flies(self, now: float) -> bool:
+        if self.body.locked:
+            return False
+        return self.body.flying or (self._flew is not None and now < self._flew + FLYING_LINGERS_S)
+
+    def _pass_time(self, now: float) -> None:
+        self.body.advance(now)
+        if self.body.flying:
+            self._flew = now
+        elif self._flew is not None and not self._flies(now):
+            # Landed: the supervisor starts over, and disarms.
+            self._flew = None
+            self.body.armed = self.body.auto_arm and not self.body.locked
+        if self._watchdog is not None and now >= self._watchdog + STOP_WATCHDOG_S:
+            self.body.emergency_stop(now)
+        if self._low_level is not None and now >= self._low_level + SETPOINT_TIMEOUT_S:
+            self._low_level = None
+            self.body.emergency_stop(now)
+
+    def _logged(self, now: float) -> dict[str, float | int]:
+        # The trembling need not be random: it only has to keep the estimate from being the same twice.
+        self._tremble = (self._tremble + 1) % 7
+        shake = self._noise_m * (self._tremble - 3) / 3.0
+        x, y, z = self.body.estimate(now)
+        variance = self.body.variance(now)
+        return {
+            "stateEstimate.x": x + shake,
+            "stateEstimate.y": y - shake,
+            "stateEstimate.z": z + shake,
+            "stateEstimate.yaw": 0.0,
+            "pm.vbat": self.body.battery_v,
+            "kalman.varPX": variance,
+            "kalman.varPY": variance,
+            "kalman.varPZ": variance,
+            "supervisor.info": self.info(now),
+        }

@@ -1,0 +1,69 @@
+"""The tables of contents that a drone shows: what it can log, and its parameters."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+LOG_TYPES: Mapping[int, str] = MappingProxyType(
+    {1: "<B", 2: "<H", 3: "<L", 4: "<b", 5: "<h", 6: "<i", 7: "<f", 8: "<e"}
+)
+"""How a log variable of a type is packed (firmware: `src/modules/interface/log.h`)."""
+
+PARAMETER_TYPES: Mapping[int, str] = MappingProxyType({0x08: "<B", 0x09: "<H", 0x0A: "<L", 0x06: "<f"})
+"""How a parameter of a type is packed (firmware: `src/modules/interface/param_logic.h`)."""
+
+LOGGED: Mapping[str, int] = MappingProxyType(
+    {
+        "stateEstimate.x": 7,
+        "stateEstimate.y": 7,
+        "stateEstimate.z": 7,
+        "stateEstimate.yaw": 7,
+        "pm.vbat": 7,
+        "kalman.varPX": 7,
+        "kalman.varPY": 7,
+        "kalman.varPZ": 7,
+        "supervisor.info": 2,
+    }
+)
+"""Name and type of each log variable, in the order of their numbers."""
+
+
+@dataclass(slots=True)
+class Parameter:
+    """One parameter: its type and value."""
+
+    kind: int
+    value: float
+
+    def packed(self) -> bytes:
+        """The value as it travels."""
+        code = PARAMETER_TYPES[self.kind]
+        return struct.pack(code, self.value if code == "<f" else int(self.value))
+
+    def take(self, data: bytes) -> None:
+        """Set from what travelled."""
+        self.value = float(struct.unpack(PARAMETER_TYPES[self.kind], data)[0])
+
+
+def parameters() -> dict[str, Parameter]:
+    """The parameters that flights set, by name, in the order of their numbers."""
+    return {
+        "stabilizer.estimator": Parameter(0x08, 2),
+        "stabilizer.controller": Parameter(0x08, 1),
+        "kalman.resetEstimation": Parameter(0x08, 0),
+        "locSrv.extPosStdDev": Parameter(0x06, 0.01),
+        "commander.enHighLevel": Parameter(0x08, 1),
+    }
+
+
+def contents(names: Sequence[str], kinds: Sequence[int]) -> tuple[int, list[bytes]]:
+    """Checksum of a table, and each of its entries as it travels."""
+    rows = [
+        bytes([kind]) + group.encode() + b"\0" + name.encode() + b"\0"
+        for (group, name), kind in zip((n.split(".") for n in names), kinds, strict=True)
+    ]
+    return zlib.crc32(b"".join(rows)), rows

@@ -1,0 +1,68 @@
+"""Short flights of simulated drones for tests: what is flown, and what is done to a drone meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from llm_flock.robots.simulated_robot import SimulatedRobot
+from llm_flock.runtime.config import build_config_of
+from llm_flock.runtime.flight.config import Drone, FlightConfig
+from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
+from llm_flock.runtime.flight.flight import Flight, FlightResult
+from llm_flock.runtime.flight.preflight import Report
+
+ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}
+BRISK = {"round_s": 0.6, "max_speed_m_s": 6.0, "take_off_s": 0.4, "land_s": 0.4, "settle_s": 0.3, "deadman": False}
+STARTS = ((-1.2, -1.2), (1.2, -1.2), (1.2, 1.2), (-1.2, 1.2))
+
+Sabotage = Callable[[Flight, list[SimulatedRobot]], None]
+
+
+def flight_config(
+    n: int = 4, shape: str = "square", mission: dict[str, Any] | None = None, **fields: Any
+) -> FlightConfig:
+    """A brisk flight of some drones in a room of 3 m, from the corners of it where there are four."""
+    room = {"shape": shape, "n_robots": n, **ROOM, **(mission or {})}
+    if n == 4 and "drones" not in fields:
+        fields["drones"] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
+    return with_drones(build_config_of(FlightConfig, {"mission": room}, **{**BRISK, "take_off_group": 10, **fields}))
+
+
+async def yes(report: Report) -> bool:
+    """Whoever confirms every flight."""
+    return True
+
+
+async def fly(config: FlightConfig, sabotage: Sabotage | None = None, at: str = "round 1") -> FlightResult:
+    """Fly, and do something to the drones when a stage begins (`taking off`, ...) or in the middle of a round."""
+    robots = [robot for robot in build_fleet(config) if isinstance(robot, SimulatedRobot)]
+    tasks: list[asyncio.Task[None]] = []
+
+    async def later() -> None:
+        await asyncio.sleep(config.safety.round_s / 2)
+        act()
+
+    def act() -> None:
+        if sabotage is not None:
+            sabotage(flight, robots)
+
+    def on_stage(stage: str) -> None:
+        if stage == at:
+            act()
+        if stage == "flying" and at == "round 1":
+            tasks.append(asyncio.get_running_loop().create_task(later()))
+
+    flight = Flight(config, robots, on_stage=on_stage)
+    return await flight.run(yes)
+
+
+def flown(config: FlightConfig, sabotage: Sabotage | None = None, at: str = "round 1") -> FlightResult:
+    """As `fly`, from start to end."""
+    return asyncio.run(fly(config, sabotage, at))
+
+
+def one_by_one(config: FlightConfig, drones: Sequence[Drone]) -> list[SimulatedRobot]:
+    """A driver as a user may write one."""
+    return [SimulatedRobot(drone.name, start_of(config, drone)) for drone in drones]

@@ -1,0 +1,199 @@
+"""The driver for Crazyflies: the real cflib on stand-ins."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+
+pytest.importorskip("cflib")
+
+from llm_flock.errors import InputError
+from llm_flock.robots.base import Limits, RobotError
+from llm_flock.robots.crazyflie import CrazyflieRobot
+from llm_flock.testing import check_emergency_stop, check_robot
+from llm_flock.testing.crtp import StandIns
+from llm_flock.testing.robots import distance, wait_until
+
+HOME = (0.0, 0.0, 0.0)
+
+
+def robot_of(drones, k=0, **options):
+    return CrazyflieRobot(f"cf{k}", drones.uris[k], **options)
+
+
+async def up(robot, height=0.5):
+    await robot.connect(5.0)
+    await robot.arm()
+    await robot.take_off(height, 0.8)
+    await asyncio.sleep(0.9)
+
+
+def test_the_driver_keeps_the_contract():
+    with StandIns([HOME]) as drones:
+        asyncio.run(check_robot(robot_of(drones), patience_s=2.5))
+        assert not drones[0].flying and not drones[0].locked
+
+
+def test_the_driver_keeps_the_contract_while_a_tenth_of_the_packets_is_lost():
+    with StandIns([HOME], loss=0.1, seed=1) as drones:
+        asyncio.run(check_robot(robot_of(drones), patience_s=2.5))
+
+
+def test_an_emergency_stop_is_confirmed():
+    with StandIns([HOME], loss=0.1) as drones:
+        asyncio.run(check_emergency_stop(robot_of(drones)))
+        assert drones[0].locked
+
+
+def test_nobody_answers():
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            drones[0].lose_link()
+            robot = robot_of(drones)
+            began = time.monotonic()
+            with pytest.raises(RobotError, match="not connected to udp"):
+                await robot.connect(1.5)
+            assert time.monotonic() - began < 5.0
+            drones[0].lose_link(False)
+            await robot.connect(3.0)
+            await robot.close()
+
+    asyncio.run(flight())
+
+
+def test_a_port_that_nobody_listens_at():
+    with StandIns([HOME]) as drones:
+        uri = drones.uris[0]
+    with pytest.raises(RobotError, match="not connected"):
+        asyncio.run(CrazyflieRobot("cf", uri).connect(1.0))
+
+
+def test_a_link_that_is_lost_is_seen_and_opened_anew_in_flight():
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            robot = robot_of(drones, link_timeout_s=0.5)
+            await up(robot)
+            assert not robot.state().link_lost
+            drones[0].lose_link()
+            lost = time.monotonic()
+            await wait_until(lambda: robot.state().link_lost, 1.0, "the loss is seen")
+            assert time.monotonic() - lost < 0.7
+            with pytest.raises(RobotError, match="link is lost"):
+                await robot.go_to((0.2, 0.0, 0.5), 1.0)
+            assert drones[0].flying, "the high-level commander hovers on"
+            assert await robot.stop_motors() is False
+            drones[0].lose_link(False)
+            assert robot.state().link_lost, "only connect opens a lost link"
+            await robot.connect(5.0)
+            assert not robot.state().link_lost and robot.state().flying
+            assert drones[0].flying, "closing a link drops nothing"
+            await robot.hold()
+            await robot.land(0.0, 0.5)
+            await wait_until(lambda: not drones[0].flying, 1.0, "it lands")
+            await robot.close()
+
+    asyncio.run(flight())
+
+
+def test_closing_the_link_in_flight_leaves_the_drone_hovering():
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            robot = robot_of(drones)
+            await up(robot)
+            await robot.close()
+            await asyncio.sleep(0.3)
+            assert drones[0].flying and not drones[0].locked
+            assert drones[0].position[2] == pytest.approx(0.5)
+
+    asyncio.run(flight())
+
+
+def test_a_drone_that_is_locked_refuses_with_what_its_supervisor_says():
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            robot = robot_of(drones)
+            await robot.connect(5.0)
+            with pytest.raises(RobotError, match=r"refused take-off.*can be armed"):
+                await robot.take_off(0.5, 0.5)
+            assert await robot.stop_motors()
+            with pytest.raises(RobotError, match=r"does not arm.*locked"):
+                await robot.arm()
+            await robot.close()
+
+    asyncio.run(flight())
+
+
+def test_faults_show_in_the_state():
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            robot = robot_of(drones)
+            await up(robot)
+            await wait_until(lambda: robot.state().settled, 2.0, "settled")
+            drones[0].set_battery(3.1)
+            await wait_until(lambda: abs((robot.state().battery_v or 0) - 3.1) < 0.01, 1.0, "battery")
+            drones[0].stall()
+            await wait_until(lambda: not robot.state().settled, 2.0, "unsettled")
+            drones[0].stall(False)
+            drones[0].jump((0.4, 0.0, 0.0))
+            await wait_until(lambda: robot.state().position[0] > 0.2, 1.0, "a jump")
+            drones[0].mute_log()
+            await asyncio.sleep(0.1)
+            stamp = robot.state().stamp_s
+            await asyncio.sleep(0.3)
+            assert robot.state().stamp_s == stamp and not robot.state().link_lost
+            drones[0].die()
+            await wait_until(lambda: robot.state().link_lost, 2.0, "dead")
+            await robot.close()
+
+    asyncio.run(flight())
+
+
+def test_parameters_are_set_on_connect_and_unknown_ones_refused():
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            robot = robot_of(drones, parameters={"stabilizer.controller": 2, "locSrv.extPosStdDev": 1e-3})
+            await robot.connect(5.0)
+            values = drones[0].firmware.parameters
+            await wait_until(lambda: values["stabilizer.controller"].value == 2, 1.0, "set")
+            await wait_until(lambda: abs(values["locSrv.extPosStdDev"].value - 1e-3) < 1e-6, 1.0, "set")
+            await robot.close()
+            with pytest.raises(RobotError, match=r"no\.such"):
+                await robot_of(drones, parameters={"no.such": 1}).connect(5.0)
+
+    asyncio.run(flight())
+
+
+def test_ten_connect_settle_and_fly_together(capsys):
+    async def flight() -> None:
+        homes = [(0.5 * k, 0.0, 0.0) for k in range(10)]
+        with StandIns(homes) as drones:
+            robots = [robot_of(drones, k, limits=Limits(max_speed_m_s=1.0)) for k in range(10)]
+            began = time.monotonic()
+            await asyncio.gather(*(r.connect(5.0) for r in robots))
+            await wait_until(lambda: all(r.state().settled for r in robots), 5.0, "all settled")
+            ready = time.monotonic() - began
+            await asyncio.gather(*(r.arm() for r in robots))
+            await asyncio.gather(*(r.take_off(0.5, 1.0) for r in robots))
+            await asyncio.sleep(1.1)
+            began = time.monotonic()
+            await asyncio.gather(*(r.go_to((h[0], 0.3, 0.5), 1.0) for r, h in zip(robots, homes, strict=True)))
+            fan_out = time.monotonic() - began
+            await asyncio.sleep(1.2)
+            for r, h, k in zip(robots, homes, range(10), strict=True):
+                assert distance(drones[k].position, (h[0], 0.3, 0.5)) < 1e-3
+                assert distance(r.state().position, (h[0], 0.3, 0.5)) < 1e-2
+            await asyncio.gather(*(r.land(0.0, 0.5) for r in robots))
+            await asyncio.sleep(0.7)
+            assert not any(drones[k].flying for k in range(10))
+            await asyncio.gather(*(r.close() for r in robots))
+            print(f"ready {ready:.2f} s, fan-out {1000 * fan_out:.1f} ms")
+            assert ready < 5.0
+
+    asyncio.run(flight())
+
+
+def test_a_uri_that_is_none():
+    with pytest.raises(InputError, match="radio://"):
+        CrazyflieRobot("cf", "cf1")

@@ -1,0 +1,252 @@
+"""Whole flights of simulated drones, in real time but brisk: the mission, and everything that may end it early."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+
+import pytest
+from flights import Sabotage, flight_config, flown, fly
+
+from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.protocol.planning import NoAnswer
+from llm_flock.record.reader import read_record
+from llm_flock.robots.simulated_robot import SimulatedRobot
+from llm_flock.runtime.flight import landing
+from llm_flock.runtime.flight.flight import Flight
+from llm_flock.runtime.flight.landing import STOPPED
+from llm_flock.runtime.flight.monitors import Kind
+from llm_flock.runtime.result import FlightFigures
+
+Robots = list[SimulatedRobot]
+
+
+def figures(result) -> FlightFigures:
+    found = result.result.summary.flight
+    assert found is not None
+    return found
+
+
+def test_a_square_is_formed_and_landed(tmp_path) -> None:
+    result = flown(flight_config(out=str(tmp_path)))
+    assert result.report.passed and result.result is not None and result.result.formed
+    flight = figures(result)
+    assert flight.ended == "mission" and flight.safe and set(flight.ends.values()) == {"landed"}
+    assert flight.min_separation_m >= 0.2 and flight.tracking_max_m < 0.05 and flight.fan_out_ms < 100
+    record = read_record(tmp_path / "run.mcap")
+    assert record.result["flight"]["ends"] == flight.ends
+    assert record.rounds == result.result.summary.rounds == max(sample.round for sample in record.bodies)
+    times = [sample.time_s for sample in record.bodies]
+    assert all(0.05 < b - a < 1.0 for a, b in pairwise(times))
+    kinds = [event.kind for event in record.flight]
+    assert kinds.count("take_off") == kinds.count("aloft") == kinds.count("landing") == kinds.count("landed") == 4
+    highest = max(row[2] for sample in record.bodies for row in sample.measured)
+    assert 0.9 < highest < 1.1
+    assert all(x <= 0.02 for _, _, x in record.bodies[0].measured)
+
+
+def lose_link(flight: Flight, robots: Robots) -> None:
+    robots[1].lose_link()
+
+
+def lose_link_for_a_while(flight: Flight, robots: Robots) -> None:
+    robot = robots[1]
+    robot.lose_link()
+    asyncio.get_running_loop().call_later(1.0, setattr, robot, "_lost", False)
+
+
+def stall(flight: Flight, robots: Robots) -> None:
+    """No estimate comes any more."""
+    robot = robots[2]
+    seen = robot.state()
+    robot.state = lambda: seen  # type: ignore[method-assign]
+
+
+def jump(flight: Flight, robots: Robots) -> None:
+    robots[0].body.jump((0.5, 0.5, 0.0), time.monotonic())
+
+
+def frozen(flight: Flight, robots: Robots) -> None:
+    """Estimates come, but they stand still while the drone is sent away."""
+    robots[0].body.stall(time.monotonic())
+
+
+def low_battery(flight: Flight, robots: Robots) -> None:
+    robots[3].body.battery_v = 3.0
+
+
+def outside(flight: Flight, robots: Robots) -> None:
+    robots[0].body.jump((-5.0, 0.0, 0.0), time.monotonic())
+
+
+def far_outside(flight: Flight, robots: Robots) -> None:
+    robots[0].body.jump((-9.0, 0.0, 0.0), time.monotonic())
+
+
+def too_near(flight: Flight, robots: Robots) -> None:
+    """One is blown next to another."""
+    now = time.monotonic()
+    (ax, ay, az), (bx, by, bz) = (robots[k].body.position(now) for k in (0, 1))
+    robots[0].body.jump((bx - ax + 0.1, by - ay, bz - az), now)
+
+
+def refuse(flight: Flight, robots: Robots) -> None:
+    robots[2].body.armed = False
+
+
+def abort(flight: Flight, robots: Robots) -> None:
+    assert flight.abort()
+
+
+def emergency(flight: Flight, robots: Robots) -> None:
+    assert flight.emergency()
+
+
+def nothing(flight: Flight, robots: Robots) -> None:
+    pass
+
+
+LANDED = {"landed"}
+
+
+@pytest.mark.parametrize(
+    ("sabotage", "at", "ended", "ends", "within_s"),
+    [
+        (lose_link_for_a_while, "round 1", {Kind.LINK_LOST}, LANDED, 3.5),
+        (stall, "round 1", {Kind.ESTIMATE_STALLED}, {"landed", STOPPED}, 6.0),
+        (jump, "round 1", {Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
+        (frozen, "round 1", {Kind.OFF_COURSE}, {"landed", STOPPED}, 6.0),
+        (low_battery, "round 1", {Kind.BATTERY_LOW}, LANDED, 3.0),
+        (outside, "round 1", {Kind.GEOFENCE, Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
+        (far_outside, "round 1", {Kind.FAR_OUTSIDE, Kind.ESTIMATE_JUMPED}, {"landed", "motors cut"}, 2.0),
+        (too_near, "round 1", {Kind.TOO_NEAR, Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
+        (refuse, "round 1", {Kind.REFUSED}, None, 12.0),
+        (abort, "round 1", {Kind.ABORT}, LANDED, 1.5),
+        (abort, "taking off", {Kind.ABORT}, {"never took off"}, 0.5),
+        (emergency, "round 1", {Kind.EMERGENCY}, {"motors cut"}, 0.5),
+        (emergency, "landing", {Kind.EMERGENCY}, {"motors cut"}, 6.0),
+    ],
+)
+def test_whatever_goes_wrong_everybody_is_down_in_time(
+    sabotage: Sabotage, at: str, ended: set[Kind], ends: set[str] | None, within_s: float
+) -> None:
+    done: list[float] = []
+
+    def act(flight: Flight, robots: Robots) -> None:
+        done.append(time.monotonic())
+        sabotage(flight, robots)
+
+    result = flown(flight_config(reach_s=4.0, connect_s=1.0), act, at)
+    assert done and time.monotonic() - done[0] < within_s
+    flight = figures(result)
+    assert flight.ended in {kind.value for kind in ended}
+    if ends is not None:
+        assert set(flight.ends.values()) == ends
+    summary = result.result.summary
+    assert (summary.stopped, summary.reason) == (flight.ended, flight.reason) or at == "landing"
+
+
+def test_a_drone_that_stays_out_of_reach_is_named_and_the_others_are_landed(tmp_path) -> None:
+    flight = figures(flown(flight_config(reach_s=1.5, connect_s=1.0, out=str(tmp_path)), lose_link))
+    assert flight.ends == {"d0": "landed", "d1": "out of reach", "d2": "landed", "d3": "landed"}
+    assert not flight.safe
+    kinds = {event.kind: event for event in read_record(tmp_path / "run.mcap").flight}
+    assert kinds["given_up"].robot == 1 and len(kinds["given_up"].detail["position"]) == 3
+    assert kinds["link_lost"].robot == 1
+
+
+def test_time_is_up() -> None:
+    config = flight_config(max_flight_s=1.5, stop_when_formed=False, rounds=100)
+    flight = figures(flown(config))
+    assert flight.ended == "time_up" and flight.safe and flight.air_s < 4.0
+
+
+class Mute(GeometryPlanner):
+    """Answers the first question, and then never again."""
+
+    async def step(self, question):
+        await asyncio.sleep(3600)
+        return NoAnswer(cause="timeout", reason="")
+
+
+def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
+    from llm_flock.runtime import team
+
+    plain = team.GeometryPlanner
+    monkeypatch.setattr(team, "GeometryPlanner", lambda robot, rng: (Mute if robot == 2 else plain)(robot, rng))
+    flight = figures(flown(flight_config(model="geometry", think_s=0.3, silent_rounds=2)))
+    assert flight.ended == "model_silent" and flight.safe and "2 rounds on end" in (flight.reason or "")
+
+
+def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:
+    from llm_flock.runtime.flight import setpoints
+
+    sent: list[Sequence[float]] = []
+    monkeypatch.setattr(setpoints.SetPointCheck, "faults", lambda *_: ["too fast"])
+    plain = SimulatedRobot.go_to
+    monkeypatch.setattr(SimulatedRobot, "go_to", lambda self, *args: (sent.append(args), plain(self, *args))[1])
+    flight = figures(flown(flight_config()))
+    assert flight.ended == "set_point" and flight.reason == "too fast" and flight.safe and not sent
+
+
+def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
+    def discharged(flight: Flight, robots: Robots) -> None:
+        robots[1].body.battery_v = 3.5
+
+    result = flown(flight_config(), discharged, "connecting")
+    assert result.result is None and not result.report.passed
+    failed = [check for check in result.report.checks if not check.passed]
+    assert [(check.who, check.name) for check in failed] == [("d1", "battery")]
+    assert str(failed[0]) == "d1: battery: 3.50 V, at least 3.80 V"
+
+
+def test_who_does_not_confirm_does_not_fly() -> None:
+    async def no(report) -> bool:
+        assert report.passed
+        return False
+
+    async def ask():
+        config = flight_config()
+        from llm_flock.runtime.flight.fleet import build_fleet
+
+        flight = Flight(config, build_fleet(config))
+        assert not flight.abort() and not flight.emergency()
+        return await flight.run(no)
+
+    assert asyncio.run(ask()).result is None
+
+
+def test_landing_of_a_mission_in_space() -> None:
+    """Drones above each other: the lower one first, and nobody on another."""
+    config = flight_config(
+        3,
+        "points",
+        {
+            "points": [[0, 0, -4], [0, 0, 4], [8, 0, 0]],
+            "center": [15, 15, 15],
+            "arena": [[5, 5, 5], [25, 25, 25]],
+            "spacing": 4,
+        },
+        stretch=2.4,
+        altitude_m=2.8,
+        geofence=[[-3, -3, -0.5], [3, 3, 6]],
+        max_speed_m_s=8.0,
+        take_off_s=0.8,
+        land_s=0.8,
+        drones=[{"name": f"d{k}", "start": [k - 1.0, 0.0]} for k in range(3)],
+    )
+    low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)
+    groups = landing.plan_landing(config, {0: high, 1: low, 2: aside}, [])
+    assert [[descent.robot for descent in group] for group in groups] == [[1], [2], [0]]
+    last = groups[-1][0]
+    assert last.via is not None and last.via[2] == high[2]
+    assert (last.spot[0] ** 2 + last.spot[1] ** 2) ** 0.5 >= 0.3 - 1e-3
+    side_by_side = landing.plan_landing(config, {0: low, 2: aside}, [(2.0, 0.0, 0.0)])
+    assert [[descent.robot for descent in group] for group in side_by_side] == [[0, 2]]
+    assert all(descent.via is None for descent in side_by_side[0])
+
+
+def test_nobody_is_asked_when_all_is_well() -> None:
+    assert asyncio.run(fly(flight_config(), nothing)).result.formed
