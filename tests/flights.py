@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.config import build_config_of
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet
+from llm_flock.runtime.flight.config import Drone, FlightConfig
+from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.preflight import Report
 
@@ -27,7 +27,7 @@ def flight_config(
     room = {"shape": shape, "n_robots": n, **ROOM, **(mission or {})}
     if n == 4 and "drones" not in fields:
         fields["drones"] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
-    return build_config_of(FlightConfig, {"mission": room}, **{**BRISK, "take_off_group": 10, **fields})
+    return with_drones(build_config_of(FlightConfig, {"mission": room}, **{**BRISK, "take_off_group": 10, **fields}))
 
 
 async def yes(report: Report) -> bool:
@@ -61,3 +61,8 @@ async def fly(config: FlightConfig, sabotage: Sabotage | None = None, at: str = 
 def flown(config: FlightConfig, sabotage: Sabotage | None = None, at: str = "round 1") -> FlightResult:
     """As `fly`, from start to end."""
     return asyncio.run(fly(config, sabotage, at))
+
+
+def one_by_one(config: FlightConfig, drones: Sequence[Drone]) -> list[SimulatedRobot]:
+    """A driver as a user may write one."""
+    return [SimulatedRobot(drone.name, start_of(config, drone)) for drone in drones]

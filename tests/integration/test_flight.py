@@ -115,9 +115,9 @@ LANDED = {"landed"}
     ("sabotage", "at", "ended", "ends", "within_s"),
     [
         (lose_link_for_a_while, "round 1", {Kind.LINK_LOST}, LANDED, 3.5),
-        (stall, "round 1", {Kind.ESTIMATE_STALLED}, {"landed", STOPPED}, 3.5),
+        (stall, "round 1", {Kind.ESTIMATE_STALLED}, {"landed", STOPPED}, 6.0),
         (jump, "round 1", {Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
-        (frozen, "round 1", {Kind.OFF_COURSE}, {"landed", STOPPED}, 3.5),
+        (frozen, "round 1", {Kind.OFF_COURSE}, {"landed", STOPPED}, 6.0),
         (low_battery, "round 1", {Kind.BATTERY_LOW}, LANDED, 3.0),
         (outside, "round 1", {Kind.GEOFENCE, Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
         (far_outside, "round 1", {Kind.FAR_OUTSIDE, Kind.ESTIMATE_JUMPED}, {"landed", "motors cut"}, 2.0),
@@ -232,7 +232,9 @@ def test_landing_of_a_mission_in_space() -> None:
         stretch=2.4,
         altitude_m=2.8,
         geofence=[[-3, -3, -0.5], [3, 3, 6]],
-        max_speed_m_s=6.0,
+        max_speed_m_s=8.0,
+        take_off_s=0.8,
+        land_s=0.8,
         drones=[{"name": f"d{k}", "start": [k - 1.0, 0.0]} for k in range(3)],
     )
     low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)

@@ -14,6 +14,7 @@ import typer.main
 from llm_flock.cli import app
 from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.result import Summary
 
@@ -99,7 +100,8 @@ def test_configuration_examples_are_valid(page: Path, tmp_path: Path) -> None:
                 (tmp_path / "sweep.toml").write_text(body, encoding="utf-8")
                 assert load_sweep(tmp_path / "sweep.toml").trials
             else:
-                SwarmConfig.model_validate(found) if "network" in found else RunConfig.model_validate(found)
+                kind = FlightConfig if "fleet" in found else SwarmConfig if "network" in found else RunConfig
+                kind.model_validate(found)
 
 
 def test_tests_that_pages_name_exist() -> None:

@@ -47,7 +47,9 @@ def fly(
 
     In flight, l (or Ctrl-C) lands everybody, and x (or Ctrl-C twice) cuts all motors.
     """
-    settings = load_config_of(FlightConfig, config, **parse_flags(flags))
+    from llm_flock.runtime.flight.fleet import with_drones
+
+    settings = with_drones(load_config_of(FlightConfig, config, **parse_flags(flags)))
     if dry_run:
         _rehearse(settings, json_output)
         return

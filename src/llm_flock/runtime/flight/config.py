@@ -58,6 +58,9 @@ class Drone(Section):
     start: tuple[Metres, ...] | None = Field(
         default=None, min_length=2, max_length=3, description="Where it stands before take-off, x, y and z [m]"
     )
+    parameters: dict[str, float] = Field(
+        default_factory=dict, description="Firmware parameters to set when connecting, by group.name"
+    )
 
 
 class FleetConfig(Section):
@@ -77,6 +80,11 @@ class FleetConfig(Section):
     connect_s: float = _seconds(10.0, "Longest wait for a connection")
     deadman: bool = Field(default=True, description="A process apart lands the drones where this one dies or hangs")
     deadman_s: float = _seconds(1.5, "Silence of the flight process after which the deadman takes over")
+
+    @property
+    def watched(self) -> bool:
+        """Whether a deadman is started: drones that are part of the flight process end with it."""
+        return self.deadman and self.robot not in ("simulated", "physics")
 
 
 class SafetyConfig(Section):

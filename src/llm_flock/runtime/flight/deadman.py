@@ -24,7 +24,7 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import Robot
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
+from llm_flock.runtime.flight.landing import LANDED, LOST, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.preflight import connect
 from llm_flock.runtime.flight.team import FlyingTeam
@@ -108,7 +108,7 @@ async def land_them(config: FlightConfig, robots: Sequence[Robot], say: Callable
     for landing in landings:
         ends |= await landing
     for robot in missing:
-        ends[robot.name] = "out of reach"
+        ends[robot.name] = LOST
     for robot in reached:
         await robot.close()
     return ends

@@ -10,6 +10,7 @@ from typing import TypeAlias, cast
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Position, Robot
 from llm_flock.robots.simulated import draw_start
+from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import Drone, FlightConfig
 from llm_flock.runtime.seeds import Stream, stream
 
@@ -17,13 +18,31 @@ Driver: TypeAlias = Callable[[FlightConfig, Sequence[Drone]], Sequence[Robot]]
 """Makes the robots of a flight, one for each drone, in their order."""
 
 
-def drones(config: FlightConfig) -> tuple[Drone, ...]:
-    """The drones of the file; where it names none, drones that stand where the seed says."""
+def with_drones(config: FlightConfig) -> FlightConfig:
+    """The same flight with all its drones named.
+
+    They are those of the flight file, or of `crazyflies.yaml`; where there are none, they stand where the seed says.
+
+    Raises:
+        InputError: the file cannot be used, or has another number of drones than the mission.
+    """
     if config.fleet.drones:
-        return config.fleet.drones
-    rows = draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START)).tolist()
-    places = [config.frame.to_world(tuple(row)) for row in rows]
-    return tuple(Drone(name=f"drone{robot}", start=(x, y)) for robot, (x, y, _) in enumerate(places))
+        return config
+    found: list[dict[str, object]]
+    if config.fleet.crazyflies is not None:
+        from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
+
+        found = [
+            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": dict(drone.parameters)}
+            for drone in read_crazyflies(Path(config.fleet.crazyflies))
+        ]
+    else:
+        rows = draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START)).tolist()
+        places = [config.frame.to_world(tuple(row)) for row in rows]
+        found = [{"name": f"drone{robot}", "start": place[:2]} for robot, place in enumerate(places)]
+    fleet = config.fleet.model_dump(exclude={"drones", "crazyflies"})
+    base = {**config.model_dump(exclude={"fleet"}), "fleet": {**fleet, "drones": found}}
+    return build_config_of(FlightConfig, base)
 
 
 def build_fleet(config: FlightConfig) -> Sequence[Robot]:
@@ -32,9 +51,11 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     Raises:
         InputError: there is no such driver, or it cannot make these drones.
     """
-    wanted = drones(config)
+    wanted = config.fleet.drones
+    if not wanted:
+        raise InputError("drones", "none", "one for each robot of the mission")
     robots = _driver(config.fleet.robot)(config, wanted)
-    if len(robots) != config.mission.n_robots:
+    if len(robots) != len(wanted):
         raise InputError("robot", config.fleet.robot, f"a driver that makes {len(wanted)} robots (here {len(robots)})")
     return robots
 
@@ -70,11 +91,23 @@ def _crazyflie(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]
     for drone in wanted:
         if drone.uri is None:
             raise InputError("drones", drone.name, "a uri for each Crazyflie, such as radio://0/80/2M/E7E7E7E701")
-        robots.append(CrazyflieRobot(drone.name, drone.uri, limits=config.driver_limits, cache=cache))
+        robots.append(
+            CrazyflieRobot(drone.name, drone.uri, limits=config.driver_limits, parameters=drone.parameters, cache=cache)
+        )
     return robots
 
 
-_DRIVERS: dict[str, Driver] = {"simulated": _simulated, "crazyflie": _crazyflie}
+def _physics(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+    from llm_flock.robots.physics import PhysicsWorld
+
+    if config.world.floor_m != 0.0:
+        raise InputError("floor_m", config.world.floor_m, "0 in physics")
+    world = PhysicsWorld([start_of(config, drone) for drone in wanted])
+    world.__enter__()  # its thread ends with the process: a flight is all that this process does
+    return [world.robot(k, drone.name, config.driver_limits) for k, drone in enumerate(wanted)]
+
+
+_DRIVERS: dict[str, Driver] = {"simulated": _simulated, "crazyflie": _crazyflie, "physics": _physics}
 
 
 def _driver(name: str) -> Driver:

@@ -29,7 +29,7 @@ class Heartbeat:
     """Keeps a deadman at rest for as long as the event loop of this process turns.
 
     Args:
-        config: the flight; without `deadman`, nothing is started.
+        config: the flight; nothing is started where it wants no deadman.
         aloft: tells who is in the air.
     """
 
@@ -45,7 +45,7 @@ class Heartbeat:
         return None if self._process is None else self._process.pid
 
     async def __aenter__(self) -> Self:
-        if self._config.fleet.deadman:
+        if self._config.fleet.watched:
             await self._start()
         return self
 

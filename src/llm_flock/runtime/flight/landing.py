@@ -14,14 +14,21 @@ from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import SetPointCheck, moving
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
-MARGIN_S = 1.5
-"""After the time of a landing, so much longer is waited for a drone to say that it is down [s]."""
+MARGIN_S = 3.0
+"""After the time of a landing, so much longer is waited for a drone to say that its motors are off [s]: a Crazyflie
+says so two seconds late (docs/firmware.md)."""
 
 LANDED = "landed"
 """How a landing should end."""
 
 STOPPED = "motors stopped, not seen to land"
 """How it ends for a drone that is not heard to have landed, but that its motors were cut when it should have."""
+
+TOLD = "told to land, not confirmed"
+"""How it ends for a drone that took the command to land, and was not heard of again."""
+
+LOST = "out of reach"
+"""How it ends for a drone that took no command any more: it hovers at its last set-point."""
 
 DOWN_M = 0.12
 """An estimate this near to the floor is of a drone that is down [m]."""
@@ -132,6 +139,7 @@ class Landing:
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
         self.ends: dict[int, str] = {}
+        self._told: set[int] = set()
         self._config = config
         self._team = team
         self._log = log
@@ -176,6 +184,7 @@ class Landing:
         began = time.monotonic()
         body = self._team.robots[robot]
         await asyncio.wait_for(body.land(world.floor_m, safety.land_s), SEND_S)
+        self._told.add(robot)
         x, y, z = self._team.set_points()[robot]
         self._fly(robot, (x, y, z), (x, y, world.floor_m), safety.land_s)
         if await self._down(robot, began + safety.land_s + MARGIN_S):
@@ -185,7 +194,9 @@ class Landing:
             # An emergency stop locks a drone until it is started anew: only for one that did not stop by itself.
             stopped = await asyncio.wait_for(body.stop_motors(), 2 * SEND_S)
             self._log.note("not_down", robot, stopped=stopped)
-            self.ends[robot] = STOPPED if stopped else "told to land, not confirmed"
+            if not stopped:
+                raise RobotError(body.name, "was told to land, and then to stop, and confirmed neither")
+            self.ends[robot] = STOPPED
         self._team.aloft.discard(robot)
 
     async def _down(self, robot: int, until_s: float) -> bool:
@@ -209,9 +220,8 @@ class Landing:
         until = time.monotonic() + safety.reach_s
         while time.monotonic() < until:
             try:
-                if body.state().link_lost:
-                    await body.close()
-                    await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))
+                await body.close()
+                await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))
                 self._log.note("landing", robot, spot=list(descent.spot))
                 await self._sink(robot)
             except (RobotError, TimeoutError):
@@ -219,7 +229,7 @@ class Landing:
             else:
                 return
         self._log.note("given_up", robot, position=list(self._team.motions[robot].end))
-        self.ends[robot] = "out of reach"
+        self.ends[robot] = TOLD if robot in self._told else LOST
 
     def _fly(self, robot: int, start: Position, end: Position, seconds: float) -> None:
         self._team.motions[robot] = moving(start, end, time.monotonic(), seconds)

@@ -15,7 +15,7 @@ from llm_flock.robots.base import PEAK_SPEED, Position
 from llm_flock.runtime.api import minds
 from llm_flock.runtime.bodies import AtOnce
 from llm_flock.runtime.flight.config import Drone, FlightConfig
-from llm_flock.runtime.flight.fleet import drones
+from llm_flock.runtime.flight.fleet import with_drones
 from llm_flock.runtime.flight.landing import Descent, plan_landing
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.journal import Journal
@@ -109,7 +109,8 @@ async def rehearse(config: FlightConfig) -> Rehearsal:
     Raises:
         InputError: a drone has no start, or one that no mission can begin from.
     """
-    fleet = drones(config)
+    config = with_drones(config)
+    fleet = config.fleet.drones
     aims = _aims(config, fleet)
     team = RehearsedTeam(config, aims)
     protocol, mission = config.protocol, config.mission
@@ -134,7 +135,7 @@ async def rehearse(config: FlightConfig) -> Rehearsal:
         await thinkers.close()
     groups = plan_landing(config, dict(enumerate(team.places())), [])
     return Rehearsal(
-        drones=tuple(fleet),
+        drones=fleet,
         steps=tuple(team.steps),
         landing=tuple(map(tuple, groups)),
         result=trial.finish(None),

@@ -1,0 +1,186 @@
+"""The flight file: what is refused before anything moves, and where a mission is in the world."""
+
+from __future__ import annotations
+
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from flights import flight_config
+from pydantic import BaseModel
+
+from llm_flock.errors import InputError
+from llm_flock.robots.base import PEAK_SPEED
+from llm_flock.runtime.config import load_config_of
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.fleet import build_fleet
+from llm_flock.runtime.flight.frame import Frame
+from llm_flock.runtime.flight.setpoints import SetPointCheck, moving, resting
+
+SPACE: dict[str, Any] = {
+    "points": [[0, 0, -4], [0, 0, 4], [8, 0, 0]],
+    "center": [15, 15, 15],
+    "arena": [[5, 5, 5], [25, 25, 25]],
+    "spacing": 4,
+    "comm_range": 20,
+}
+IN_SPACE: dict[str, Any] = {
+    "stretch": 2.4,
+    "altitude_m": 2.8,
+    "geofence": [[-3, -3, -0.5], [3, 3, 6]],
+    "max_speed_m_s": 12.0,
+    "take_off_s": 1.0,
+    "land_s": 1.0,
+    "drones": [{"name": f"d{k}", "start": [k - 1.0, 0.0]} for k in range(3)],
+}
+
+
+def test_field_names_are_unique_and_described() -> None:
+    names: list[str] = []
+    for info in FlightConfig.model_fields.values():
+        assert isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel)
+        names.extend(info.annotation.model_fields)
+        assert all(field.description for field in info.annotation.model_fields.values())
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "says"),
+    [
+        ({"min_separation_m": 0.25}, "safe_distance", "0.35 m"),
+        ({"tracking_m": 0.06}, "safe_distance", "3.2 units"),
+        ({"scale_m": 0.09}, "safe_distance", "one unit is 0.09 m"),
+        ({"round_s": 0.2}, "round_s", "2.1875"),
+        ({"take_off_s": 0.1}, "take_off_s", "at least"),
+        ({"land_s": 0.1}, "land_s", "at least"),
+        ({"geofence": [[-1, -1, 0], [1, 1, 2]]}, "geofence", "a corner of the arena is at"),
+        ({"geofence": [[-2, -2, 0], [2, 2, 1.02]]}, "geofence", "1) m"),
+        ({"geofence": [[2, 2, 2], [-2, -2, 0]]}, "geofence", "two corners"),
+        ({"floor_m": -1.0}, "floor_m", "z = -0.5 m"),
+        ({"floor_m": 1.0}, "altitude_m", "above the floor"),
+        ({"shield": False}, "shield", "on in a flight"),
+        ({"kill": "1@2"}, "kill", "nothing in a flight"),
+        ({"noise": 0.1}, "noise", "nothing in a flight"),
+        ({"drones": [{"name": "a"}]}, "drones", "one for each"),
+        ({"drones": [{"name": "a"}] * 4}, "drones", "there twice"),
+        ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "a uri for each"),
+        ({"drones": [{"name": f"d{k}", "start": [k / 5, 0]} for k in range(4)]}, "drones", "at least 0.3 m apart"),
+        ({"crazyflies": "crazyflies.yaml"}, "drones", "either drones, or crazyflies"),
+    ],
+)
+def test_a_flight_that_cannot_be_safe_is_refused(fields: dict[str, Any], field: str, says: str) -> None:
+    with pytest.raises(InputError) as raised:
+        flight_config(**fields)
+    assert raised.value.field == field and says in str(raised.value)
+
+
+def test_the_vertical_rule() -> None:
+    assert flight_config(3, "points", SPACE, **IN_SPACE).frame.stretch == 2.4
+    with pytest.raises(InputError, match="downwash") as raised:
+        flight_config(3, "points", SPACE, **IN_SPACE | {"stretch": 2.0})
+    assert raised.value.field == "stretch"
+
+
+def test_the_speed_limit_is_that_of_the_middle_of_a_step() -> None:
+    limit = PEAK_SPEED * 0.6 / 3.0
+    flight_config(max_speed_m_s=limit, round_s=3.0, take_off_s=6.0, land_s=6.0)
+    with pytest.raises(InputError, match="round_s"):
+        flight_config(max_speed_m_s=0.99 * limit, round_s=3.0, take_off_s=6.0, land_s=6.0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_there_and_back(dim: int) -> None:
+    rng = random.Random(dim)
+    for _ in range(100):
+        frame = Frame(
+            anchor=tuple(rng.uniform(-50, 50) for _ in range(dim)),
+            scale_m=rng.uniform(0.01, 2),
+            stretch=rng.uniform(1, 5),
+            yaw=rng.uniform(-7, 7),
+            origin=(rng.uniform(-5, 5), rng.uniform(-5, 5)),
+            altitude_m=rng.uniform(0.2, 3),
+        )
+        one, two = (tuple(rng.uniform(-100, 100) for _ in range(dim)) for _ in range(2))
+        assert frame.to_mission(frame.to_world(one)) == pytest.approx(one, abs=1e-9)
+        assert math.dist(frame.to_world(one)[:2], frame.to_world(two)[:2]) == pytest.approx(
+            frame.scale_m * math.dist(one[:2], two[:2])
+        )
+        assert frame.to_world(frame.anchor) == pytest.approx((*frame.origin, frame.altitude_m))
+    quarter = Frame(anchor=(0, 0), scale_m=0.1, stretch=1, yaw=math.pi / 2, origin=(1, 2), altitude_m=1)
+    assert quarter.to_world((10, 0)) == pytest.approx((1, 3, 1))
+
+
+def test_set_points_are_checked_one_by_one_and_against_each_other() -> None:
+    config = flight_config(max_speed_m_s=1.0, round_s=2.0, take_off_s=3.0, land_s=3.0)
+    check = SetPointCheck(config)
+    here = [(-1.0, -1.0, 1.0), (1.0, 1.0, 1.0)]
+    assert check.faults(here, here, 2.0) == []
+    assert check.faults(here, [(-1.0, -0.1, 1.0), here[1]], 2.0) == []
+    for there, says in (
+        ([(-1.0, 0.0, 1.0), here[1]], "m/s on the way"),
+        ([(-7.0, -1.0, 1.0), here[1]], "geofence"),
+        ([(math.nan, -1.0, 1.0), here[1]], "no place"),
+    ):
+        seconds = 2.0 if "m/s" in says else 60.0
+        assert any(says in fault and "robot 0" in fault for fault in check.faults(here, there, seconds))
+    swapped = check.faults(here, here[::-1], 60.0)
+    assert len(swapped) == 1 and "0.000 m" in swapped[0]
+    above = [(0.0, 0.0, 1.0), (0.0, 0.0, 1.69)]
+    assert "two set-points" in check.faults(above, above, 2.0)[0]
+    assert check.faults(above, [(0.0, 0.0, 1.0), (0.0, 0.0, 1.71)], 2.0)  # it begins too near
+    higher = [(0.0, 0.0, 1.0), (0.0, 0.0, 1.71)]
+    assert check.faults(higher, higher, 2.0) == []
+
+
+def test_set_points_move_as_the_drones_do() -> None:
+    motion = moving((0.0, 0.0, 1.0), (1.0, 0.0, 1.0), 10.0, 2.0)
+    assert motion.at(5.0) == (0.0, 0.0, 1.0) and motion.at(12.0) == motion.end == (1.0, 0.0, 1.0)
+    assert motion.at(11.0)[0] == pytest.approx(0.5)
+    step = 1e-4
+    assert (motion.at(11.0 + step)[0] - motion.at(11.0 - step)[0]) / (2 * step) == pytest.approx(PEAK_SPEED / 2)
+    assert resting((1.0, 2.0, 3.0)).at(-1e9) == (1.0, 2.0, 3.0)
+
+
+def test_drones_of_crazyflies_yaml(tmp_path: Path) -> None:
+    pytest.importorskip("yaml")
+    file = tmp_path / "crazyflies.yaml"
+    rows = "".join(
+        f"  cf{k}:\n    enabled: true\n    uri: udp://127.0.0.1:{5000 + k}\n"
+        f"    initial_position: [{x}, {y}, 0.0]\n    type: cf21\n"
+        for k, (x, y) in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    )
+    file.write_text(
+        f"fileversion: 3\nrobots:\n{rows}robot_types:\n  cf21:\n    motion_capture: {{tracking: none}}\n"
+        "all:\n  firmware_params: {stabilizer: {estimator: 2}}\n"
+    )
+    settings = flight_config(crazyflies=str(file), drones=[], robot="crazyflie")
+    assert [drone.name for drone in settings.fleet.drones] == ["cf0", "cf1", "cf2", "cf3"]
+    assert settings.fleet.drones[2].start == (1, 1, 0)
+    assert settings.fleet.drones[0].parameters == {"stabilizer.estimator": 2}
+    assert [robot.name for robot in build_fleet(settings)] == ["cf0", "cf1", "cf2", "cf3"]
+
+
+@pytest.mark.parametrize("robot", ["tricycle", "llm_flock.robots.base:nothing", "no.such.module:make"])
+def test_a_driver_that_is_not_there(robot: str) -> None:
+    with pytest.raises(InputError, match="robot"):
+        build_fleet(flight_config(robot=robot))
+
+
+def test_a_driver_of_ones_own() -> None:
+    made = build_fleet(flight_config(robot="flights:one_by_one"))
+    assert [robot.name for robot in made] == ["d0", "d1", "d2", "d3"]
+
+
+def test_a_crazyflie_needs_an_address_and_a_simulated_drone_a_start() -> None:
+    with pytest.raises(InputError, match="uri"):
+        build_fleet(flight_config(robot="crazyflie"))
+    with pytest.raises(InputError, match="start"):
+        build_fleet(flight_config(drones=[{"name": f"d{k}"} for k in range(4)]))
+
+
+def test_the_example_is_a_flight() -> None:
+    example = Path(__file__).parents[2] / "examples" / "flight.toml"
+    settings = load_config_of(FlightConfig, example)
+    assert len(settings.fleet.drones) == settings.mission.n_robots == 4
