@@ -10,6 +10,7 @@ a provider's service, or a file on disk.
     |-- ModelError          a provider did not answer (time-out, rate limit, cut connection, refusal)
     |   `-- BudgetExceeded  the run's own limit on calls, tokens or money is used up
     |-- ReplayDrift         a replayed conversation asks something other than what was recorded
+    |-- RobotError          a robot cannot do, or did not confirm, what it was told (llm_flock.robots.base)
     `-- RecordError         a record cannot be read or written
 """
 

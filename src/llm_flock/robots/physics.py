@@ -136,9 +136,13 @@ class PhysicsWorld:
             self.positions[index] = position
             self._write(self.positions, only=index)
 
-    def __enter__(self) -> PhysicsWorld:
+    def start(self) -> None:
+        """Have time pass at the pace of the clock from now on, for as long as the process lives."""
         self.time_s = self.clock()
         self._thread.start()
+
+    def __enter__(self) -> PhysicsWorld:
+        self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
