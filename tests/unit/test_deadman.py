@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from flights import STARTS, flight_config
@@ -35,6 +36,7 @@ def test_a_farewell_is_a_good_end() -> None:
     say(into, farewell=True)
     assert wait_for_the_end(ears, 5.0)
     into.close()
+    ears.listener.join()
 
 
 def test_a_closed_pipe_is_noticed_at_once_and_silence_in_time() -> None:
@@ -49,6 +51,7 @@ def test_a_closed_pipe_is_noticed_at_once_and_silence_in_time() -> None:
     assert not wait_for_the_end(ears, 0.3)
     assert 0.2 < time.monotonic() - began < 1.0
     into.close()
+    ears.listener.join()
 
 
 def up(name: str, home) -> SimulatedRobot:
@@ -72,8 +75,9 @@ def test_everybody_who_can_be_reached_is_landed() -> None:
     assert any("d0, d1, d3" in text for text in said)
 
 
+ROOT = Path(__file__).parents[2]
 PARENT = """
-import asyncio, os, sys
+import asyncio
 sys.path.insert(0, "tests")
 from flights import flight_config
 from llm_flock.runtime.flight.heartbeat import Heartbeat
@@ -90,15 +94,16 @@ asyncio.run(main())
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) -> None:
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(("src", "tests"))}
+    command = [sys.executable, "-c", PARENT]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env, cwd=ROOT
+    ) as parent:
         assert parent.stdout is not None and parent.stderr is not None
         assert int(parent.stdout.readline()) > 0
         parent.send_signal(how)
         assert parent.wait(10.0) == -signal.SIGKILL  # one that hangs is ended: it may hold the radio
         said = parent.stderr.read()
-    finally:
-        parent.kill()
     assert "the flight process is gone; calling d0, d2" in said
     assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
 

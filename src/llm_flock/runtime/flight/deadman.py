@@ -62,14 +62,16 @@ class Ears:
         self.heard_s = time.monotonic()
         self.closed = False
         self._source = source
-        threading.Thread(target=self._listen, daemon=True).start()
+        self.listener = threading.Thread(target=self._listen, daemon=True)
+        self.listener.start()
 
     def _listen(self) -> None:
-        for line in self._source:
-            self.last = Beat.model_validate_json(line)
-            self.heard_s = time.monotonic()
-            if self.last.farewell:
-                return
+        with self._source:
+            for line in self._source:
+                self.last = Beat.model_validate_json(line)
+                self.heard_s = time.monotonic()
+                if self.last.farewell:
+                    return
         self.closed = True
 
 
