@@ -67,6 +67,11 @@ def addressed(config: FlightConfig, homes: Sequence[Position], uris: Sequence[st
     return build_config_of(FlightConfig, base, drones=fleet)
 
 
+def case_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightConfig, list[Position]]:
+    """The flight in which something happens."""
+    return flight_config(shape, n, seed, take_off_group=4, reach_s=8.0, think_s=2.0, **fields)
+
+
 def homes_of(config: FlightConfig) -> list[Position]:
     """Where its drones stand before take-off [m]."""
     return [start_of(config, drone) for drone in with_drones(config).fleet.drones]
@@ -218,9 +223,7 @@ async def fly_case(name: str, after_s: float = 1.5) -> dict[str, Any]:
     """One flight with one case in it: what came of it."""
     # Where a drone is where it should not be, because its estimate is wrong, the jump is not to be noticed first.
     jump_m = 100.0 if name in ("geofence", "far_outside", "too_near") else 0.3
-    config, homes = flight_config(
-        "square", 4, 3, deadman=False, take_off_group=4, reach_s=8.0, think_s=2.0, jump_m=jump_m
-    )
+    config, homes = case_config("square", 4, 3, deadman=False, jump_m=jump_m)
     with StandIns(homes) as stand_ins:
         config = addressed(config, homes, stand_ins.uris)
         watch = Watch(stand_ins)
@@ -285,7 +288,7 @@ def _stated(name: str, config: FlightConfig) -> dict[str, Any]:
 
 async def fly_and_lose_the_process(name: str) -> dict[str, Any]:
     """The flight process is killed, or stopped for good, in the middle of a round: what the deadman makes of it."""
-    config, homes = flight_config("square", 4, 3, take_off_group=4)
+    config, homes = case_config("square", 4, 3)
     with StandIns(homes) as stand_ins, tempfile.TemporaryDirectory() as folder:
         config = addressed(config, homes, stand_ins.uris)
         watch = Watch(stand_ins)
