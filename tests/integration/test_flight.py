@@ -10,9 +10,11 @@ from itertools import pairwise
 import pytest
 from flights import Sabotage, flight_config, flown, fly
 
+from llm_flock.errors import RecordError
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer
 from llm_flock.record.reader import read_record
+from llm_flock.record.writer import RecordWriter
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import landing
 from llm_flock.runtime.flight.flight import Flight
@@ -189,6 +191,23 @@ def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:
     monkeypatch.setattr(SimulatedRobot, "go_to", lambda self, *args: (sent.append(args), plain(self, *args))[1])
     flight = figures(flown(flight_config()))
     assert flight.ended == "set_point" and flight.reason == "too fast" and flight.safe and not sent
+
+
+def test_a_record_that_cannot_be_written_ends_the_flight_on_the_floor(tmp_path, monkeypatch) -> None:
+    config = flight_config(out=str(tmp_path))
+    plain = RecordWriter.body
+    seen: list[SimulatedRobot] = []
+
+    def full(self, sample) -> None:
+        if sample.round == 1:
+            raise RecordError("no space left")
+        plain(self, sample)
+
+    monkeypatch.setattr(RecordWriter, "body", full)
+    with pytest.raises(RecordError, match="no space left"):
+        flown(config, lambda flight, robots: seen.extend(robots), "connecting")
+    assert len(seen) == 4
+    assert all(not robot.body.flying and robot.body.position(time.monotonic())[2] == 0.0 for robot in seen)
 
 
 def test_a_preflight_that_fails_lets_nobody_take_off() -> None:

@@ -9,6 +9,7 @@ and lands everybody who is in the air.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -21,7 +22,7 @@ from typing import TextIO
 from pydantic import BaseModel, ConfigDict
 
 from llm_flock.record.writer import NullWriter
-from llm_flock.robots.base import Robot
+from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
 from llm_flock.runtime.flight.landing import LANDED, LOST, STOPPED, Landing
@@ -112,7 +113,8 @@ async def land_them(config: FlightConfig, robots: Sequence[Robot], say: Callable
     for robot in missing:
         ends[robot.name] = LOST
     for robot in reached:
-        await robot.close()
+        with contextlib.suppress(TimeoutError, RobotError):
+            await robot.close()
     return ends
 
 
