@@ -78,7 +78,6 @@ def test_everybody_who_can_be_reached_is_landed() -> None:
 ROOT = Path(__file__).parents[2]
 PARENT = """
 import asyncio
-sys.path.insert(0, "tests")
 from flights import flight_config
 from llm_flock.runtime.flight.heartbeat import Heartbeat
 
