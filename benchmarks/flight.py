@@ -142,7 +142,9 @@ async def fly_one(shape: str, n: int, seed: int, **fields: Any) -> dict[str, Any
 
 def show(rows: Sequence[dict[str, Any]]) -> None:
     """The table of the paper's flights (Markdown)."""
-    print("| Flight | Runs | Formed | Landed | Smallest distance [m] | Off the set-points [cm] | go_to to all [ms] |")
+    print(
+        "| Flight | Runs | Formed | Landed | Smallest distance [m] | Off the set-points [cm] | Longest go_to to all [ms] |"
+    )
     print("|---|---|---|---|---|---|---|")
     for shape, n in FLIGHTS:
         mine = [row for row in rows if (row["shape"], row["n"]) == (shape, n)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Sequence
 from itertools import pairwise
@@ -237,9 +238,9 @@ def test_who_does_not_confirm_does_not_fly() -> None:
     assert asyncio.run(ask()).result is None
 
 
-def test_landing_of_a_mission_in_space() -> None:
-    """Drones above each other: the lower one first, and nobody on another."""
-    config = flight_config(
+def in_space(**fields):
+    """Three drones, of which the mission puts one above another."""
+    return flight_config(
         3,
         "points",
         {
@@ -254,8 +255,25 @@ def test_landing_of_a_mission_in_space() -> None:
         max_speed_m_s=8.0,
         take_off_s=0.8,
         land_s=0.8,
-        drones=[{"name": f"d{k}", "start": [k - 1.0, 0.0]} for k in range(3)],
+        drones=[{"name": f"d{k}", "start": [k - 0.9, 0.0]} for k in range(3)],
+        **fields,
     )
+
+
+def test_a_mission_in_space_is_formed_and_landed() -> None:
+    robots: Robots = []
+    result = flown(in_space(), lambda flight, made: robots.extend(made), "landing")
+    assert figures(result).safe and set(figures(result).ends.values()) == {"landed"}
+    assert figures(result).min_separation_m >= 0.2
+    now = time.monotonic()
+    spots = [robot.body.position(now) for robot in robots]
+    assert len(spots) == 3 and all(z == 0.0 for _, _, z in spots)
+    assert all(math.dist(a, b) >= 0.3 - 2e-3 for k, a in enumerate(spots) for b in spots[:k])
+
+
+def test_landing_of_a_mission_in_space() -> None:
+    """Drones above each other: the lower one first, and nobody on another."""
+    config = in_space()
     low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)
     groups = landing.plan_landing(config, {0: high, 1: low, 2: aside}, [])
     assert [[descent.robot for descent in group] for group in groups] == [[1], [2], [0]]
