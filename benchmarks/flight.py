@@ -143,7 +143,7 @@ async def fly_one(shape: str, n: int, seed: int, **fields: Any) -> dict[str, Any
 def show(rows: Sequence[dict[str, Any]]) -> None:
     """The table of the paper's flights (Markdown)."""
     print(
-        "| Flight | Runs | Formed | Landed | Smallest distance [m] | Off the set-points [cm] | Longest go_to to all [ms] |"
+        "| Flight | Runs | Formed | Landed | Smallest distance [m] | Off set-points [cm] | Longest go_to to all [ms] |"
     )
     print("|---|---|---|---|---|---|---|")
     for shape, n in FLIGHTS:

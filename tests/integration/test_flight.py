@@ -255,7 +255,7 @@ def in_space(**fields):
         max_speed_m_s=8.0,
         take_off_s=0.8,
         land_s=0.8,
-        drones=[{"name": f"d{k}", "start": [k - 0.9, 0.0]} for k in range(3)],
+        drones=[{"name": f"d{k}", "start": [0.8 * k - 0.8, 0.0]} for k in range(3)],
         **fields,
     )
 
