@@ -21,7 +21,7 @@ from llm_flock.robots.base import Limits
 from llm_flock.robots.physics import STEP_S, PhysicsWorld
 from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import drones
+from llm_flock.runtime.flight.fleet import start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
@@ -97,8 +97,9 @@ async def yes(_: object) -> bool:
 
 def fly(shape: str, n: int, **fields: Any) -> str:
     """One flight; a row of the table."""
-    config = build_config_of(FlightConfig, {"mission": {"shape": shape, "n_robots": n, **ROOM}}, **{**FIELDS, **fields})
-    homes = [((d.start or (0.0, 0.0))[0], (d.start or (0.0, 0.0))[1], 0.0) for d in drones(config)]
+    mission = {"shape": shape, "n_robots": n, **ROOM}
+    config = with_drones(build_config_of(FlightConfig, {"mission": mission}, **{**FIELDS, **fields}))
+    homes = [start_of(config, drone) for drone in config.fleet.drones]
     clock = OwnTime()
     began = time.perf_counter()
     world = clock.world = Watched(homes, clock=clock)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,9 +11,11 @@ from itertools import pairwise
 import pytest
 from flights import Sabotage, flight_config, flown, fly
 
+from llm_flock.errors import RecordError
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer
 from llm_flock.record.reader import read_record
+from llm_flock.record.writer import RecordWriter
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import landing
 from llm_flock.runtime.flight.flight import Flight
@@ -191,6 +194,23 @@ def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:
     assert flight.ended == "set_point" and flight.reason == "too fast" and flight.safe and not sent
 
 
+def test_a_record_that_cannot_be_written_ends_the_flight_on_the_floor(tmp_path, monkeypatch) -> None:
+    config = flight_config(out=str(tmp_path))
+    plain = RecordWriter.body
+    seen: list[SimulatedRobot] = []
+
+    def full(self, sample) -> None:
+        if sample.round == 1:
+            raise RecordError("no space left")
+        plain(self, sample)
+
+    monkeypatch.setattr(RecordWriter, "body", full)
+    with pytest.raises(RecordError, match="no space left"):
+        flown(config, lambda flight, robots: seen.extend(robots), "connecting")
+    assert len(seen) == 4
+    assert all(not robot.body.flying and robot.body.position(time.monotonic())[2] == 0.0 for robot in seen)
+
+
 def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
     def discharged(flight: Flight, robots: Robots) -> None:
         robots[1].body.battery_v = 3.5
@@ -218,9 +238,9 @@ def test_who_does_not_confirm_does_not_fly() -> None:
     assert asyncio.run(ask()).result is None
 
 
-def test_landing_of_a_mission_in_space() -> None:
-    """Drones above each other: the lower one first, and nobody on another."""
-    config = flight_config(
+def in_space(**fields):
+    """Three drones, of which the mission puts one above another."""
+    return flight_config(
         3,
         "points",
         {
@@ -235,8 +255,25 @@ def test_landing_of_a_mission_in_space() -> None:
         max_speed_m_s=8.0,
         take_off_s=0.8,
         land_s=0.8,
-        drones=[{"name": f"d{k}", "start": [k - 1.0, 0.0]} for k in range(3)],
+        drones=[{"name": f"d{k}", "start": [0.8 * k - 0.8, 0.0]} for k in range(3)],
+        **fields,
     )
+
+
+def test_a_mission_in_space_is_formed_and_landed() -> None:
+    robots: Robots = []
+    result = flown(in_space(), lambda flight, made: robots.extend(made), "landing")
+    assert figures(result).safe and set(figures(result).ends.values()) == {"landed"}
+    assert figures(result).min_separation_m >= 0.2
+    now = time.monotonic()
+    spots = [robot.body.position(now) for robot in robots]
+    assert len(spots) == 3 and all(z == 0.0 for _, _, z in spots)
+    assert all(math.dist(a, b) >= 0.3 - 2e-3 for k, a in enumerate(spots) for b in spots[:k])
+
+
+def test_landing_of_a_mission_in_space() -> None:
+    """Drones above each other: the lower one first, and nobody on another."""
+    config = in_space()
     low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)
     groups = landing.plan_landing(config, {0: high, 1: low, 2: aside}, [])
     assert [[descent.robot for descent in group] for group in groups] == [[1], [2], [0]]

@@ -58,7 +58,7 @@ def test_field_names_are_unique_and_described() -> None:
         ({"geofence": [[-1, -1, 0], [1, 1, 2]]}, "geofence", "a corner of the arena is at"),
         ({"geofence": [[-2, -2, 0], [2, 2, 1.02]]}, "geofence", "1) m"),
         ({"geofence": [[2, 2, 2], [-2, -2, 0]]}, "geofence", "two corners"),
-        ({"floor_m": -1.0}, "floor_m", "z = -0.5 m"),
+        ({"floor_m": -0.6, "take_off_s": 1.0, "land_s": 1.0}, "floor_m", "z = -0.5 m"),
         ({"floor_m": 1.0}, "altitude_m", "above the floor"),
         ({"shield": False}, "shield", "on in a flight"),
         ({"kill": "1@2"}, "kill", "nothing in a flight"),

@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
-from llm_flock.cli.keyboard import Keyboard
+from llm_flock.cli.keyboard import Keyboard, ask
 from llm_flock.cli.options import SET_BY_FLY, parse_flags, with_config_flags
 from llm_flock.runtime.config import load_config_of
 from llm_flock.runtime.flight.config import FlightConfig
@@ -80,7 +80,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
             Console().print(_preflight_table(report.checks))
         if yes:
             return True
-        answer = await asyncio.to_thread(_ask, f"Type '{WORD}' to take off, anything else to stay: ")
+        answer = await ask(f"Type '{WORD}' to take off, anything else to stay: ")
         return answer.strip().lower() == WORD
 
     live = not quiet and not as_json
@@ -115,12 +115,6 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
     elif result.result is None:
         print("not confirmed; nothing has taken off", file=sys.stderr)
     return result
-
-
-def _ask(question: str) -> str:
-    sys.stderr.write(question)
-    sys.stderr.flush()
-    return sys.stdin.readline()
 
 
 def _rehearse(settings: FlightConfig, as_json: bool) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import sys
+import threading
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -14,6 +16,29 @@ LAND_KEYS = frozenset("lL ")
 
 CUT_KEYS = frozenset("xX")
 """Keys that cut all motors."""
+
+
+async def ask(question: str) -> str:
+    """Ask the operator; a line of standard input, or what there is of one.
+
+    The thread that waits for it holds no lock and ends with the program: whoever interrupts need not press Enter.
+    """
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[str] = loop.create_future()
+
+    def settle(text: str) -> None:
+        if not answer.done():
+            answer.set_result(text)
+
+    def wait() -> None:
+        text = os.read(sys.stdin.fileno(), 4096).decode(errors="ignore")
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(settle, text)
+
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    threading.Thread(target=wait, daemon=True).start()
+    return await answer
 
 
 class Controllable(Protocol):

@@ -98,10 +98,9 @@ def _drone(name: str, kind: str, where: str, merged: Mapping[str, Any]) -> Drone
     uri = merged.get("uri")
     if not isinstance(uri, str) or "://" not in uri:
         raise InputError(f"{where}.uri", uri, "a URI such as radio://0/80/2M/E7E7E7E701")
-    given = merged.get("initial_position")
-    home = cast("list[Any]", given) if isinstance(given, list) else []
+    home = _rows(merged.get("initial_position"))
     if len(home) != 3:
-        raise InputError(f"{where}.initial_position", given, "three numbers [m]")
+        raise InputError(f"{where}.initial_position", merged.get("initial_position"), "three numbers [m]")
     x, y, z = (_number(f"{where}.initial_position", value) for value in home)
     battery = _table(f"{where}.battery", merged.get("battery"))
     parameters: dict[str, float] = {}
@@ -117,6 +116,10 @@ def _drone(name: str, kind: str, where: str, merged: Mapping[str, Any]) -> Drone
         battery_warning_v=_volts(f"{where}.battery.voltage_warning", battery.get("voltage_warning")),
         battery_critical_v=_volts(f"{where}.battery.voltage_critical", battery.get("voltage_critical")),
     )
+
+
+def _rows(value: object) -> list[Any]:
+    return cast("list[Any]", value) if isinstance(value, list) else []
 
 
 def _volts(field: str, value: object) -> float | None:

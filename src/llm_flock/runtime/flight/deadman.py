@@ -9,6 +9,7 @@ and lands everybody who is in the air.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -21,7 +22,7 @@ from typing import TextIO
 from pydantic import BaseModel, ConfigDict
 
 from llm_flock.record.writer import NullWriter
-from llm_flock.robots.base import Robot
+from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
 from llm_flock.runtime.flight.landing import LANDED, LOST, STOPPED, Landing
@@ -62,14 +63,16 @@ class Ears:
         self.heard_s = time.monotonic()
         self.closed = False
         self._source = source
-        threading.Thread(target=self._listen, daemon=True).start()
+        self.listener = threading.Thread(target=self._listen, daemon=True)
+        self.listener.start()
 
     def _listen(self) -> None:
-        for line in self._source:
-            self.last = Beat.model_validate_json(line)
-            self.heard_s = time.monotonic()
-            if self.last.farewell:
-                return
+        with self._source:
+            for line in self._source:
+                self.last = Beat.model_validate_json(line)
+                self.heard_s = time.monotonic()
+                if self.last.farewell:
+                    return
         self.closed = True
 
 
@@ -110,7 +113,8 @@ async def land_them(config: FlightConfig, robots: Sequence[Robot], say: Callable
     for robot in missing:
         ends[robot.name] = LOST
     for robot in reached:
-        await robot.close()
+        with contextlib.suppress(TimeoutError, RobotError):
+            await robot.close()
     return ends
 
 

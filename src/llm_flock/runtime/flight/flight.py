@@ -111,7 +111,8 @@ class Flight:
         finally:
             await thinkers.close()
             for robot in self._robots:
-                await robot.close()
+                with suppress(TimeoutError, RobotError):  # whoever is out of reach has been named already
+                    await robot.close()
 
     async def _fly(self, thinkers: Thinkers, journal: Journal, record: str | None, report: Report) -> RunResult:
         config = self._config
@@ -133,6 +134,8 @@ class Flight:
                 await landing.all_down()
                 await guard.settled()
                 watching.cancel()
+        if log.failure is not None:
+            raise log.failure
         return trial.finish(record, self._figures(guard, landing, log))
 
     async def _mission(self, guard: Guard, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:

@@ -86,6 +86,8 @@ class Guard:
                 # On the way down nothing is done about a drone any more, unless it must be cut.
                 if trouble.robot in (team.aloft if trouble.cut else airborne):
                     self.trip(trouble)
+            if self._log.failure is not None:
+                self.trip(Trouble(kind=Kind.UNWATCHED, detail=str(self._log.failure)))
             if airborne and self._aloft_s is None:
                 self._aloft_s = now
             limit = self._config.safety.max_flight_s

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
+import subprocess
 import sys
 from collections.abc import Callable, Collection
 from types import TracebackType
@@ -36,7 +38,7 @@ class Heartbeat:
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]]) -> None:
         self._config = config
         self._aloft = aloft
-        self._process: asyncio.subprocess.Process | None = None
+        self._process: subprocess.Popen[bytes] | None = None
         self._beating: asyncio.Task[None] | None = None
 
     @property
@@ -46,30 +48,33 @@ class Heartbeat:
 
     async def __aenter__(self) -> Self:
         if self._config.fleet.watched:
-            await self._start()
+            process = self._process = self._open()
+            try:
+                line = await asyncio.wait_for(asyncio.to_thread(_first_line, process), READY_S)
+            except TimeoutError:
+                line = b""
+            if line.strip() != b"ready":
+                process.kill()
+                await asyncio.to_thread(_gone, process, None)
+                raise NoDeadman("the deadman process did not start; nothing has taken off")
+            self._beating = asyncio.create_task(self._beat())
         return self
 
-    async def _start(self) -> None:
-        self._process = process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "llm_flock.runtime.flight.deadman",
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
+    def _open(self) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "llm_flock.runtime.flight.deadman"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             start_new_session=True,  # the terminal's Ctrl-C and its end are not for the deadman
         )
-        assert process.stdin is not None and process.stdout is not None
+        assert process.stdin is not None
         settings = self._config.model_dump(mode="json", exclude_none=True)
-        process.stdin.write(json.dumps(settings).encode() + b"\n")
-        try:
-            line = await asyncio.wait_for(process.stdout.readline(), READY_S)
-        except TimeoutError:
-            line = b""
-        if line.strip() != b"ready":
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            raise NoDeadman("the deadman process did not start; nothing has taken off")
-        self._beating = asyncio.create_task(self._beat())
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(json.dumps(settings).encode() + b"\n")
+            process.stdin.flush()
+        # From here on a beat that does not fit is left out: the flight waits for nobody.
+        os.set_blocking(process.stdin.fileno(), False)
+        return process
 
     async def _beat(self) -> None:
         while True:
@@ -77,16 +82,11 @@ class Heartbeat:
             await asyncio.sleep(self._config.fleet.deadman_s / BEATS)
 
     def say(self, beat: Beat) -> None:
-        """Send a beat."""
+        """Send a beat; nothing where the deadman is gone."""
         process = self._process
         assert process is not None and process.stdin is not None
-        if process.returncode is None:
-            process.stdin.write(beat.model_dump_json().encode() + b"\n")
-
-    @property
-    def alive(self) -> bool:
-        """Whether the deadman is there, or none was wanted."""
-        return self._process is None or self._process.returncode is None
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
+            os.write(process.stdin.fileno(), beat.model_dump_json().encode() + b"\n")
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -99,7 +99,18 @@ class Heartbeat:
             self._beating.cancel()
         left = tuple(sorted(self._aloft())) if error is not None else ()
         self.say(Beat(aloft=left, farewell=not left))
-        assert process.stdin is not None
-        process.stdin.close()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(process.wait(), None if left else FAREWELL_S)
+        await asyncio.to_thread(_gone, process, None if left else FAREWELL_S)
+
+
+def _first_line(process: subprocess.Popen[bytes]) -> bytes:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def _gone(process: subprocess.Popen[bytes], longest_s: float | None) -> None:
+    """Close the pipes and wait for the process to end."""
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.close()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(longest_s)
+    process.stdout.close()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from llm_flock import metrics
+from llm_flock.errors import RecordError
 from llm_flock.record.schema import BodySample, FlightEvent
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Position, RobotState
@@ -36,10 +37,14 @@ class FlightLog:
     Args:
         config: the vertical rule, by which distances are measured.
         sink: takes the record.
+
+    Attributes:
+        failure: why the record cannot be written any more; what happens is still counted.
     """
 
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
         self.round = 0
+        self.failure: RecordError | None = None
         self.figures = Figures()
         self.events: list[FlightEvent] = []
         self._safety = config.safety
@@ -52,7 +57,7 @@ class FlightLog:
         seconds = round(time.monotonic() - self._began, 3)
         event = FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail)
         self.events.append(event)
-        self._sink.flight(event)
+        self._write(lambda: self._sink.flight(event))
 
     def look(
         self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
@@ -72,17 +77,24 @@ class FlightLog:
             figures.nearest_m = min(figures.nearest_m, nearest)
         if now_s - self._sampled >= SAMPLE_S:
             self._sampled = now_s
-            self._sink.body(
-                BodySample(
-                    round=self.round,
-                    time_s=round(now_s - self._began, 3),
-                    measured=[_millimetres(state.position) for state in states],
-                    commanded=[_millimetres(point) for point in commanded],
-                    flying=[state.flying for state in states],
-                    battery_v=[state.battery_v for state in states],
-                    link=[0.0 if state.link_lost else state.link for state in states],
-                )
+            sample = BodySample(
+                round=self.round,
+                time_s=round(now_s - self._began, 3),
+                measured=[_millimetres(state.position) for state in states],
+                commanded=[_millimetres(point) for point in commanded],
+                flying=[state.flying for state in states],
+                battery_v=[state.battery_v for state in states],
+                link=[0.0 if state.link_lost else state.link for state in states],
             )
+            self._write(lambda: self._sink.body(sample))
+
+    def _write(self, write: Callable[[], None]) -> None:
+        """A record that cannot be written must not keep anybody from landing."""
+        if self.failure is None:
+            try:
+                write()
+            except RecordError as error:
+                self.failure = error
 
 
 def _millimetres(position: Position) -> list[float]:

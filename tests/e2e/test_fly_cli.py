@@ -1,0 +1,92 @@
+"""`llm-flock fly`: on paper, in the air, and ended by the operator."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+COMMAND = [sys.executable, "-m", "llm_flock", "fly", "--config", str(ROOT / "examples" / "flight.toml"), "--no-record"]
+BRISK = ["--take-off-group", "4", "--take-off-s", "0.5", "--land-s", "0.5", "--round-s", "0.8", "--max-speed-m-s", "5"]
+LONG = ["--no-stop-when-formed", "--rounds", "60"]
+
+
+def run(*arguments: str, text: str | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, input=text, timeout=60, check=False)
+
+
+def test_a_dry_run_prints_and_checks_every_set_point() -> None:
+    done = run("--dry-run")
+    assert done.returncode == 0 and "0 faults" in done.stdout and "cf4" in done.stdout
+    plan = json.loads(run("--dry-run", "--json").stdout)
+    assert plan["formed"] and plan["faults"] == [] and len(plan["landing"]) == 1
+    assert all(len(row["targets_m"]) == 4 and row["separation_m"] >= 0.3 for row in plan["rounds"])
+
+
+def test_a_flight_that_cannot_be_safe_is_wrong_input() -> None:
+    done = run("--dry-run", "--min-separation-m", "0.5")
+    assert done.returncode == 2 and "safe_distance" in done.stderr
+    assert run("--geofence=-1,-1,0,1,1,2").returncode == 2
+
+
+def test_nothing_takes_off_unless_the_operator_says_so() -> None:
+    done = run(*BRISK, text="no\n")
+    assert done.returncode == 1 and "not confirmed" in done.stderr and "cf3" in done.stdout
+
+
+def test_a_confirmed_flight_forms_and_lands() -> None:
+    done = run(*BRISK, "--quiet", text="fly\n")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("landed") == 4
+
+
+def test_a_preflight_that_fails_is_explained() -> None:
+    done = run(*BRISK, "--ready-battery-v", "4.1", "--yes", "--json")
+    assert done.returncode == 1
+    found = json.loads(done.stdout)
+    assert found["summary"] is None and "cf1: battery: 4.00 V, at least 4.10 V" in found["preflight"]["failed"]
+
+
+@pytest.mark.parametrize(("presses", "end"), [(1, "landed"), (2, "motors cut")])
+def test_ctrl_c_lands_and_twice_cuts(presses: int, end: str) -> None:
+    with subprocess.Popen(
+        [*COMMAND, *BRISK, *LONG, "--yes", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(6.0)
+        for _ in range(presses):
+            process.send_signal(signal.SIGINT)
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(0.1)
+        out = process.stdout.read()
+        assert process.wait(10.0) == 1
+    flight = json.loads(out)["summary"]["flight"]
+    # The first trouble is what ended the flight; motors are cut whatever that was.
+    assert flight["ended"] == "abort" and set(flight["ends"].values()) == {end}
+
+
+@pytest.mark.parametrize(("key", "end"), [(b"l", "landed"), (b"x", "motors cut")])
+def test_keys_of_the_terminal(key: bytes, end: str) -> None:
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [*COMMAND, *BRISK, *LONG], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        os.write(ours, b"fly\n")
+        for line in process.stderr:
+            if line.startswith("round 1"):
+                break
+        os.write(ours, key)
+        out = process.stdout.read()
+        assert process.wait(10.0) == 1
+    assert out.count(end) >= 4
+    os.close(ours)
+    os.close(theirs)

@@ -1,0 +1,138 @@
+"""The deadman: when it takes over, and what it does then."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from flights import STARTS, flight_config
+
+from llm_flock.robots.point_mass import PointMass
+from llm_flock.robots.simulated_robot import SimulatedRobot
+from llm_flock.runtime.flight import heartbeat
+from llm_flock.runtime.flight.deadman import Beat, Ears, land_them, wait_for_the_end
+from llm_flock.runtime.flight.heartbeat import Heartbeat, NoDeadman
+
+
+def pipe_to_ears():
+    out, into = os.pipe()
+    return Ears(os.fdopen(out)), os.fdopen(into, "w", buffering=1)
+
+
+def say(into, **fields) -> None:
+    into.write(Beat(**fields).model_dump_json() + "\n")
+    into.flush()
+
+
+def test_a_farewell_is_a_good_end() -> None:
+    ears, into = pipe_to_ears()
+    say(into, aloft=(0, 1))
+    say(into, farewell=True)
+    assert wait_for_the_end(ears, 5.0)
+    into.close()
+    ears.listener.join()
+
+
+def test_a_closed_pipe_is_noticed_at_once_and_silence_in_time() -> None:
+    ears, into = pipe_to_ears()
+    say(into, aloft=(2,))
+    into.close()
+    began = time.monotonic()
+    assert not wait_for_the_end(ears, 5.0)
+    assert time.monotonic() - began < 1.0 and ears.last.aloft == (2,)
+    ears, into = pipe_to_ears()
+    began = time.monotonic()
+    assert not wait_for_the_end(ears, 0.3)
+    assert 0.2 < time.monotonic() - began < 1.0
+    into.close()
+    ears.listener.join()
+
+
+def up(name: str, home) -> SimulatedRobot:
+    """A drone that hovers, and that this process has no link to."""
+    body = PointMass(home=home)
+    body.arm(True)
+    body.take_off(1.0, 0.01, time.monotonic() - 1.0)
+    return SimulatedRobot(name, home, body=body)
+
+
+def test_everybody_who_can_be_reached_is_landed() -> None:
+    config = flight_config(reach_s=1.5, connect_s=0.4)
+    robots = [up(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
+    assert all(robot.body.position(time.monotonic())[2] == 1.0 for robot in robots)
+    robots[2]._lost = True
+    said: list[str] = []
+    ends = asyncio.run(land_them(config, robots, said.append))
+    assert ends == {"d0": "landed", "d1": "landed", "d2": "out of reach", "d3": "landed"}
+    heights = [robot.body.position(time.monotonic())[2] for robot in robots]
+    assert heights == [0.0, 0.0, 1.0, 0.0]
+    assert any("d0, d1, d3" in text for text in said)
+
+
+ROOT = Path(__file__).parents[2]
+PARENT = """
+import asyncio
+from flights import flight_config
+from llm_flock.runtime.flight.heartbeat import Heartbeat
+
+async def main():
+    config = flight_config(deadman=True, robot="flights:one_by_one", deadman_s=1.0, reach_s=3.0)
+    async with Heartbeat(config, lambda: {0, 2}) as heart:
+        print(heart.pid, flush=True)
+        await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) -> None:
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(("src", "tests"))}
+    command = [sys.executable, "-c", PARENT]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env, cwd=ROOT
+    ) as parent:
+        assert parent.stdout is not None and parent.stderr is not None
+        assert int(parent.stdout.readline()) > 0
+        parent.send_signal(how)
+        assert parent.wait(10.0) == -signal.SIGKILL  # one that hangs is ended: it may hold the radio
+        said = parent.stderr.read()
+    assert "the flight process is gone; calling d0, d2" in said
+    assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
+
+
+def test_nothing_takes_off_without_a_deadman(monkeypatch) -> None:
+    monkeypatch.setattr(heartbeat, "READY_S", 0.01)
+
+    async def start() -> None:
+        async with Heartbeat(flight_config(deadman=True, robot="flights:one_by_one"), set):
+            raise AssertionError("not reached")
+
+    with pytest.raises(NoDeadman):
+        asyncio.run(start())
+
+
+def test_a_flight_that_fails_in_the_air_says_no_farewell(monkeypatch) -> None:
+    said: list[Beat] = []
+
+    async def fail(aloft: set[int]) -> None:
+        async with Heartbeat(flight_config(deadman=True, robot="flights:one_by_one"), lambda: aloft) as heart:
+            plain = heart.say
+            monkeypatch.setattr(heart, "say", lambda beat: (said.append(beat), plain(Beat(farewell=True))))
+            raise RuntimeError("broken")
+
+    for aloft, farewell in ((set(), True), ({1}, False)):
+        said.clear()
+        with pytest.raises(RuntimeError):
+            asyncio.run(fail(aloft))
+        assert said[-1] == Beat(aloft=tuple(aloft), farewell=farewell)
+
+
+def test_drones_of_this_process_need_no_deadman() -> None:
+    assert not flight_config(deadman=True).fleet.watched

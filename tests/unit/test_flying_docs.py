@@ -1,0 +1,51 @@
+"""docs/flying.md says what the code promises."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from benchmarks.flight import CASES, case_config
+
+from llm_flock.cli.fly import WORD
+from llm_flock.cli.keyboard import CUT_KEYS, LAND_KEYS
+from llm_flock.runtime.flight.monitors import Kind
+from llm_flock.runtime.flight.promises import promises
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "flying.md").read_text(encoding="utf-8")
+
+
+def rows(first: str) -> list[list[str]]:
+    """The rows of the table whose head begins with this word."""
+    table = re.search(rf"^\| {first} \|.*\n(?:^\|.*\n)+", PAGE, re.MULTILINE)
+    assert table is not None
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table[0].splitlines()[2:]]
+
+
+def test_every_case_is_in_the_table_with_its_stated_time_and_was_measured_within_it() -> None:
+    promised = promises(case_config("square", 4, 3)[0])
+    assert set(promised) == {*CASES, "model_silent", "killed", "hangs"}
+    found = {row[0]: row for row in rows("Case")}
+    assert set(found) == {promise.case for promise in promised.values()}
+    for promise in promised.values():
+        _, does, stated, measured, *_ = found[promise.case]
+        assert does == promise.does and stated == f"{promise.stated_s:.1f}"
+        assert float(measured) <= promise.stated_s, promise.case
+
+
+def test_the_paper_s_flights_are_in_the_table() -> None:
+    for flight, runs, formed, landed, nearest, *_ in rows("Flight"):
+        assert runs == formed == landed, flight
+        assert float(nearest) >= 0.2
+    assert {row[0] for row in rows("Flight")} == {"triangle 3", "square 4", "cross 5", "circle 5"}
+
+
+def test_what_ends_a_flight_is_listed() -> None:
+    assert {row[0].strip("`") for row in rows("Kind")} == {kind.value for kind in Kind}
+
+
+def test_keys_and_word_are_those_of_the_command() -> None:
+    assert "**l** or the space bar" in PAGE and {"l", " "} <= LAND_KEYS
+    assert "**x**" in PAGE and "x" in CUT_KEYS
+    assert f"Type `{WORD}`" in PAGE
