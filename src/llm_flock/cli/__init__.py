@@ -21,6 +21,7 @@ from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
 from llm_flock.cli.report import export, report
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
+from llm_flock.cli.view import view
 from llm_flock.errors import FlockError, InputError
 
 EXIT_FAILED = 1
@@ -198,6 +199,7 @@ def inspect(
 
 
 app.command()(keys)
+app.command()(view)
 app.command()(report)
 app.command()(export)
 

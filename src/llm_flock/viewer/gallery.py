@@ -1,0 +1,135 @@
+"""The runs that a viewer shows, each under a key of its own. Pages name keys, never files."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from llm_flock.errors import FlockError, InputError
+from llm_flock.record.schema import (
+    Entry,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    ProtocolEvent,
+    RoundEnd,
+    RunInfo,
+    State,
+    Summary,
+)
+from llm_flock.record.tail import RecordTail
+from llm_flock.viewer.reel import Reel
+
+logger = logging.getLogger(__name__)
+
+RECORD_NAME = "run.mcap"
+LOOK_S = 0.1
+"""Time between two looks at a record that grows [s]."""
+
+
+class Gallery:
+    """Runs by key, in the order in which they were added."""
+
+    def __init__(self) -> None:
+        self.reels: dict[str, Reel] = {}
+        self.paths: dict[str, Path] = {}
+        self._lock = threading.Lock()
+
+    def add(self, title: str, path: Path | None = None) -> Reel:
+        """Room for one more run.
+
+        Args:
+            title: what people read.
+            path: its record, if it has one; only such a run can be exported.
+        """
+        with self._lock:
+            key = str(len(self.reels) + 1)
+            self.reels[key] = Reel(key, title)
+            if path is not None:
+                self.paths[key] = path
+            return self.reels[key]
+
+    def get(self, key: str) -> Reel | None:
+        """A run, None for a key that was never given out."""
+        return self.reels.get(key)
+
+
+def records_in(paths: Iterable[Path]) -> list[Path]:
+    """Records that were named: files, folders with a record, and folders with such folders.
+
+    Raises:
+        InputError: there is none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        here = [path] if path.is_file() else [path / RECORD_NAME] if (path / RECORD_NAME).is_file() else []
+        here = here or sorted(path.glob(f"*/{RECORD_NAME}"))
+        if not here:
+            raise InputError(
+                "record", str(path), f"a record, a folder with {RECORD_NAME}, or a folder with such folders"
+            )
+        found.extend(here)
+    return list(dict.fromkeys(found))
+
+
+def title_of(path: Path) -> str:
+    """What a record is called: the folder that holds it, or the file."""
+    return path.resolve().parent.name if path.name == RECORD_NAME else path.stem
+
+
+def feed(reel: Reel, entry: Entry) -> None:
+    """Hand one entry of a record to a reel."""
+    match entry:
+        case RunInfo():
+            reel.run(entry)
+        case MissionInfo():
+            reel.mission(entry)
+        case PlanInfo():
+            reel.plan(entry)
+        case ProtocolEvent():
+            reel.event(entry)
+        case LlmEntry():
+            reel.llm(entry)
+        case State():
+            reel.state(entry)
+        case MetricsRow():
+            reel.metrics(entry)
+        case RoundEnd():
+            reel.end_round(entry.round)
+        case Summary():
+            reel.summary(entry.result)
+        case _:
+            raise AssertionError(entry)
+
+
+def play(path: Path, reel: Reel, *, live: bool, stopped: Callable[[], bool] = lambda: False) -> None:
+    """Read a record into a reel, in a thread of its own; with `live`, until the record ends or it is stopped."""
+    tail = RecordTail(path)
+    pause = threading.Event()
+    try:
+        while True:
+            for entry in tail.new():
+                feed(reel, entry)
+            if tail.ended or not live or stopped():
+                return
+            pause.wait(LOOK_S)
+    except FlockError as error:
+        reel.failure = str(error)
+        logger.warning("%s", error)
+    finally:
+        if not reel.ready and reel.failure is None:
+            reel.failure = "The run ended before its start was recorded; there is nothing to show."
+        reel.close()
+
+
+async def play_async(path: Path, reel: Reel, *, live: bool) -> None:
+    """As `play`, beside whatever else the loop does; ends when it is cancelled."""
+    gone = threading.Event()
+    try:
+        await asyncio.to_thread(play, path, reel, live=live, stopped=gone.is_set)
+    finally:
+        gone.set()
