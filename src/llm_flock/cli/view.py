@@ -11,7 +11,6 @@ import typer
 from llm_flock.errors import InputError
 
 DEFAULT_PORT = 8765
-RUNS = Path("runs")
 
 
 def view(
@@ -24,8 +23,31 @@ def view(
         ),
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Follow records that are still written [the newest one under runs/]")
+        bool, typer.Option("--live", help="Follow records that are still written [the newest one in --runs]")
     ] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(help="Watch a running swarm: endpoint of a peer, such as tcp/127.0.0.1:7447", show_default=False),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Configuration of the swarm (TOML), for --connect", show_default=False)
+    ] = None,
+    swarm: Annotated[
+        str | None, typer.Option(help="Name of the swarm [the configuration's]", show_default=False)
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Folder for the records of runs that are started from the page")] = Path(
+        "runs"
+    ),
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Model that runs from the page may ask, PROVIDER:MODEL; the first reads missions in words; may repeat",
+            show_default=False,
+        ),
+    ] = None,
+    base_url: Annotated[
+        str | None, typer.Option(help="Address that replaces the provider's own", show_default=False)
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to listen at; another than this machine's own needs a token")] = (
         "127.0.0.1"
     ),
@@ -35,22 +57,32 @@ def view(
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")] = True,
 ) -> None:
-    """Watch runs in a browser: replay records, or follow one that is being flown."""
+    """Watch runs in a browser: replay records, follow one that is written, watch a swarm; or fly simulated runs.
+
+    Without a record, the page opens with the form that starts runs.
+    """
     from llm_flock.viewer.server import listen
-    from llm_flock.viewer.show import show
+    from llm_flock.viewer.show import Shown, show
 
     found = list(records or [])
     if live:
-        found = [path / "run.mcap" if path.is_dir() or not path.suffix else path for path in found] or [_newest()]
+        found = [path if path.suffix == ".mcap" else path / "run.mcap" for path in found] or [_newest(runs)]
+    watched = None
+    if connect is not None or config is not None:
+        from llm_flock.runtime.config import load_config_of
+        from llm_flock.runtime.network.config import SwarmConfig
+
+        watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
+    shown = Shown(records=found, live=live, swarm=watched, runs=runs, models=tuple(model or ()), base_url=base_url)
     address = listen(host, port, token)
     print(address.url, flush=True)
     print("Ctrl-C ends the viewer", file=sys.stderr)
-    show(address, found, live=live, browser=browser)
+    show(address, shown, browser=browser)
 
 
-def _newest() -> Path:
-    """The newest record under runs/."""
-    there = sorted(RUNS.glob("*/run.mcap"), key=lambda path: path.stat().st_mtime)
+def _newest(runs: Path) -> Path:
+    """The newest record of a folder of runs."""
+    there = sorted(runs.glob("*/run.mcap"), key=lambda path: path.stat().st_mtime)
     if not there:
-        raise InputError("live", str(RUNS), "a run under runs/, or a record that is named")
+        raise InputError("live", str(runs), "a folder with a run in it, or a record that is named")
     return there[-1]

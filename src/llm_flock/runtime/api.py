@@ -26,7 +26,7 @@ from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
-from llm_flock.runtime.trial import Progress, Trial
+from llm_flock.runtime.trial import Progress, Steer, Trial
 from llm_flock.transport.memory import MemoryTransport
 
 RECORD_NAME = "run.mcap"
@@ -46,6 +46,7 @@ async def run_async(
     on_round: Callable[[Progress], None] | None = None,
     sink: RecordSink | None = None,
     lane: Lane | None = None,
+    steer: Steer | None = None,
     **options: Any,
 ) -> RunResult:
     """Run one trial.
@@ -58,6 +59,7 @@ async def run_async(
         on_round: told after each round.
         sink: takes note of all that a record would hold, whether there is one or not.
         lane: the way to what this run shares with others: a budget, rates of providers, connections.
+        steer: asked before each round, and free to change what is to happen.
         options: any field of the configuration by its name (`model=`, `rounds=`, `seed=`, `loss=`, `out=`, ...).
 
     Returns:
@@ -97,7 +99,7 @@ async def run_async(
             gaps=protocol.gaps,
         )
 
-    return await _fly(config, mind, on_round, sink, lane)
+    return await _fly(config, mind, on_round, sink, lane, steer)
 
 
 async def _fly(
@@ -106,6 +108,7 @@ async def _fly(
     on_round: Callable[[Progress], None] | None,
     sink: RecordSink | None,
     lane: Lane | None,
+    steer: Steer | None,
 ) -> RunResult:
     """Build every part, refusing what is wrong; only then open files, and fly."""
     mission, seed = config.mission, config.trial.seed
@@ -135,7 +138,7 @@ async def _fly(
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
             writer.run(_run_info(config, thinkers))
         journal.mission_given(mission, 0, start)
-        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round)
+        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round, steer)
         record = None if path is None else str(path)
         try:
             await trial.run()

@@ -135,6 +135,17 @@ class Reel(NullWriter):
         """Whether any language model was a simulated stand-in."""
         return self.info is not None and self.info.simulated
 
+    @property
+    def in_words(self) -> str:
+        """What is flown: shape, N, rules, model and seed; nothing before it is known."""
+        if self.info is None or not self.missions:
+            return ""
+        protocol, model = self.info.config.get("protocol", {}), self.info.config.get("model", {})
+        rules = " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
+        fields = self.missions[0].mission
+        parts = (f"{fields['shape']} of {self.n_robots}", rules, model.get("model", ""), f"seed {self.info.seed}")
+        return " · ".join(str(part) for part in parts if part)
+
     def mission_at(self, number: int) -> MissionInfo:
         """The mission in force in a round."""
         given = list(self.missions)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,21 +15,45 @@ from llm_flock.viewer.server import Address, open_browser, serve
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+    from llm_flock.viewer.cockpit import Cockpit
+    from llm_flock.runtime.network.config import SwarmConfig
 
-def show(address: Address, records: Sequence[Path], *, live: bool = False, browser: bool = True) -> None:
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What a viewer shows and may do.
+
+    Attributes:
+        records: records, folders with one, or folders with such folders.
+        live: whether the records are still being written.
+        swarm: a swarm to watch, None for none.
+        runs: folder for the records of runs that are started from the page.
+        models: models, other than simulated ones, that runs started from the page may ask.
+        base_url: address that replaces the provider's own.
+    """
+
+    records: Sequence[Path] = ()
+    live: bool = False
+    swarm: SwarmConfig | None = None
+    runs: Path = Path("runs")
+    models: Sequence[str] = ()
+    base_url: str | None = None
+
+
+def show(address: Address, shown: Shown, *, browser: bool = True) -> None:
     """Serve the viewer until the process is told to end.
 
     Args:
         address: where.
-        records: records, folders with one, or folders with such folders.
-        live: whether the records are still being written.
+        shown: what.
         browser: whether the user's browser is pointed to it.
 
     Raises:
-        InputError: a record is not there, or NiceGUI is not.
+        InputError: a record is not there, a model cannot be asked, or NiceGUI is missing.
     """
     gallery = Gallery()
-    found = [(path, gallery.add(title_of(path), path)) for path in (records if live else records_in(records))]
+    paths = shown.records if shown.live else records_in(shown.records)
+    found = [(path, gallery.add(title_of(path), path)) for path in paths]
     if browser:
         open_browser(address)
 
@@ -36,17 +61,37 @@ def show(address: Address, records: Sequence[Path], *, live: bool = False, brows
         from llm_flock.viewer.data import routes
         from llm_flock.viewer.pages import Pages
 
+        work: list[Callable[[], None]] = [lambda: _read(found, live=shown.live)]
+        swarm = None
+        if shown.swarm is not None:
+            from llm_flock.viewer.connect import Swarm
+
+            swarm = Swarm(shown.swarm, gallery.add(f"swarm {shown.swarm.network.swarm}"))
+            work.append(swarm.watch)
         app.include_router(routes(gallery))
-        Pages(gallery).register()
-        return lambda: _read(found, live=live)
+        Pages(gallery, _cockpit(gallery, shown), swarm).register()
+        return lambda: _all(work)
 
     serve(address, build)
 
 
+def _cockpit(gallery: Gallery, shown: Shown) -> Cockpit:
+    from llm_flock.viewer.cockpit import Cockpit
+    from llm_flock.viewer.plain import Reader
+
+    reader = Reader(shown.models[0], shown.base_url) if shown.models else None
+    return Cockpit(gallery, shown.runs, shown.models, shown.base_url, reader)
+
+
+def _all(work: Sequence[Callable[[], None]]) -> None:
+    for part in work:
+        threading.Thread(target=part, daemon=True).start()
+
+
 def _read(found: Sequence[tuple[Path, Reel]], *, live: bool) -> None:
     """Read records one after another, growing ones at the same time."""
+    if live:
+        _all([lambda path=path, reel=reel: play(path, reel, live=True) for path, reel in found])
+        return
     for path, reel in found:
-        if live:
-            threading.Thread(target=play, args=(path, reel), kwargs={"live": True}, daemon=True).start()
-        else:
-            play(path, reel, live=False)
+        play(path, reel, live=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,11 +33,13 @@ class Stage:
     """Builds the page and keeps its words in step with the cursor.
 
     Args:
-        reels: one run, or several of which the first one's minds can be read too.
+        reels: one run, or several with one clock.
+        steer: builds the controls of runs that can be steered, None where there is nothing to steer.
     """
 
-    def __init__(self, reels: Sequence[Reel]) -> None:
+    def __init__(self, reels: Sequence[Reel], steer: Callable[[], None] | None = None) -> None:
         self.reels = reels
+        self._steer = steer
         self.cursor = Cursor()
         self._arenas: list[widgets.Drawing] = []
         self._options: list[int] = []
@@ -89,7 +91,9 @@ class Stage:
             mind = ui.tab("Mind", icon="psychology")
             plots = ui.tab("Plots", icon="show_chart")
             happened = ui.tab("Events", icon="list")
-        with ui.tab_panels(tabs, value=plots if len(keys) > 1 else mind, animated=False).classes("flock-panels"):
+            steered = None if self._steer is None else ui.tab("Steer", icon="sports_esports")
+        shown = steered or (plots if len(keys) > 1 else mind)
+        with ui.tab_panels(tabs, value=shown, animated=False, keep_alive=True).classes("flock-panels"):
             with ui.tab_panel(mind).classes("flock-panel"):
                 with ui.row().classes("flock-choose"):
                     self._first = ui.select([], label="Robot", clearable=True).props("dense outlined options-dense")
@@ -102,6 +106,9 @@ class Stage:
                 widgets.plots(keys)
             with ui.tab_panel(happened).classes("flock-panel"):
                 self._events = ui.element("div").mark("events")
+            if self._steer is not None and steered is not None:
+                with ui.tab_panel(steered).classes("flock-panel"):
+                    self._steer()
 
     def _transport(self) -> None:
         def button(icon: str, words: str, script: str) -> ui.button:
@@ -114,7 +121,7 @@ class Stage:
             self._play = button("play_arrow", "Play or pause (space)", "toggle()").mark("play")
             button("chevron_right", "One round on (right arrow)", "step(1)")
             button("skip_next", "To the end (End)", "live()")
-            speed = ui.select(SPEEDS, value=4, label="rounds / s").props("dense outlined options-dense")
+            speed = ui.select(SPEEDS, value=4, label="Speed").props("dense outlined options-dense")
             speed.classes("flock-speed").on_value_change(
                 lambda event: ui.run_javascript(f"{CLOCK}.speed = {float(event.value)}")
             )

@@ -356,11 +356,12 @@ export class Arena {
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
       pen.fill();
       if (few || this.selected.includes(robot)) {
-        pen.lineWidth = this.selected.includes(robot) ? 3.5 : bent.has(robot) ? 3 : 1.5;
-        pen.strokeStyle = this.selected.includes(robot) ? theme().accent : bent.has(robot) ? theme().warn : theme().ink;
-        pen.setLineDash(this.selected.includes(robot) ? [] : dash(rim));
+        pen.lineWidth = bent.has(robot) ? 3 : 1.5;
+        pen.strokeStyle = bent.has(robot) ? theme().warn : theme().ink;
+        pen.setLineDash(dash(rim));
         pen.stroke();
         pen.setLineDash([]);
+        if (this.selected.includes(robot)) this.ring(x, y);
       }
       if (!few && !this.selected.includes(robot)) return;
       const size = Math.max(10, Math.min(16, this.radius * 1.05));
@@ -377,6 +378,18 @@ export class Arena {
       pen.fillStyle = theme().ink;
       pen.fillText(label, x, y - this.radius - 8);
     });
+  }
+
+  /** Who is looked at: a ring around the disk, apart from it so that no colour of a plan hides it. */
+  ring(x, y) {
+    const { pen } = this.paper;
+    for (const [wide, ink] of [[6, theme().paper], [3, theme().accent]]) {
+      pen.beginPath();
+      pen.arc(x, y, this.radius + 5, 0, 2 * Math.PI);
+      pen.lineWidth = wide;
+      pen.strokeStyle = ink;
+      pen.stroke();
+    }
   }
 
   /** A length to compare with. */
