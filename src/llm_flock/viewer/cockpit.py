@@ -146,7 +146,7 @@ class Form:
 
     def _fields(self) -> None:
         shapes = {
-            shape.name: f"{shape.name} – {shape.legal}" for shape in formations.shapes() if shape.name != "points"
+            shape.name: f"{shape.name} - {shape.legal}" for shape in formations.shapes() if shape.name != "points"
         }
         boxes = self._boxes
         with ui.element("div").classes("flock-form"):

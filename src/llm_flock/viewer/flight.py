@@ -168,7 +168,7 @@ class Flight:
 
     async def _steer(self, trial: Trial) -> None:
         """Wait for the next round's time, then hand the trial its orders."""
-        while time.monotonic() < self._due or self.paused:
+        while time.monotonic() < self._due or self.paused:  # noqa: ASYNC110 - the one who waits is in another thread
             await asyncio.sleep(LOOK_S)
         self._due = time.monotonic() + 1.0 / self.pace
         with self._lock:

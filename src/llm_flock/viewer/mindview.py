@@ -74,8 +74,7 @@ def _pedigree(reel: Reel, robot: int, number: int) -> None:
         return
     ui.label("Pedigree of its plan").classes("flock-role")
     words = [
-        f"robot {step.robot} {'proposed it' if step.source is None else f'took it from {step.source}'} (round {step.round})"
-        for step in way
+        f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})" for step in way
     ]
     ui.label(" → ".join(words)).classes("flock-facts")
 
@@ -87,7 +86,7 @@ def _claims(reel: Reel, robot: int, number: int) -> None:
         {
             "robot": claim.robot,
             "plan": claim.plan,
-            "place": "–" if claim.slot is None else claim.slot,
+            "place": "-" if claim.slot is None else claim.slot,
             "influence": f"{claim.influence:.2f}",
             "distance": f"{claim.distance:.1f}" + (" · wants the same place" if claim.rival else ""),
         }

@@ -23,7 +23,7 @@ CSS = Path(__file__).parent / "static" / "viewer.css"
 
 
 @contextmanager
-def framed(title: str, *, simulated: bool = False) -> Iterator[None]:
+def framed(title: str) -> Iterator[None]:
     """The header of a page, with room for buttons that belong to the page."""
     ui.add_css(CSS.read_text(encoding="utf-8"))
     ui.page_title(f"{title} · LLM-Flock")
@@ -31,8 +31,6 @@ def framed(title: str, *, simulated: bool = False) -> Iterator[None]:
     with ui.element("header").classes("flock-header"):
         ui.link("LLM-Flock", "/").classes("flock-brand")
         ui.label(title).classes("flock-title").mark("title")
-        if simulated:
-            ui.badge("simulated language models", color="grey-8").mark("simulated")
         ui.element("span").classes("flock-grow")
         yield
         button = ui.button(icon="contrast").props('flat dense round aria-label="Light or dark"')
@@ -111,7 +109,7 @@ class Pages:
         return reel
 
     def _stage(self, reels: Sequence[Reel]) -> None:
-        with framed(" and ".join(reel.title for reel in reels), simulated=any(reel.simulated for reel in reels)):
+        with framed(" and ".join(reel.title for reel in reels)):
             ui.link("Runs", "/runs")
             ui.link("Cockpit", "/cockpit")
             if len(reels) == 1:

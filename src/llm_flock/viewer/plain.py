@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.llm.limits import BudgetMeter, Budget, Limited, Limits, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, RetryPolicy
 from llm_flock.llm.models import ModelPool, parse_base_urls, parse_model
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.mission import build_mission, input_error

@@ -170,7 +170,7 @@ class Reel(NullWriter):
 
     def plan_name(self, plan_id: str | None) -> str:
         """The letters that stand for a plan; a dash for none."""
-        return "–" if plan_id is None else plan_look(self._number.get(plan_id, 0)).name
+        return "-" if plan_id is None else plan_look(self._number.get(plan_id, 0)).name
 
     def about(self) -> dict[str, Any]:
         """All that a page needs before the first round."""

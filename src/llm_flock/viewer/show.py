@@ -15,8 +15,8 @@ from llm_flock.viewer.server import Address, open_browser, serve
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-    from llm_flock.viewer.cockpit import Cockpit
     from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.viewer.cockpit import Cockpit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

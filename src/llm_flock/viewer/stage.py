@@ -13,7 +13,7 @@ from llm_flock.viewer.happenings import in_words
 from llm_flock.viewer.mindview import show_mind
 from llm_flock.viewer.reel import Reel
 
-SPEEDS = {0.5: "½ ×", 1: "1 ×", 2: "2 ×", 4: "4 ×", 10: "10 ×", 30: "30 ×"}
+SPEEDS = {0.5: "0.5 / s", 1: "1 / s", 2: "2 / s", 4: "4 / s", 10: "10 / s", 30: "30 / s"}
 """Rounds a second."""
 
 CLOCK = "flockClock('main')"
@@ -125,6 +125,8 @@ class Stage:
             speed.classes("flock-speed").on_value_change(
                 lambda event: ui.run_javascript(f"{CLOCK}.speed = {float(event.value)}")
             )
+            self._simulated = ui.badge("simulated language models", color="grey-8").mark("simulated")
+            self._simulated.set_visibility(False)
             self._where = ui.label("round 0").classes("flock-where").mark("where").props('aria-live="polite"')
             self._state = ui.badge("").classes("flock-state").mark("state")
 
@@ -141,6 +143,7 @@ class Stage:
         )
         self._state.set_text(state)
         self._state.props(f"color={'negative' if told['failure'] else 'positive' if told['following'] else 'grey-8'}")
+        self._simulated.set_visibility(any(reel.simulated for reel in self.reels))
         self._offer()
         self._refresh()
 

@@ -27,23 +27,23 @@ class Controls:
     def build(self) -> None:
         """All controls."""
         mission = self.flights[0].config.mission
-        self._said = ui.label("").classes("flock-hint").mark("steered").props('role="status"')
+        self._said = ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
         with ui.row().classes("flock-choose"):
-            pause = ui.button("Pause flight", icon="pause").props("no-caps outline dense").mark("pause-flight")
+            pace = ui.number("Rounds / s", value=self.flights[0].pace, min=0.1, max=100).props("dense outlined")
+            pace.on_value_change(lambda event: self._pace(event.value))
+            pause = ui.button("Pause", icon="pause").props("no-caps outline dense").mark("pause-flight")
             ui.button("End run", icon="stop", on_click=self._end).props("no-caps outline dense").mark("end-flight")
 
             def turn() -> None:
                 stopped = not self.flights[0].paused
                 for flight in self.flights:
                     flight.paused = stopped
-                pause.set_text("Go on" if stopped else "Pause flight")
+                pause.set_text("Go on" if stopped else "Pause")
                 pause.props(f"icon={'play_arrow' if stopped else 'pause'}")
 
             pause.on_click(turn)
-        pace = ui.number("Rounds a second", value=self.flights[0].pace, min=0.1, max=100).props("dense outlined")
-        pace.on_value_change(lambda event: self._pace(event.value))
         ui.label("Another mission").classes("flock-subtitle")
-        with ui.element("div").classes("flock-form"):
+        with ui.row().classes("flock-choose"):
             shape = ui.input("Shape", value=mission.shape).props("dense outlined").mark("change-shape")
             center = ui.input("Centre", value=", ".join(f"{x:g}" for x in mission.center)).props("dense outlined")
             center.mark("change-center")
@@ -59,9 +59,9 @@ class Controls:
 
         ui.button("Give the mission", icon="flag", on_click=change).props("no-caps outline").mark("give-mission")
         ui.label("Faults").classes("flock-subtitle")
-        robot = ui.select(list(range(mission.n_robots)), label="Robot", value=0).props("dense outlined options-dense")
-        robot.mark("fault-robot")
         with ui.row().classes("flock-choose"):
+            robot = ui.select(list(range(mission.n_robots)), label="Robot", value=0)
+            robot.props("dense outlined options-dense").mark("fault-robot")
             ui.button(
                 "Kill", icon="dangerous", on_click=lambda: self._all(lambda f: f.kill(int(robot.value)), "robot killed")
             ).props("no-caps outline dense color=negative").mark("kill")
@@ -121,9 +121,9 @@ class SwarmControls:
     def build(self) -> None:
         """All controls."""
         mission = self.swarm.config.mission
-        said = ui.label("").classes("flock-hint").mark("steered").props('role="status"')
+        said = ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
         ui.label("Another mission").classes("flock-subtitle")
-        with ui.element("div").classes("flock-form"):
+        with ui.row().classes("flock-choose"):
             shape = ui.input("Shape", value=mission.shape).props("dense outlined").mark("change-shape")
             center = ui.input("Centre", value=", ".join(f"{x:g}" for x in mission.center)).props("dense outlined")
             center.mark("change-center")

@@ -85,7 +85,7 @@ export class Arena {
     if (!this.reel.about) return;
     const n = this.reel.about.robots;
     const now = this.selected.length ? this.selected[0] : by > 0 ? -1 : 0;
-    this.emit("select", { robot: (now + by + n) % n, second: false });
+    this.choose((now + by + n) % n, false);
   }
 
   pick(x, y, second) {
@@ -98,7 +98,13 @@ export class Arena {
       const far = Math.hypot(px - x, py - y);
       if (far < nearest) [best, nearest] = [robot, far];
     });
-    if (best >= 0) this.emit("select", { robot: best, second });
+    if (best >= 0) this.choose(best, second);
+  }
+
+  choose(robot, second) {
+    // Shown at once; the words follow when the server has sent them.
+    this.select(second && this.selected.length ? [this.selected[0], robot] : [robot, ...this.selected.slice(1)]);
+    this.emit("select", { robot, second });
   }
 
   select(robots) {
