@@ -16,9 +16,9 @@ def test_a_form_is_checked_as_the_command_line_checks_it() -> None:
     with pytest.raises(InputError, match="n_robots = 0 is not allowed"):
         config_of({"n_robots": 0})
     with pytest.raises(InputError, match="profiles of ideal"):
-        from llm_flock.runtime.team import Thinkers
-
-        Thinkers(config_of({"model": "simulated:nonsense"}))
+        config_of({"model": "simulated:nonsense"})
+    with pytest.raises(InputError, match="n_robots"):
+        config_of({"n_robots": 2000, "start": "separated"})
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,10 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from llm_flock.errors import InputError
+from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.config import RunConfig, build_config
+from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.team import Thinkers
 
 FIELDS: tuple[str, ...] = (
     "shape",
@@ -52,7 +55,12 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     if model is not None and model not in models and not _free(str(model)):
         allowed = "simulated:PROFILE or geometry, or a model that `llm-flock view --model` named"
         raise InputError("model", model, allowed)
-    return build_config({}, **given)
+    config = build_config({}, **given)
+    if _free(config.model.model):
+        # What else the command line would only say when the run begins.
+        Thinkers(config)
+        draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START))
+    return config
 
 
 def check_shape(shape: object) -> None:
