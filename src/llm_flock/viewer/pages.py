@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,10 +17,21 @@ from llm_flock.viewer.reel import Reel
 from llm_flock.viewer.stage import Stage
 
 if TYPE_CHECKING:
-    from llm_flock.viewer.cockpit import Cockpit
     from llm_flock.viewer.connect import Swarm
+    from llm_flock.viewer.launch import Cockpit
 
 CSS = Path(__file__).parent / "static" / "viewer.css"
+
+SHELL = """
+<style>
+#flock-shell {{ position: fixed; inset: 0; background: #f6f7f9; color: #1d232a; padding: 12px;
+  font: 700 16px system-ui, 'DejaVu Sans', sans-serif; }}
+@media (prefers-color-scheme: dark) {{ #flock-shell {{ background: #12161b; color: #e8eaed; }} }}
+body:has(#app > *) #flock-shell {{ display: none; }}
+</style>
+<div id="flock-shell">LLM-Flock <span style="font-weight: 600; font-size: 14px">{title} …</span></div>
+"""
+"""What is painted first, while the page's scripts are loaded."""
 
 
 @contextmanager
@@ -27,6 +39,7 @@ def framed(title: str) -> Iterator[None]:
     """The header of a page, with room for buttons that belong to the page."""
     ui.add_css(CSS.read_text(encoding="utf-8"))
     ui.page_title(f"{title} · LLM-Flock")
+    ui.add_body_html(SHELL.format(title=escape(title)))
     dark = ui.dark_mode(None)
     with ui.element("header").classes("flock-header"):
         ui.link("LLM-Flock", "/").classes("flock-brand")

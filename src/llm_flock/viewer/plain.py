@@ -17,9 +17,6 @@ from llm_flock.llm.models import ModelPool, parse_base_urls, parse_model
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.mission import build_mission, input_error
 
-NEEDS_A_MODEL = (
-    "This needs a language model: start the viewer with --model PROVIDER:MODEL. The form below works without."
-)
 LONGEST = 2000
 """Letters of a mission in plain words."""
 

@@ -16,7 +16,6 @@ from llm_flock.record.schema import (
     RunInfo,
     State,
 )
-from llm_flock.record.writer import NullWriter
 from llm_flock.viewer.happenings import lane_of_call, lane_of_event
 from llm_flock.viz.style import plan_look
 
@@ -35,7 +34,7 @@ FIGURES = (
 Point2 = list[float]
 
 
-class Reel(NullWriter):
+class Reel:
     """Rounds of one run, each shown only when it is complete.
 
     It takes what a record takes, from a thread of its own if need be: everything is only ever appended, and `rounds`

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from llm_flock.runtime.network.config import SwarmConfig
-    from llm_flock.viewer.cockpit import Cockpit
+    from llm_flock.viewer.launch import Cockpit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,10 +76,13 @@ def show(address: Address, shown: Shown, *, browser: bool = True) -> None:
 
 
 def _cockpit(gallery: Gallery, shown: Shown) -> Cockpit:
-    from llm_flock.viewer.cockpit import Cockpit
-    from llm_flock.viewer.plain import Reader
+    from llm_flock.viewer.launch import Cockpit
 
-    reader = Reader(shown.models[0], shown.base_url) if shown.models else None
+    reader = None
+    if shown.models:
+        from llm_flock.viewer.plain import Reader
+
+        reader = Reader(shown.models[0], shown.base_url)
     return Cockpit(gallery, shown.runs, shown.models, shown.base_url, reader)
 
 

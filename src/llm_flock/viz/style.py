@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
+from llm_flock.record.palette import NO_PLAN, PALETTE
 
-from llm_flock.record.reader import RunRecord
-from llm_flock.record.scene import NO_PLAN, PALETTE
+if TYPE_CHECKING:
+    from llm_flock.record.reader import RunRecord
 
 INK = "#222222"
 FAINT = "#9A9A9A"
@@ -61,6 +61,9 @@ RC: dict[Any, Any] = {
 
 def house_style() -> AbstractContextManager[None]:
     """Settings in force while a figure is made."""
+    # Looks are asked for where nothing is drawn by matplotlib too, which takes its time to load.
+    from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
+
     return rc_context(RC)
 
 
