@@ -89,7 +89,9 @@ def scrub(browser: Browser, folder: Path) -> None:
         )
         page.close()
     took.sort()
-    print(f"scrub, 20 robots, 1000 rounds: median {took[len(took) // 2]:.0f} ms, worst {took[-1]:.0f} ms of {JUMPS} jumps")
+    print(
+        f"scrub, 20 robots, 1000 rounds: median {took[len(took) // 2]:.0f} ms, worst {took[-1]:.0f} ms of {JUMPS} jumps"
+    )
 
 
 def frames(browser: Browser, folder: Path, n: int) -> None:

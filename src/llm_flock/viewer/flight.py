@@ -181,7 +181,12 @@ class Flight:
                 trial.schedule = self._schedule(self._kill, self._changes)
         for robot in orders.liars:
             trial.thinkers.replace(robot, HALLUCINATING)
-            trial.journal.note(self.round, None, robot, Note("injected", {"model": HALLUCINATING}))
+            self._injected(trial, robot, model=HALLUCINATING)
         if orders.loss is not None:
             trial.transport.faults = trial.transport.faults.model_copy(update={"loss": orders.loss})
-            trial.journal.note(self.round, None, 0, Note("injected", {"loss": orders.loss}))
+            for robot in trial.roster.awake:
+                self._injected(trial, robot, loss=orders.loss)
+
+    def _injected(self, trial: Trial, robot: int, *, model: str | None = None, loss: float | None = None) -> None:
+        """The record says what was done to a robot from outside."""
+        trial.journal.note(self.round, None, robot, Note("injected", {"model": model, "loss": loss}))
