@@ -27,7 +27,6 @@ from llm_flock.record.writer import RecordWriter
 
 STARTS = 5
 JUMPS = 60
-FRAMES_S = 0.1
 
 
 @contextmanager

@@ -70,7 +70,7 @@ class Form:
             note.set_text("This is what the model made of it. Nothing flies before you say so.")
             with offer, ui.element("div").classes("flock-call"):
                 ui.label(draft.in_words).classes("flock-said").mark("draft")
-                ui.button("Take it over into the form", on_click=lambda: self._take(draft.fields)).props(
+                ui.button("Take it over into the form", on_click=lambda: self._take(dict(draft.fields))).props(
                     "no-caps outline"
                 ).mark("take")
 

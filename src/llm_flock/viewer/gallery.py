@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import threading
 from collections.abc import Callable, Iterable
@@ -112,9 +111,10 @@ def play(path: Path, reel: Reel, *, live: bool, stopped: Callable[[], bool] = la
     pause = threading.Event()
     try:
         while True:
+            last = not live or stopped()  # asked first: what was written until then is still read
             for entry in tail.new():
                 feed(reel, entry)
-            if tail.ended or not live or stopped():
+            if tail.ended or last:
                 return
             pause.wait(LOOK_S)
     except FlockError as error:
@@ -124,12 +124,3 @@ def play(path: Path, reel: Reel, *, live: bool, stopped: Callable[[], bool] = la
         if not reel.ready and reel.failure is None:
             reel.failure = "The run ended before its start was recorded; there is nothing to show."
         reel.close()
-
-
-async def play_async(path: Path, reel: Reel, *, live: bool) -> None:
-    """As `play`, beside whatever else the loop does; ends when it is cancelled."""
-    gone = threading.Event()
-    try:
-        await asyncio.to_thread(play, path, reel, live=live, stopped=gone.is_set)
-    finally:
-        gone.set()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from html import escape
 from pathlib import Path
@@ -35,7 +35,7 @@ body:has(#app > *) #flock-shell {{ display: none; }}
 
 
 @contextmanager
-def framed(title: str) -> Iterator[None]:
+def framed(title: str) -> Generator[None]:
     """The header of a page, with room for buttons that belong to the page."""
     ui.add_css(CSS.read_text(encoding="utf-8"))
     ui.page_title(f"{title} · LLM-Flock")

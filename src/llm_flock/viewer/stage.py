@@ -16,6 +16,11 @@ from llm_flock.viewer.reel import Reel
 SPEEDS = {0.5: "0.5 / s", 1: "1 / s", 2: "2 / s", 4: "4 / s", 10: "10 / s", 30: "30 / s"}
 """Rounds a second."""
 
+HINT = "Select a robot: click on it, or choose its number. Shift-click a second one to compare."
+MOST_EVENTS = 100
+REFRESH_S = 0.4
+"""Time between two renewals of the words while the cursor runs [s]."""
+
 CLOCK = "flockClock('main')"
 
 
@@ -43,6 +48,7 @@ class Stage:
         self.cursor = Cursor()
         self._arenas: list[widgets.Drawing] = []
         self._options: list[int] = []
+        self._stale = False
 
     def build(self) -> None:
         """The whole page below its header."""
@@ -64,6 +70,7 @@ class Stage:
                 self._transport()
                 line = widgets.timeline(keys)
                 line.on("cursor", self._moved)
+            ui.timer(REFRESH_S, self._refresh_stale)
 
     # ---------------------------------------------------------------- parts
 
@@ -87,13 +94,14 @@ class Stage:
                     ).props(f'flat dense size=sm aria-label="{words}"').tooltip(words)
 
     def _side(self, keys: Sequence[str]) -> None:
-        with ui.tabs().props("dense align=left no-caps").classes("flock-tabs") as tabs:
+        with ui.tabs().props("dense align=left no-caps").classes("flock-tabs") as self._tabs:
             mind = ui.tab("Mind", icon="psychology")
             plots = ui.tab("Plots", icon="show_chart")
             happened = ui.tab("Events", icon="list")
             steered = None if self._steer is None else ui.tab("Steer", icon="sports_esports")
+        self._tabs.on_value_change(self._refresh)
         shown = steered or (plots if len(keys) > 1 else mind)
-        with ui.tab_panels(tabs, value=shown, animated=False, keep_alive=True).classes("flock-panels"):
+        with ui.tab_panels(self._tabs, value=shown, animated=False, keep_alive=True).classes("flock-panels"):
             with ui.tab_panel(mind).classes("flock-panel"):
                 with ui.row().classes("flock-choose"):
                     self._first = ui.select([], label="Robot", clearable=True).props("dense outlined options-dense")
@@ -145,11 +153,20 @@ class Stage:
         self._state.props(f"color={'negative' if told['failure'] else 'positive' if told['following'] else 'grey-8'}")
         self._simulated.set_visibility(any(reel.simulated for reel in self.reels))
         self._offer()
-        self._refresh()
+        # Nobody reads at ten rounds a second: while the cursor runs, the words follow more slowly than the picture.
+        self._stale = bool(told["playing"] or told["following"])
+        if not self._stale:
+            self._refresh()
+
+    def _refresh_stale(self) -> None:
+        if self._stale:
+            self._stale = False
+            self._refresh()
 
     def _picked(self, number: int, event: events.GenericEventArguments) -> None:
         robot, second = int(event.args["robot"]), bool(event.args["second"])
         self._offer()
+        self._tabs.set_value("Mind")
         (self._second if second and self._first.value is not None else self._first).set_value((number, robot))
 
     def _chosen(self) -> None:
@@ -176,17 +193,25 @@ class Stage:
         self._second.set_options(choices)
 
     def _refresh(self) -> None:
-        reel, number = self.reels[0], self.cursor.round
+        """Renew the words of the tab that is open."""
+        if self._tabs.value == "Mind":
+            self._show_minds()
+        elif self._tabs.value == "Events":
+            self._show_events()
+
+    def _show_minds(self) -> None:
+        number = self.cursor.round
         self._words.clear()
         with self._words:
             chosen = [box.value for box in (self._first, self._second) if box.value]
             if not chosen:
-                ui.label(
-                    "Select a robot: click on it, or choose its number. Shift-click a second one to compare."
-                ).classes("flock-hint")
+                ui.label(HINT).classes("flock-hint")
             for k, robot in chosen:
                 if number <= self.reels[k].rounds:
                     show_mind(self.reels[k], robot, number)
+
+    def _show_events(self) -> None:
+        number = self.cursor.round
         self._events.clear()
         with self._events:
             for reel in self.reels:
@@ -200,9 +225,6 @@ class Stage:
                         ui.label(in_words(event, reel.plan_name)).classes("flock-what")
                 if len(happened) > MOST_EVENTS:
                     ui.label(f"and {len(happened) - MOST_EVENTS} more").classes("flock-hint")
-
-
-MOST_EVENTS = 100
 
 
 def _end(reel: Reel) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -71,7 +71,7 @@ def run_info(config: SwarmConfig) -> RunInfo:
 @contextmanager
 def observing(
     config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None
-) -> Iterator[Observer]:
+) -> Generator[Observer]:
     """An observer that is connected to a swarm; needs a running event loop."""
     observer = Observer(config, sink, on_row)
     link = visit(config)

@@ -12,7 +12,7 @@ export class Arena {
     this.emit = emit;
     this.layers = { ...options.layers };
     this.selected = options.selected || [];
-    this.paper = new Paper(element, `Arena of ${options.title}: robots, goals and links`);
+    this.paper = new Paper(element, `Arena of ${options.title}. Keys: brackets choose a robot, plus, minus and zero zoom, shift and arrows pan.`);
     this.paper.redraw = () => this.draw();
     this.view = null; // centre and pixels a unit; null fits all
     this.drawn = 0;
