@@ -36,8 +36,10 @@ def viewer(*arguments: str) -> Iterator[tuple[str, float]]:
     began = time.time()
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().strip(), began
-        process.terminate()
+        try:
+            yield process.stdout.readline().strip(), began
+        finally:
+            process.terminate()
 
 
 def opened(browser: Browser, url: str) -> Page:

@@ -17,7 +17,6 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 COLOURS = 128
-DESKTOP, PHONE = (1280, 720), (400, 860)
 MODEL = "simulated:distorted@0.2,overshoot@0.3,malformed@0.15"
 RUN = ["run", "--robots", "12", "--shape", "circle", "--seed", "4", "--model", MODEL, "--start", "connected", "--quiet"]
 
@@ -27,8 +26,10 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
     command = [sys.executable, "-m", "llm_flock", "view", *arguments, "--no-browser", "--port", "0"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().strip()
-        process.terminate()
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.terminate()
 
 
 def page_of(browser: Browser, size: tuple[int, int] = DESKTOP, *, dark: bool = False) -> Page:

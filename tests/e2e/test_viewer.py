@@ -13,11 +13,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from sample_records import FakeRun, llm_entry, make_record
 
+from llm_flock.record.schema import LlmEntry, ProtocolEvent
 from llm_flock.record.writer import RecordWriter
 
 HOSTILE = (
@@ -193,9 +195,8 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
             def __getattr__(self, name: str) -> object:
                 return getattr(writer, name)
 
-            def llm(self, entry: object) -> None:
-                assert hasattr(entry, "round") and hasattr(entry, "robot")
-                changes = {"text": HOSTILE, "rejected": HOSTILE, "parsed": None, "model": HOSTILE}
+            def llm(self, entry: LlmEntry) -> None:
+                changes: dict[str, Any] = {"text": HOSTILE, "rejected": HOSTILE, "parsed": None, "model": HOSTILE}
                 if entry.robot == 1:
                     changes = {"text": None, "error": HOSTILE, "parsed": None, "faults": [HOSTILE]}
                 if entry.robot == 2:
@@ -204,8 +205,7 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
                     llm_entry(entry.round, entry.robot, messages=[{"role": HOSTILE, "text": HOSTILE}], **changes)
                 )
 
-            def event(self, event: object) -> None:
-                assert hasattr(event, "model_copy")
+            def event(self, event: ProtocolEvent) -> None:
                 writer.event(event.model_copy(update={"kind": "rejected_message", "detail": {"detail": HOSTILE}}))
 
         fake.write(Hostile())  # pyright: ignore[reportArgumentType]

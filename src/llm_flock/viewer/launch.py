@@ -42,7 +42,7 @@ class Cockpit:
     models: Sequence[str] = ()
     base_url: str | None = None
     reader: Reader | None = None
-    flights: dict[str, Flight] = field(default_factory=dict)
+    flights: dict[str, Flight] = field(default_factory=lambda: dict[str, "Flight"]())
 
     def start(self, fields: dict[str, Any], *, pace: float) -> Flight:
         """Start a run.

@@ -114,7 +114,7 @@ def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> N
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     app.add_middleware(Guard, hosts=address.hosts, token=address.token)
     work = build(app)
-    ui.run_with(
+    ui.run_with(  # pyright: ignore[reportUnknownMemberType]
         app,
         title="LLM-Flock",
         dark=None,
@@ -124,6 +124,6 @@ def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> N
         reconnect_timeout=10.0,
         binding_refresh_interval=None,
     )
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
     threading.Thread(target=work, daemon=True).start()
     server.run(sockets=[address.sock])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from nicegui import events, ui
@@ -78,20 +79,16 @@ class Stage:
         with ui.row().classes("flock-layers"):
             for name, words, on in widgets.LAYERS:
                 box = ui.checkbox(words, value=on).props("dense size=sm")
-                box.on_value_change(
-                    lambda event, name=name: [
-                        drawing.tell("layer", name, bool(event.value)) for drawing in self._arenas
-                    ]
-                )
+                box.on_value_change(lambda event, name=name: self._tell_all("layer", name, bool(event.value)))
             with ui.row().classes("flock-zoom"):
                 for icon, words, act in (
                     ("add", "Zoom in", ("zoom", 1.25)),
                     ("remove", "Zoom out", ("zoom", 0.8)),
                     ("fit_screen", "Show all", ("fit",)),
                 ):
-                    ui.button(
-                        icon=icon, on_click=lambda act=act: [drawing.tell(*act) for drawing in self._arenas]
-                    ).props(f'flat dense size=sm aria-label="{words}"').tooltip(words)
+                    ui.button(icon=icon, on_click=partial(self._tell_all, *act)).props(
+                        f'flat dense size=sm aria-label="{words}"'
+                    ).tooltip(words)
 
     def _side(self, keys: Sequence[str]) -> None:
         with ui.tabs().props("dense align=left no-caps").classes("flock-tabs") as self._tabs:
@@ -137,6 +134,10 @@ class Stage:
             self._simulated.set_visibility(False)
             self._where = ui.label("round 0").classes("flock-where").mark("where").props('aria-live="polite"')
             self._state = ui.badge("").classes("flock-state").mark("state")
+
+    def _tell_all(self, name: str, *given: Any) -> None:
+        for drawing in self._arenas:
+            drawing.tell(name, *given)
 
     # ---------------------------------------------------------------- what comes from the browser
 
@@ -189,8 +190,8 @@ class Stage:
             for k, n in enumerate(sizes)
             for robot in range(n)
         }
-        self._first.set_options(choices)
-        self._second.set_options(choices)
+        for box in (self._first, self._second):
+            box.set_options(choices)  # pyright: ignore[reportUnknownMemberType]
 
     def _refresh(self) -> None:
         """Renew the words of the tab that is open."""
@@ -203,7 +204,7 @@ class Stage:
         number = self.cursor.round
         self._words.clear()
         with self._words:
-            chosen = [box.value for box in (self._first, self._second) if box.value]
+            chosen: list[tuple[int, int]] = [box.value for box in (self._first, self._second) if box.value]
             if not chosen:
                 ui.label(HINT).classes("flock-hint")
             for k, robot in chosen:

@@ -74,9 +74,10 @@ class Controls:
         loss = ui.slider(min=0, max=0.9, step=0.1, value=self.flights[0].config.links.loss).props(
             'label snap markers aria-label="Messages lost"'
         )
-        loss.mark("loss").on_value_change(
-            lambda event: self._all(lambda f: f.lose(float(event.value)), f"{event.value:.0%} of messages are lost")
-        )
+        loss.mark("loss").on_value_change(lambda event: self._lose(float(event.value or 0.0)))
+
+    def _lose(self, share: float) -> None:
+        self._all(lambda flight: flight.lose(share), f"{share:.0%} of messages are lost")
 
     def _all(self, order: Callable[[Flight], Any], said: str) -> None:
         taken: list[Any] = []
