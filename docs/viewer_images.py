@@ -17,6 +17,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 COLOURS = 128
+DESKTOP, PHONE = (1280, 720), (400, 860)
 MODEL = "simulated:distorted@0.2,overshoot@0.3,malformed@0.15"
 RUN = ["run", "--robots", "12", "--shape", "circle", "--seed", "4", "--model", MODEL, "--start", "connected", "--quiet"]
 

@@ -19,7 +19,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from sample_records import FakeRun, llm_entry, make_record
 
-from llm_flock.record.schema import LlmEntry, ProtocolEvent
+from llm_flock.record.schema import LlmEntry, ProtocolEvent, RunInfo
 from llm_flock.record.writer import RecordWriter
 
 HOSTILE = (
@@ -186,7 +186,8 @@ def test_a_run_is_saved_as_record_and_figure(replay: str, browser: Browser) -> N
 
 
 def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
-    with RecordWriter(tmp_path / "run.mcap") as writer:
+    folder = tmp_path / "`${window.broken=6}` <img src=x onerror=window.broken=7>"
+    with RecordWriter(folder / "run.mcap") as writer:
         fake = FakeRun(n=3, rounds=2)
 
         class Hostile:
@@ -194,6 +195,9 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
 
             def __getattr__(self, name: str) -> object:
                 return getattr(writer, name)
+
+            def run(self, info: RunInfo) -> None:
+                writer.run(info.model_copy(update={"config": {"model": {"model": HOSTILE}}}))
 
             def llm(self, entry: LlmEntry) -> None:
                 changes: dict[str, Any] = {"text": HOSTILE, "rejected": HOSTILE, "parsed": None, "model": HOSTILE}
@@ -209,7 +213,7 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
                 writer.event(event.model_copy(update={"kind": "rejected_message", "detail": {"detail": HOSTILE}}))
 
         fake.write(Hostile())  # pyright: ignore[reportArgumentType]
-    with viewer(tmp_path, "run.mcap") as url, page_at(browser, url) as page:
+    with viewer(tmp_path, folder.name) as url, page_at(browser, url) as page:
         ready(page)
         page.keyboard.press("ArrowRight")
         for robot in range(3):
@@ -222,6 +226,10 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
             expect(mind.locator(".flock-prompt .flock-said")).to_have_text(HOSTILE)
         page.get_by_role("tab", name="Events").click()
         expect(page.locator(".flock-event").first).to_contain_text(HOSTILE)
+        assert page.evaluate("window.broken") is None
+        page.goto(f"{url}runs")
+        expect(page.get_by_text(folder.name)).to_be_visible()
+        expect(page.get_by_text(HOSTILE)).to_be_visible()
         assert page.evaluate("window.broken") is None
         assert page.locator("iframe").count() == 0 and page.locator("img[src=x]").count() == 0
 

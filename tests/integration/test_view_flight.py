@@ -1,4 +1,4 @@
-"""Runs that are steered while they fly: what is asked for happens, is recorded, and is refused where it makes no sense."""
+"""Runs that are steered while they fly: what is asked for happens and is recorded, or is refused."""
 
 from __future__ import annotations
 
