@@ -7,12 +7,14 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 import pytest
 from sample_records import make_record
 
+STARTING = 503
 SECRET = "sk-this-must-never-leave-the-server"
 
 
@@ -27,9 +29,14 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     command = [sys.executable, "-m", "llm_flock", "view", *arguments]
     environment = {**os.environ, "OPENAI_API_KEY": SECRET}
     with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        yield process.stdout.readline().strip()
-        process.terminate()
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            while get(url, "/")[0] == STARTING:
+                time.sleep(0.1)
+            yield url
+        finally:
+            process.terminate()
 
 
 def get(url: str, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:

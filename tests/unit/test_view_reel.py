@@ -11,8 +11,9 @@ from llm_flock.errors import InputError
 from llm_flock.record.schema import ProtocolEvent, RoundEnd
 from llm_flock.record.tail import RecordTail
 from llm_flock.record.writer import RecordWriter
-from llm_flock.viewer.gallery import Gallery, play, records_in, title_of
+from llm_flock.viewer.gallery import Gallery, play
 from llm_flock.viewer.mind import claims, pedigree, verdict
+from llm_flock.viewer.named import newest_in, records_in, title_of
 from llm_flock.viewer.reel import Reel
 
 
@@ -77,6 +78,9 @@ def test_records_are_found_where_they_are_named(tmp_path: Path) -> None:
     one, two = (make_record(tmp_path / name / "run.mcap", n=2, rounds=1) for name in ("one", "two"))
     assert records_in([tmp_path]) == [one, two] == records_in([tmp_path / "one", two])
     assert title_of(one) == "one" and title_of(tmp_path / "other.mcap") == "other"
+    assert newest_in(tmp_path) in (one, two)
+    with pytest.raises(InputError, match="a run in it"):
+        newest_in(tmp_path / "one")
     with pytest.raises(InputError, match="a folder with"):
         records_in([tmp_path / "three"])
 

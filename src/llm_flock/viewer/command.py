@@ -62,23 +62,30 @@ def view(
 
     Without a record, the page opens with the form that starts runs.
     """
-    from llm_flock.viewer.server import listen
-    from llm_flock.viewer.show import Shown, show
+    from llm_flock.viewer.named import RECORD_NAME, newest_in, records_in
+    from llm_flock.viewer.server import listen, open_browser
 
     found = list(records or [])
     if live:
-        found = [path if path.suffix == ".mcap" else path / "run.mcap" for path in found] or [_newest(runs)]
+        found = [path if path.suffix == ".mcap" else path / RECORD_NAME for path in found] or [newest_in(runs)]
+    else:
+        found = records_in(found)
     watched = None
     if connect is not None or config is not None:
         from llm_flock.runtime.config import load_config_of
         from llm_flock.runtime.network.config import SwarmConfig
 
         watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
-    shown = Shown(records=found, live=live, swarm=watched, runs=runs, models=tuple(model or ()), base_url=base_url)
     address = listen(host, port, token)
     typer.echo(address.url)
     typer.echo("Ctrl-C ends the viewer", err=True)
-    show(address, shown, browser=browser)
+    if browser:
+        open_browser(address)
+    # Only now comes what takes its time to load: the browser starts meanwhile, and is greeted.
+    from llm_flock.viewer.show import Shown, show
+
+    models = tuple(model or ())
+    show(address, Shown(records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url))
 
 
 def main() -> None:
@@ -91,11 +98,3 @@ def main() -> None:
     except InputError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(EXIT_INPUT)
-
-
-def _newest(runs: Path) -> Path:
-    """The newest record of a folder of runs."""
-    there = sorted(runs.glob("*/run.mcap"), key=lambda path: path.stat().st_mtime)
-    if not there:
-        raise InputError("live", str(runs), "a folder with a run in it, or a record that is named")
-    return there[-1]

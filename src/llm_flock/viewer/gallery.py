@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
-from llm_flock.errors import FlockError, InputError
+from llm_flock.errors import FlockError
 from llm_flock.record.schema import (
     Entry,
     LlmEntry,
@@ -25,7 +25,6 @@ from llm_flock.viewer.reel import Reel
 
 logger = logging.getLogger(__name__)
 
-RECORD_NAME = "run.mcap"
 LOOK_S = 0.1
 """Time between two looks at a record that grows [s]."""
 
@@ -55,29 +54,6 @@ class Gallery:
     def get(self, key: str) -> Reel | None:
         """A run, None for a key that was never given out."""
         return self.reels.get(key)
-
-
-def records_in(paths: Iterable[Path]) -> list[Path]:
-    """Records that were named: files, folders with a record, and folders with such folders.
-
-    Raises:
-        InputError: there is none.
-    """
-    found: list[Path] = []
-    for path in paths:
-        here = [path] if path.is_file() else [path / RECORD_NAME] if (path / RECORD_NAME).is_file() else []
-        here = here or sorted(path.glob(f"*/{RECORD_NAME}"))
-        if not here:
-            raise InputError(
-                "record", str(path), f"a record, a folder with {RECORD_NAME}, or a folder with such folders"
-            )
-        found.extend(here)
-    return list(dict.fromkeys(found))
-
-
-def title_of(path: Path) -> str:
-    """What a record is called: the folder that holds it, or the file."""
-    return path.resolve().parent.name if path.name == RECORD_NAME else path.stem
 
 
 def feed(reel: Reel, entry: Entry) -> None:

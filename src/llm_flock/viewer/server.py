@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
+from llm_flock.viewer.greeter import Greeter
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -26,12 +27,14 @@ class Address:
         host: as it was asked for.
         port: the port.
         token: what a browser has to show; None on this machine's own address.
+        greeter: answers until the viewer does.
     """
 
     sock: socket.socket
     host: str
     port: int
     token: str | None
+    greeter: Greeter
 
     @property
     def shown_host(self) -> str:
@@ -84,7 +87,7 @@ def listen(host: str, port: int, token: str | None) -> Address:
         sock.listen(64)
     except (OSError, OverflowError) as error:
         raise InputError("host and port", f"{host}:{port}", f"an address that can be listened at ({error})") from None
-    return Address(sock=sock, host=host, port=sock.getsockname()[1], token=token)
+    return Address(sock=sock, host=host, port=sock.getsockname()[1], token=token, greeter=Greeter(sock))
 
 
 def open_browser(address: Address) -> None:
@@ -126,4 +129,5 @@ def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> N
     )
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
     threading.Thread(target=work, daemon=True).start()
+    address.greeter.stop()
     server.run(sockets=[address.sock])

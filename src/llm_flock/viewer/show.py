@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from llm_flock.viewer.gallery import Gallery, play, records_in, title_of
+from llm_flock.viewer.gallery import Gallery, play
+from llm_flock.viewer.named import title_of
 from llm_flock.viewer.reel import Reel
-from llm_flock.viewer.server import Address, open_browser, serve
+from llm_flock.viewer.server import Address, serve
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -24,7 +25,7 @@ class Shown:
     """What a viewer shows and may do.
 
     Attributes:
-        records: records, folders with one, or folders with such folders.
+        records: files.
         live: whether the records are still being written.
         swarm: a swarm to watch, None for none.
         runs: folder for the records of runs that are started from the page.
@@ -40,22 +41,18 @@ class Shown:
     base_url: str | None = None
 
 
-def show(address: Address, shown: Shown, *, browser: bool = True) -> None:
+def show(address: Address, shown: Shown) -> None:
     """Serve the viewer until the process is told to end.
 
     Args:
         address: where.
         shown: what.
-        browser: whether the user's browser is pointed to it.
 
     Raises:
-        InputError: a record is not there, a model cannot be asked, or NiceGUI is missing.
+        InputError: a model cannot be asked, or NiceGUI is missing.
     """
     gallery = Gallery()
-    paths = shown.records if shown.live else records_in(shown.records)
-    found = [(path, gallery.add(title_of(path), path)) for path in paths]
-    if browser:
-        open_browser(address)
+    found = [(path, gallery.add(title_of(path), path)) for path in shown.records]
 
     def build(app: FastAPI) -> Callable[[], None]:
         from llm_flock.viewer.data import routes
