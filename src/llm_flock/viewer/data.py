@@ -28,16 +28,16 @@ def routes(gallery: Gallery) -> APIRouter:
         return reel
 
     @router.get("/{key}/about")
-    async def about(key: str) -> Response:  # pyright: ignore[reportUnusedFunction]
+    async def about(key: str) -> Response:
         reel = found(key)
         return _json({"ready": True, **reel.about()} if reel.ready else {"ready": False, "failure": reel.failure})
 
     @router.get("/{key}/news")
-    async def news(key: str, rounds: Count = 0, plans: Count = 0, missions: Count = 0) -> Response:  # pyright: ignore[reportUnusedFunction]
+    async def news(key: str, rounds: Count = 0, plans: Count = 0, missions: Count = 0) -> Response:
         return _json(found(key).news(rounds, plans, missions))
 
     @router.get("/{key}/frames")
-    async def frames(key: str, first: Count = 0, count: Count = 1) -> Response:  # pyright: ignore[reportUnusedFunction]
+    async def frames(key: str, first: Count = 0, count: Count = 1) -> Response:
         # A thousand robots take a while: the pages of others go on meanwhile.
         reel = found(key)
         return _json(await run_in_threadpool(reel.frames, first, min(count, MOST_FRAMES)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from nicegui import run, ui
@@ -27,7 +28,7 @@ def export_menu(gallery: Gallery, key: str) -> None:
         kinds.append(("Animation (MP4)", "animation.mp4", lambda record: _animation(record, ".mp4")))
     with ui.button("Export", icon="download").props("flat dense no-caps").mark("export"), ui.menu():
         for words, name, make in kinds:
-            ui.menu_item(words, lambda name=name, make=make: _save(path, name, make))
+            ui.menu_item(words, partial(_save, path, name, make))
 
 
 async def _save(path: Path, name: str, make: Callable[[Path], bytes]) -> None:
@@ -40,7 +41,8 @@ async def _save(path: Path, name: str, make: Callable[[Path], bytes]) -> None:
     finally:
         if note is not None:
             note.dismiss()
-    ui.download.content(content, name)
+    if content is not None:  # None where the viewer ends meanwhile
+        ui.download.content(content, name)
 
 
 def _figure(record: Path) -> bytes:

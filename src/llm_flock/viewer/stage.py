@@ -97,7 +97,7 @@ class Stage:
             happened = ui.tab("Events", icon="list")
             steered = None if self._steer is None else ui.tab("Steer", icon="sports_esports")
         self._tabs.on_value_change(self._refresh)
-        shown = steered or (plots if len(keys) > 1 else mind)
+        shown = "Steer" if steered is not None else "Plots" if len(keys) > 1 else "Mind"
         with ui.tab_panels(self._tabs, value=shown, animated=False, keep_alive=True).classes("flock-panels"):
             with ui.tab_panel(mind).classes("flock-panel"):
                 with ui.row().classes("flock-choose"):
