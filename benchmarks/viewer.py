@@ -57,7 +57,7 @@ def paint(browser: Browser, folder: Path) -> None:
         with viewer(str(record)) as (url, began):
             page = browser.new_page(viewport={"width": 1280, "height": 720})
             painted: list[float] = []
-            page.expose_function("painted", painted.append)
+            page.expose_function("painted", lambda at, painted=painted: painted.append(at))
             page.add_init_script(
                 """new PerformanceObserver((list) => {
                     for (const entry of list.getEntriesByName("first-contentful-paint")) {

@@ -96,7 +96,6 @@ class Stage:
             plots = ui.tab("Plots", icon="show_chart")
             happened = ui.tab("Events", icon="list")
             steered = None if self._steer is None else ui.tab("Steer", icon="sports_esports")
-        self._tabs.on_value_change(self._refresh)
         shown = "Steer" if steered is not None else "Plots" if len(keys) > 1 else "Mind"
         with ui.tab_panels(self._tabs, value=shown, animated=False, keep_alive=True).classes("flock-panels"):
             with ui.tab_panel(mind).classes("flock-panel"):
@@ -114,6 +113,7 @@ class Stage:
             if self._steer is not None and steered is not None:
                 with ui.tab_panel(steered).classes("flock-panel"):
                     self._steer()
+        self._tabs.on_value_change(self._refresh)  # not before all panels are there
 
     def _transport(self) -> None:
         def button(icon: str, words: str, script: str) -> ui.button:
