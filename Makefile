@@ -15,7 +15,7 @@ STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help setup demo test e2e check lint types layers docs bench mutants clean
+.PHONY: help setup demo test e2e check lint types layers docs pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -26,7 +26,7 @@ $(STAMP): | $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,network]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,network,view]'
 	@touch $@
 
 demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
@@ -55,6 +55,9 @@ types: $(STAMP) ## Type check
 
 layers: $(STAMP) ## Who may import whom
 	$(BIN)/lint-imports
+
+pictures: $(STAMP) ## Take the pictures of docs/viewer.md anew, in a real browser
+	$(BIN)/python docs/viewer_images.py
 
 docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs build/docs

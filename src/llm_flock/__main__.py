@@ -6,7 +6,10 @@ import sys
 def main() -> None:
     """Run the command line; Ctrl-C ends it with exit code 130, whenever it comes."""
     try:
-        from llm_flock.cli import main as command_line
+        if sys.argv[1:2] == ["view"]:  # whoever wants to look does not wait for what it takes to fly
+            from llm_flock.viewer.command import main as command_line
+        else:
+            from llm_flock.cli import main as command_line
 
         command_line()
     except KeyboardInterrupt:

@@ -23,6 +23,7 @@ from llm_flock.cli.report import export, report
 from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
+from llm_flock.cli.view import view
 from llm_flock.errors import FlockError, InputError
 
 EXIT_FAILED = 1
@@ -201,6 +202,7 @@ def inspect(
 
 
 app.command()(keys)
+app.command()(view)
 app.command()(report)
 app.command()(export)
 app.command()(stand_ins)

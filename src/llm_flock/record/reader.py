@@ -141,7 +141,7 @@ def read_record(path: Path) -> RunRecord:
         model = CHANNELS.get(message.topic)
         if model is None:
             continue  # the scene repeats the states for viewers; channels of others are theirs
-        found[model].append(_entry(path, model, message))
+        found[model].append(entry_of(path, model, message))
         if model in (RoundEnd, Summary):
             # Everything up to here belongs to complete rounds, or to a run that ended cleanly within one.
             kept = {kind: len(entries) for kind, entries in found.items()}
@@ -172,7 +172,12 @@ def read_record(path: Path) -> RunRecord:
     )
 
 
-def _entry(path: Path, model: type[E], message: RawMessage) -> E:
+def entry_of(path: Path, model: type[E], message: RawMessage) -> E:
+    """A message as what it stands for.
+
+    Raises:
+        RecordError: it is not valid, or of a newer format.
+    """
     if model is RunInfo:
         version = message.decoded().get("format_version")
         if version != FORMAT_VERSION:
@@ -192,7 +197,7 @@ def _messages(path: Path, file: BufferedReader, size: int) -> Iterator[RawMessag
         raise RecordError(f"{path}: empty file")
     topics: dict[int, str] = {}
     # No record can be longer than the file; without the limit, room for a broken length would be asked for.
-    stream = StreamReader(_WholeReads(file), record_size_limit=size)  # pyright: ignore[reportArgumentType]
+    stream = StreamReader(WholeReads(file), record_size_limit=size)  # pyright: ignore[reportArgumentType]
     try:
         for record in stream.records:
             if isinstance(record, Channel):
@@ -208,7 +213,7 @@ def _messages(path: Path, file: BufferedReader, size: int) -> Iterator[RawMessag
         raise RecordError(f"{path}: not a readable MCAP file ({error})") from error
 
 
-class _WholeReads:
+class WholeReads:
     """Bytes of a file that may break off anywhere: half a record is the end, not a short record."""
 
     def __init__(self, file: BufferedReader) -> None:

@@ -13,25 +13,12 @@ import numpy as np
 from pydantic_core import to_json
 
 from llm_flock import graph
+from llm_flock.record.palette import NO_PLAN, PALETTE
 from llm_flock.record.schema import DEAD, SILENT, MissionInfo, State
 
 SCHEMA_NAME = "foxglove.SceneUpdate"
 FRAME = "world"
 DECIMALS = 3
-
-PALETTE: tuple[str, ...] = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#CC79A7",
-    "#56B4E9",
-    "#D55E00",
-    "#F0E442",
-    "#7F7F7F",
-)
-"""Colours that people of any colour vision tell apart (Okabe, Ito 2008), grey in place of their black."""
-
-NO_PLAN = "#FFFFFF"
 
 
 def rgba(colour: str, alpha: float = 1.0) -> dict[str, float]:

@@ -27,7 +27,7 @@ from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
-from llm_flock.runtime.trial import Progress, Trial
+from llm_flock.runtime.trial import Progress, Steer, Trial
 from llm_flock.transport.memory import MemoryTransport
 
 RECORD_NAME = "run.mcap"
@@ -47,6 +47,7 @@ async def run_async(
     on_round: Callable[[Progress], None] | None = None,
     sink: RecordSink | None = None,
     lane: Lane | None = None,
+    steer: Steer | None = None,
     **options: Any,
 ) -> RunResult:
     """Run one trial.
@@ -59,6 +60,7 @@ async def run_async(
         on_round: told after each round.
         sink: takes note of all that a record would hold, whether there is one or not.
         lane: the way to what this run shares with others: a budget, rates of providers, connections.
+        steer: asked before each round, and free to change what is to happen.
         options: any field of the configuration by its name (`model=`, `rounds=`, `seed=`, `loss=`, `out=`, ...).
 
     Returns:
@@ -85,7 +87,7 @@ async def run_async(
         assignment = assignment_rule(protocol.assignment or "")
     rules = consensus, assignment
 
-    return await _fly(config, minds(config, *rules), on_round, sink, lane)
+    return await _fly(config, minds(config, *rules), on_round, sink, lane, steer)
 
 
 def minds(config: RunConfig, consensus: ConsensusRule, assignment: AssignmentRule) -> Callable[[int], Agent]:
@@ -115,6 +117,7 @@ async def _fly(
     on_round: Callable[[Progress], None] | None,
     sink: RecordSink | None,
     lane: Lane | None,
+    steer: Steer | None,
 ) -> RunResult:
     """Build every part, refusing what is wrong; only then open files, and fly."""
     mission, seed = config.mission, config.trial.seed
@@ -128,7 +131,7 @@ async def _fly(
     roster = Roster(mind, mission.n_robots, schedule.asleep)
     with open_books(config, thinkers, sink) as (journal, record):
         journal.mission_given(mission, 0, start)
-        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round)
+        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round, steer)
         try:
             await trial.run()
         except BaseException:

@@ -73,14 +73,13 @@ class Thinkers:
         history = parse_history(model.history)
         shield_on = bool(config.protocol.shield)
         plan_check, step_check = _checks(shield_on=shield_on) if config.protocol.verify else (None, None)
-        planners: list[Planner] = []
-        for robot, text in enumerate(self.names):
+
+        def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
             thinker: LanguageModel
             if name.kind == "geometry":
-                planners.append(GeometryPlanner(robot, rng))
-                continue
+                return GeometryPlanner(robot, rng)
             if name.kind == "replay":
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
@@ -103,8 +102,26 @@ class Thinkers:
                 # In the reference orientation: robots whose models fail propose one and the same plan.
                 geometry = GeometryPlanner(robot)
                 planner = FallbackPlanner(planner, geometry, shield_on=shield_on)
-            planners.append(planner)
-        self.planners: Sequence[Planner] = planners
+            return planner
+
+        self._planner_of = planner_of
+        self._prompts, self._mission = prompts, config.mission
+        self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
+
+    @property
+    def planners(self) -> Sequence[Planner]:
+        """One planner a robot, by id."""
+        return self._planners
+
+    def replace(self, robot: int, model: str) -> None:
+        """Give a robot another model from its next question on.
+
+        Raises:
+            InputError: there is no such model.
+        """
+        if parse_model(model).kind == "simulated":
+            check_prompts(self._prompts, self._mission)
+        self._planners[robot] = self._planner_of(robot, model)
 
     @property
     def simulated(self) -> bool:

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -80,6 +80,7 @@ class Trial:
         transport: carries the messages.
         journal: counts and records.
         on_round: told after each round, for a live display.
+        steer: asked before each round: whoever steers may change the schedule, the links and the planners by then.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Trial:
         transport: MemoryTransport,
         journal: Journal,
         on_round: Callable[[Progress], None] | None = None,
+        steer: Steer | None = None,
     ) -> None:
         self.config = config
         self.schedule = schedule
@@ -104,6 +106,7 @@ class Trial:
         self.stopped = "rounds"
         self.reason: str | None = None
         self._on_round = on_round
+        self._steer = steer
         self._began = time.perf_counter()
 
     async def run(self) -> None:
@@ -115,6 +118,8 @@ class Trial:
         self.begin()
         try:
             while self.round < self.config.trial.rounds:
+                if self._steer is not None:
+                    await self._steer(self)
                 await self._fly_round(self.round + 1)
                 self.round += 1
                 self._report()
@@ -330,3 +335,7 @@ async def _all(asking: dict[int, Awaitable[T]]) -> dict[int, T]:
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     return {robot: task.result() for robot, task in tasks.items()}
+
+
+Steer: TypeAlias = Callable[[Trial], Awaitable[None]]
+"""Whoever steers a trial in flight: awaited before each round, which is number `trial.round + 1`."""

@@ -51,7 +51,7 @@ class MemoryTransport:
 
     def __init__(self, n_robots: int, faults: LinkFaults, rng: np.random.Generator) -> None:
         self._n_robots = n_robots
-        self._faults = faults
+        self.faults = faults
         self._rng = rng
         self._tick = 0
         self._due: defaultdict[int, list[tuple[int, bytes]]] = defaultdict(list)
@@ -61,10 +61,10 @@ class MemoryTransport:
         """Send one payload to every receiver in range."""
         self.traffic.sent += 1
         self.traffic.bytes += len(payload)
-        if not self._faults.any:
+        if not self.faults.any:
             self._due[self._tick].extend((receiver, payload) for receiver in receivers)
             return
-        faults, rng = self._faults, self._rng
+        faults, rng = self.faults, self._rng
         for receiver in receivers:
             copies = 1 + int(rng.random() < faults.duplicate)
             for _ in range(copies):
@@ -79,8 +79,8 @@ class MemoryTransport:
         arriving = self._due.pop(self._tick, [])
         self._tick += 1
         self.traffic.delivered += len(arriving)
-        if self._faults.reorder and arriving:
-            shuffled = set(np.flatnonzero(self._rng.random(self._n_robots) < self._faults.reorder).tolist())
+        if self.faults.reorder and arriving:
+            shuffled = set(np.flatnonzero(self._rng.random(self._n_robots) < self.faults.reorder).tolist())
             mixed = [item for item in arriving if item[0] in shuffled]
             order = self._rng.permutation(len(mixed))
             return [item for item in arriving if item[0] not in shuffled] + [mixed[k] for k in order]

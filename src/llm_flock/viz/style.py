@@ -7,12 +7,13 @@ import textwrap
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
-from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
+from llm_flock.record.palette import NO_PLAN, PALETTE
 
-from llm_flock.record.reader import RunRecord
-from llm_flock.record.scene import NO_PLAN, PALETTE
+if TYPE_CHECKING:
+    from llm_flock.record.reader import RunRecord
 
 INK = "#222222"
 FAINT = "#9A9A9A"
@@ -60,6 +61,9 @@ RC: dict[Any, Any] = {
 
 def house_style() -> AbstractContextManager[None]:
     """Settings in force while a figure is made."""
+    # Looks are asked for where nothing is drawn by matplotlib too, which takes its time to load.
+    from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
+
     return rc_context(RC)
 
 
@@ -92,10 +96,16 @@ def plan_looks(record: RunRecord) -> dict[str | None, PlanLook]:
         seen.update(dict.fromkeys(plan_id for plan_id in state.plan_ids if plan_id is not None))
     looks: dict[str | None, PlanLook] = {None: WITHOUT_PLAN}
     for number, plan_id in enumerate(seen):
-        fill = PALETTE[number % len(PALETTE)]
-        rim = LINES[number // len(PALETTE) % len(LINES)]
-        looks[plan_id] = PlanLook(name=letters(number), fill=fill, line=line_colour(fill), ink=ink_on(fill), rim=rim)
+        looks[plan_id] = plan_look(number)
     return looks
+
+
+@cache
+def plan_look(number: int) -> PlanLook:
+    """The look of a run's plan, from 0 in the order in which plans were first seen."""
+    fill = PALETTE[number % len(PALETTE)]
+    rim = LINES[number // len(PALETTE) % len(LINES)]
+    return PlanLook(name=letters(number), fill=fill, line=line_colour(fill), ink=ink_on(fill), rim=rim)
 
 
 def letters(number: int) -> str:

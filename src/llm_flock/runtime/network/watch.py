@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from llm_flock.errors import MessageError
 from llm_flock.record.schema import RunInfo
-from llm_flock.record.writer import NullWriter, RecordWriter
+from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
 from llm_flock.runtime import provenance
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.joining import open_link, ordered
@@ -68,6 +68,27 @@ def run_info(config: SwarmConfig) -> RunInfo:
     )
 
 
+@contextmanager
+def observing(
+    config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None
+) -> Generator[Observer]:
+    """An observer that is connected to a swarm; needs a running event loop."""
+    observer = Observer(config, sink, on_row)
+    link = visit(config)
+    try:
+        attend(link, observer)
+        yield observer
+    finally:
+        link.close()
+
+
+async def look(observer: Observer) -> None:
+    """Let an observer look again and again, until this is cancelled."""
+    while True:
+        observer.check(time.time())
+        await asyncio.sleep(CHECK_S)
+
+
 async def run_watch(
     config: SwarmConfig,
     record: Path | None,
@@ -88,17 +109,8 @@ async def run_watch(
     with ExitStack() as stack:
         writer = stack.enter_context(NullWriter() if record is None else RecordWriter(record))
         writer.run(run_info(config))
-        observer = Observer(config, writer, on_row)
-        link = visit(config)
-        stack.callback(link.close)
-        attend(link, observer)
-
-        async def look() -> None:
-            while True:
-                observer.check(time.time())
-                await asyncio.sleep(CHECK_S)
-
-        await until_stopped(look(), parent=parent)
+        observer = stack.enter_context(observing(config, writer, on_row))
+        await until_stopped(look(observer), parent=parent)
         figures = observer.figures
         writer.summary(
             {

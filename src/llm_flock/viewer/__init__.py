@@ -1,0 +1,1 @@
+"""Web viewer: replays records, follows live runs, and steers simulated ones."""

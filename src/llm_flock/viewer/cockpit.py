@@ -1,0 +1,156 @@
+"""The form that starts simulated runs, one or two side by side, and a mission in plain words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+from llm_flock import formations
+from llm_flock.errors import FlockError, InputError
+from llm_flock.viewer.launch import NEEDS_A_MODEL, Cockpit
+
+PROTOCOLS = ("flock", "paper", "baseline")
+MODELS = (
+    "simulated:ideal",
+    "simulated:distorted@0.3,overshoot@0.3",
+    "simulated:malformed@0.3,flaky@0.1",
+    "simulated:collapse@0.3",
+    "geometry",
+)
+
+
+class Form:
+    """The form on the page.
+
+    Args:
+        cockpit: starts what is asked for.
+    """
+
+    def __init__(self, cockpit: Cockpit) -> None:
+        self.cockpit = cockpit
+        self._boxes: dict[str, Any] = {}
+
+    def build(self) -> None:
+        """Plain words, the form, and its buttons."""
+        with ui.element("section").classes("flock-card").props('aria-label="Mission in plain words"'):
+            ui.label("Say it in words").classes("flock-subtitle")
+            self._words()
+        with ui.element("section").classes("flock-card").props('aria-label="New run"'):
+            ui.label("Fly a simulated run").classes("flock-subtitle")
+            self._fields()
+            self._error = ui.label("").classes("flock-error").mark("form-error").props('role="alert"')
+            with ui.row():
+                ui.button("Start", icon="flight_takeoff", on_click=self._start).props("no-caps").mark("start")
+                ui.button("Paper against flock, side by side", icon="compare", on_click=self._start_pair).props(
+                    "outline no-caps"
+                ).mark("start-pair")
+
+    def _words(self) -> None:
+        reader = self.cockpit.reader
+        box = ui.textarea(placeholder="eight drones in a square around 40, 60, 8 apart").props(
+            'outlined autogrow dense aria-label="Mission in plain words" maxlength=2000'
+        )
+        box.mark("words")
+        note = ui.label("" if reader else NEEDS_A_MODEL).classes("flock-hint").mark("words-note")
+        offer = ui.element("div").mark("offer")
+
+        async def read() -> None:
+            assert reader is not None
+            offer.clear()
+            note.set_text("asking the model …")
+            button.disable()
+            try:
+                draft = await reader.read(str(box.value or ""))
+            except FlockError as error:
+                note.set_text(f"error: {error}")
+                return
+            finally:
+                button.enable()
+            note.set_text("This is what the model made of it. Nothing flies before you say so.")
+            with offer, ui.element("div").classes("flock-call"):
+                ui.label(draft.in_words).classes("flock-said").mark("draft")
+                ui.button("Take it over into the form", on_click=lambda: self._take(dict(draft.fields))).props(
+                    "no-caps outline"
+                ).mark("take")
+
+        button = ui.button("Read", icon="translate", on_click=read).props("no-caps outline").mark("read")
+        if reader is None:
+            button.disable()
+            box.disable()
+
+    def _fields(self) -> None:
+        shapes = {
+            shape.name: f"{shape.name} - {shape.legal}" for shape in formations.shapes() if shape.name != "points"
+        }
+        boxes = self._boxes
+        with ui.element("div").classes("flock-form"):
+            boxes["shape"] = ui.input("Shape", value="circle", autocomplete=list(shapes))
+            boxes["shape"].tooltip("A name from `llm-flock shapes`, such as circle, polygon:5, text:HI")
+            boxes["n_robots"] = ui.number("Robots", value=10, precision=0)
+            boxes["center"] = ui.input("Centre", value="50, 50")
+            boxes["spacing"] = ui.number("Spacing [units]", value=10)
+            models = list(dict.fromkeys((*self.cockpit.models, *MODELS)))
+            boxes["model"] = ui.input("Model", value="simulated:distorted@0.3,overshoot@0.3", autocomplete=models)
+            boxes["protocol"] = ui.select(list(PROTOCOLS), label="Protocol", value="flock")
+            boxes["seed"] = ui.number("Seed", value=0, precision=0)
+            boxes["rounds"] = ui.number("Rounds at most", value=200, precision=0)
+            boxes["loss"] = ui.number("Messages lost [share]", value=0, step=0.05)
+            boxes["start"] = ui.select(["separated", "uniform", "connected"], label="Starts", value="separated")
+            self._pace = ui.number("Rounds a second", value=4)
+            self._on = ui.checkbox("Keep flying after it has formed", value=True)
+        for name, box in boxes.items():
+            box.props("dense outlined options-dense" if name in ("protocol", "start") else "dense outlined")
+            box.mark(f"field-{name}")
+        self._pace.props("dense outlined").mark("field-pace")
+
+    def _take(self, fields: dict[str, Any]) -> None:
+        for name, value in fields.items():
+            shown = ", ".join(f"{part:g}" for part in value) if name == "center" else value
+            self._boxes[name].set_value(shown)
+        ui.notify("Taken over: look at it, then start", type="info")
+
+    def _given(self) -> dict[str, Any]:
+        fields = {name: box.value for name, box in self._boxes.items()}
+        for name in ("n_robots", "seed", "rounds"):
+            value = fields[name]
+            fields[name] = int(value) if value is not None and float(value).is_integer() else value
+        fields["center"] = numbers("center", str(fields["center"] or ""))
+        fields["stop_when_formed"] = not self._on.value
+        return fields
+
+    def _pace_given(self) -> float:
+        pace = float(self._pace.value or 0)
+        if not 0.1 <= pace <= 100:
+            raise InputError("rounds a second", pace, "from 0.1 to 100")
+        return pace
+
+    def _start(self) -> None:
+        try:
+            flight = self.cockpit.start(self._given(), pace=self._pace_given())
+        except FlockError as error:
+            self._error.set_text(f"error: {error}")
+            return
+        ui.navigate.to(f"/run/{flight.reel.key}")
+
+    def _start_pair(self) -> None:
+        try:
+            one, other = self.cockpit.start_pair(self._given(), pace=self._pace_given(), protocols=("paper", "flock"))
+        except FlockError as error:
+            self._error.set_text(f"error: {error}")
+            return
+        ui.navigate.to(f"/pair/{one.reel.key}/{other.reel.key}")
+
+
+def numbers(name: str, text: str) -> tuple[float, ...] | None:
+    """Numbers with commas between them; None for nothing.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not text.strip():
+        return None
+    try:
+        return tuple(float(part) for part in text.strip("[]() ").split(","))
+    except ValueError:
+        raise InputError(name, text, "numbers with commas between them, such as 50,50") from None

@@ -1,0 +1,100 @@
+"""`llm-flock view`: looks at runs in a browser. Apart from the other commands, so that it need not load them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from llm_flock.errors import InputError
+
+DEFAULT_PORT = 8765
+EXIT_INPUT = 2
+
+
+def view(
+    records: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[RECORD]...",
+            help="Records (run.mcap), folders that hold one, or folders of such folders",
+            show_default=False,
+        ),
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Follow records that are still written [the newest one in --runs]")
+    ] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(help="Watch a running swarm: endpoint of a peer, such as tcp/127.0.0.1:7447", show_default=False),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Configuration of the swarm (TOML), for --connect", show_default=False)
+    ] = None,
+    swarm: Annotated[
+        str | None, typer.Option(help="Name of the swarm [the configuration's]", show_default=False)
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Folder for the records of runs that are started from the page")] = Path(
+        "runs"
+    ),
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Model that runs from the page may ask, PROVIDER:MODEL; the first reads missions in words; may repeat",
+            show_default=False,
+        ),
+    ] = None,
+    base_url: Annotated[
+        str | None, typer.Option(help="Address that replaces the provider's own", show_default=False)
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; another than this machine's own needs a token")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = DEFAULT_PORT,
+    token: Annotated[
+        str | None, typer.Option(help="What a browser has to show [made anew for another address]", show_default=False)
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")] = True,
+) -> None:
+    """Watch runs in a browser: replay records, follow one that is written, watch a swarm; or fly simulated runs.
+
+    Without a record, the page opens with the form that starts runs.
+    """
+    from llm_flock.viewer.named import RECORD_NAME, newest_in, records_in
+    from llm_flock.viewer.server import listen, open_browser
+
+    found = list(records or [])
+    if live:
+        found = [path if path.suffix == ".mcap" else path / RECORD_NAME for path in found] or [newest_in(runs)]
+    else:
+        found = records_in(found)
+    watched = None
+    if connect is not None or config is not None:
+        from llm_flock.runtime.config import load_config_of
+        from llm_flock.runtime.network.config import SwarmConfig
+
+        watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
+    address = listen(host, port, token)
+    typer.echo(address.url)
+    typer.echo("Ctrl-C ends the viewer", err=True)
+    if browser:
+        open_browser(address)
+    # Only now comes what takes its time to load: the browser starts meanwhile, and is greeted.
+    from llm_flock.viewer.show import Shown, show
+
+    models = tuple(model or ())
+    show(address, Shown(records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url))
+
+
+def main() -> None:
+    """Entry point of this command alone; errors end it as they end the others."""
+    app = typer.Typer(pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]})
+    app.command("view")(view)
+    app.callback()(lambda: None)
+    try:
+        app(prog_name="llm-flock")
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(EXIT_INPUT)

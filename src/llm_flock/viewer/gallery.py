@@ -1,0 +1,102 @@
+"""The runs that a viewer shows, each under a key of its own. Pages name keys, never files."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from llm_flock.errors import FlockError
+from llm_flock.record.schema import (
+    Entry,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    ProtocolEvent,
+    RoundEnd,
+    RunInfo,
+    State,
+    Summary,
+)
+from llm_flock.record.tail import RecordTail
+from llm_flock.viewer.reel import Reel
+
+logger = logging.getLogger(__name__)
+
+LOOK_S = 0.1
+"""Time between two looks at a record that grows [s]."""
+
+
+class Gallery:
+    """Runs by key, in the order in which they were added."""
+
+    def __init__(self) -> None:
+        self.reels: dict[str, Reel] = {}
+        self.paths: dict[str, Path] = {}
+        self._lock = threading.Lock()
+
+    def add(self, title: str, path: Path | None = None) -> Reel:
+        """Room for one more run.
+
+        Args:
+            title: what people read.
+            path: its record, if it has one; only such a run can be exported.
+        """
+        with self._lock:
+            key = str(len(self.reels) + 1)
+            self.reels[key] = Reel(key, title)
+            if path is not None:
+                self.paths[key] = path
+            return self.reels[key]
+
+    def get(self, key: str) -> Reel | None:
+        """A run, None for a key that was never given out."""
+        return self.reels.get(key)
+
+
+def feed(reel: Reel, entry: Entry) -> None:
+    """Hand one entry of a record to a reel."""
+    match entry:
+        case RunInfo():
+            reel.run(entry)
+        case MissionInfo():
+            reel.mission(entry)
+        case PlanInfo():
+            reel.plan(entry)
+        case ProtocolEvent():
+            reel.event(entry)
+        case LlmEntry():
+            reel.llm(entry)
+        case State():
+            reel.state(entry)
+        case MetricsRow():
+            reel.metrics(entry)
+        case RoundEnd():
+            reel.end_round(entry.round)
+        case Summary():
+            reel.summary(entry.result)
+        case _:
+            raise AssertionError(entry)
+
+
+def play(path: Path, reel: Reel, *, live: bool, stopped: Callable[[], bool] = lambda: False) -> None:
+    """Read a record into a reel, in a thread of its own; with `live`, until the record ends or it is stopped."""
+    tail = RecordTail(path)
+    pause = threading.Event()
+    try:
+        while True:
+            last = not live or stopped()  # asked first: what was written until then is still read
+            for entry in tail.new():
+                feed(reel, entry)
+            if tail.ended or last:
+                return
+            pause.wait(LOOK_S)
+    except FlockError as error:
+        reel.failure = str(error)
+        logger.warning("%s", error)
+    finally:
+        if not reel.ready and reel.failure is None:
+            reel.failure = "The run ended before its start was recorded; there is nothing to show."
+        reel.close()

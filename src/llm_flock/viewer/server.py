@@ -1,0 +1,133 @@
+"""Serves the viewer: one process, one port, everything from this machine."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+import threading
+import webbrowser
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from llm_flock.errors import InputError
+from llm_flock.viewer.greeter import Greeter
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Address:
+    """Where a viewer is found.
+
+    Attributes:
+        sock: the socket that listens there.
+        host: as it was asked for.
+        port: the port.
+        token: what a browser has to show; None on this machine's own address.
+        greeter: answers until the viewer does.
+    """
+
+    sock: socket.socket
+    host: str
+    port: int
+    token: str | None
+    greeter: Greeter
+
+    @property
+    def shown_host(self) -> str:
+        """A host that a browser can be pointed to."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
+        return f"[{host}]" if ":" in host else host
+
+    @property
+    def url(self) -> str:
+        """What to open, with the token."""
+        token = "" if self.token is None else f"?token={self.token}"
+        return f"http://{self.shown_host}:{self.port}/{token}"
+
+    @property
+    def hosts(self) -> Sequence[str]:
+        """Hosts that a browser may ask for; none where the machine is reached by names that are not known here."""
+        if self.host in ("0.0.0.0", "::"):
+            return ()
+        names = {self.shown_host} | ({"127.0.0.1", "localhost", "[::1]"} if is_loopback(self.host) else set[str]())
+        return [f"{name}:{self.port}" for name in sorted(names)]
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def listen(host: str, port: int, token: str | None) -> Address:
+    """Take the port, before anything else is loaded: a browser that asks early waits instead of failing.
+
+    Another address than this machine's own gets a token, made anew where none is given.
+
+    Raises:
+        InputError: the address cannot be listened at, or the token is too short.
+    """
+    if token is not None and len(token) < 16:
+        raise InputError("token", token, "16 characters or more")
+    if token is None and not is_loopback(host):
+        token = secrets.token_urlsafe(24)
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        sock = socket.socket(family, socket.SOCK_STREAM)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+        sock.listen(64)
+    except (OSError, OverflowError) as error:
+        raise InputError("host and port", f"{host}:{port}", f"an address that can be listened at ({error})") from None
+    return Address(sock=sock, host=host, port=sock.getsockname()[1], token=token, greeter=Greeter(sock))
+
+
+def open_browser(address: Address) -> None:
+    """Open the page in the user's browser, without waiting for it."""
+    threading.Thread(target=webbrowser.open, args=(address.url,), daemon=True).start()
+
+
+def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> None:
+    """Serve until the process is told to end.
+
+    Args:
+        address: where.
+        build: registers pages and routes; returns what is to go on beside the server, in a thread of its own.
+
+    Raises:
+        InputError: NiceGUI is not installed.
+    """
+    try:
+        import uvicorn
+        from fastapi import FastAPI
+        from nicegui import ui
+    except ImportError as error:
+        allowed = f'the viewer\'s libraries ({error.name} is missing): pip install "llm-flock[view]"'
+        raise InputError("view", "not installed", allowed) from None
+    from llm_flock.viewer.guard import Guard
+
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.add_middleware(Guard, hosts=address.hosts, token=address.token)
+    work = build(app)
+    ui.run_with(  # pyright: ignore[reportUnknownMemberType]
+        app,
+        title="LLM-Flock",
+        dark=None,
+        language="en-US",
+        tailwind=False,
+        show_welcome_message=False,
+        reconnect_timeout=10.0,
+        binding_refresh_interval=None,
+    )
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
+    threading.Thread(target=work, daemon=True).start()
+    address.greeter.stop()
+    server.run(sockets=[address.sock])

@@ -1,0 +1,116 @@
+"""A viewer on the network: its token, foreign pages, files, and keys of models."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import pytest
+from sample_records import make_record
+
+STARTING = 503
+SECRET = "sk-this-must-never-leave-the-server"
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a viewer that needs a token, with a key of a provider in its environment."""
+    folder = tmp_path_factory.mktemp("secure")
+    (folder / "secret.txt").write_text(SECRET)
+    make_record(folder / "one" / "run.mcap", n=3, rounds=2)
+    make_record(folder / "other" / "run.mcap", n=3, rounds=2)
+    arguments = ["one", "--no-browser", "--host", "0.0.0.0", "--port", "0", "--model", "openai:gpt-5"]
+    command = [sys.executable, "-m", "llm_flock", "view", *arguments]
+    environment = {**os.environ, "OPENAI_API_KEY": SECRET}
+    with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            while get(url, "/")[0] == STARTING:
+                time.sleep(0.1)
+            yield url
+        finally:
+            process.terminate()
+
+
+def get(url: str, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    parts = urlsplit(url)
+    assert parts.hostname is not None
+    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=20)
+    try:
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+    finally:
+        connection.close()
+
+
+@pytest.fixture(scope="module")
+def cookie(served: str) -> str:
+    status, headers, _ = get(served, "/?" + urlsplit(served).query)
+    assert status == 303 and headers["location"] == "/"
+    return headers["set-cookie"].split(";")[0]
+
+
+def test_without_the_token_nothing_is_shown(served: str) -> None:
+    for path in ("/", "/cockpit", "/data/1/about", "/data/1/frames?first=0&count=9", "/?token=guess"):
+        status, _, body = get(served, path)
+        assert status == 401 and b"circle" not in body
+
+
+def test_with_the_token_pages_come_with_their_policy_and_without_the_key(served: str, cookie: str) -> None:
+    for path in ("/", "/run/1", "/cockpit", "/runs", "/data/1/about", "/data/1/news", "/data/1/frames?count=9"):
+        status, headers, body = get(served, path, Cookie=cookie)
+        assert status == 200, path
+        assert "default-src 'self'" in headers["content-security-policy"]
+        assert SECRET.encode() not in body
+
+
+def test_no_file_is_read_but_the_records_that_were_given(served: str, cookie: str) -> None:
+    for path in (
+        "/data/../secret.txt",
+        "/data/..%2f..%2fsecret.txt/about",
+        "/data/2/about",
+        "/run/other",
+        "/run/..%2fother",
+        "/secret.txt",
+        "/static/../../secret.txt",
+        "/_nicegui/3.18.0/esm/llm-flock-viewer/../../../../secret.txt",
+        "/_nicegui/3.18.0/esm/llm-flock-viewer/..%2f..%2fserver.py",
+    ):
+        status, _, body = get(served, path, Cookie=cookie)
+        assert status in (400, 403, 404), path
+        assert SECRET.encode() not in body and b"from __future__" not in body
+
+
+@pytest.mark.parametrize(
+    ("origin", "expected"), [("", "101"), ("http://evil.example", "403"), (None, "403"), ("null", "403")]
+)
+def test_a_websocket_of_a_foreign_page_is_refused(served: str, cookie: str, origin: str | None, expected: str) -> None:
+    parts = urlsplit(served)
+    host = f"{parts.hostname}:{parts.port}"
+    lines = [
+        "GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1",
+        f"Host: {host}",
+        "Upgrade: websocket",
+        "Connection: Upgrade",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version: 13",
+        f"Cookie: {cookie}",
+    ]
+    if origin is not None:
+        lines.append(f"Origin: {origin or f'http://{host}'}")
+    assert parts.hostname is not None and parts.port is not None
+    with socket.create_connection((parts.hostname, parts.port), timeout=20) as connection:
+        connection.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        assert connection.recv(100).split()[1].decode() == expected
+
+
+def test_a_foreign_page_may_not_read(served: str, cookie: str) -> None:
+    assert get(served, "/data/1/about", Cookie=cookie, Origin="http://evil.example")[0] == 403

@@ -1,0 +1,130 @@
+"""A run as pages see it: from a record, from one that grows, and from one that broke off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from sample_records import FakeRun, llm_entry, make_record
+
+from llm_flock.errors import InputError
+from llm_flock.record.schema import ProtocolEvent, RoundEnd
+from llm_flock.record.tail import RecordTail
+from llm_flock.record.writer import RecordWriter
+from llm_flock.viewer.gallery import Gallery, play
+from llm_flock.viewer.mind import claims, pedigree, verdict
+from llm_flock.viewer.named import newest_in, records_in, title_of
+from llm_flock.viewer.reel import Reel
+
+
+def replayed(path: Path) -> Reel:
+    reel = Gallery().add("test", path)
+    play(path, reel, live=False)
+    return reel
+
+
+def test_a_record_is_shown_whole(tmp_path: Path) -> None:
+    reel = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=4))
+    assert (reel.rounds, reel.open, reel.failure, reel.n_robots) == (4, False, None, 5)
+    news = reel.news(0, 0, 0)
+    assert news["last"] == 4 and len(news["plans"]) == 5 and len(news["figures"]["procrustes_mean"]) == 5
+    assert news["marks"]["1"] == {"plans": 5}
+    frames = reel.frames(3, 100)
+    assert [frame["r"] for frame in frames] == [3, 4]
+    assert len(frames[0]["x"]) == 5 and frames[1]["p"] == [0] * 5
+    assert reel.news(5, 5, 1) == news | {
+        "plans": [],
+        "missions": [],
+        "figures": {name: [] for name in news["figures"]},
+        "marks": {},
+    }
+
+
+def test_a_growing_record_is_read_in_whole_messages(tmp_path: Path) -> None:
+    whole = make_record(tmp_path / "whole.mcap", n=3, rounds=3).read_bytes()
+    growing = tmp_path / "growing.mcap"
+    tail = RecordTail(growing)
+    assert list(tail.new()) == []
+    rounds: list[int] = []
+    written = 0
+    with growing.open("wb") as file:
+        for end in range(0, len(whole) + 997, 997):
+            file.write(whole[written:end])
+            file.flush()
+            written = end
+            rounds += [entry.round for entry in tail.new() if isinstance(entry, RoundEnd)]
+    assert rounds == [0, 1, 2, 3] and tail.ended
+    assert list(tail.new()) == []
+
+
+def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> None:
+    path = make_record(tmp_path / "run.mcap", n=3, rounds=6, finish=False)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rindex(b'"round":5')])
+    reel = replayed(path)
+    assert 0 <= reel.rounds < 6 and not reel.open and reel.failure is None
+    assert len(reel.frames(0, 100)) == reel.rounds + 1
+
+
+@pytest.mark.parametrize("content", [b"", b"not a record", b"\x89MCAP0\r\n"])
+def test_what_is_no_record_says_so(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    reel = replayed(path)
+    assert reel.failure and not reel.ready and not reel.open
+
+
+def test_records_are_found_where_they_are_named(tmp_path: Path) -> None:
+    one, two = (make_record(tmp_path / name / "run.mcap", n=2, rounds=1) for name in ("one", "two"))
+    assert records_in([tmp_path]) == [one, two] == records_in([tmp_path / "one", two])
+    assert title_of(one) == "one" and title_of(tmp_path / "other.mcap") == "other"
+    assert newest_in(tmp_path) in (one, two)
+    with pytest.raises(InputError, match="a run in it"):
+        newest_in(tmp_path / "one")
+    with pytest.raises(InputError, match="a folder with"):
+        records_in([tmp_path / "three"])
+
+
+def test_keys_are_all_that_a_page_can_name() -> None:
+    gallery = Gallery()
+    gallery.add("a")
+    assert gallery.get("1") is not None
+    assert gallery.get("../../etc/passwd") is None and gallery.get("2") is None
+
+
+def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:
+    reel = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=3))
+    plan = reel.states[3].plan_ids[0]
+    for number, robot, kind, source in ((1, 0, "proposed", None), (2, 1, "adopted", 0), (3, 2, "adopted", 1)):
+        detail = {"plan": plan, "slot": 0} if source is None else {"plan": plan, "from": source}
+        reel.event(ProtocolEvent(round=number, tick=0, robot=robot, kind=kind, detail=detail))
+    assert [(step.robot, step.source, step.round) for step in pedigree(reel, 2, 3)] == [
+        (0, None, 1),
+        (1, 0, 2),
+        (2, 1, 3),
+    ]
+    assert pedigree(reel, 2, 0) == []
+
+
+def test_claims_are_those_in_radio_range_the_own_first(tmp_path: Path) -> None:
+    reel = replayed(make_record(tmp_path / "run.mcap", n=10, rounds=3))
+    found = claims(reel, 4, 3)
+    assert found[0].robot == 4 and not found[0].rival
+    assert all(claim.distance <= 15.0 for claim in found)
+    assert [claim.distance for claim in found[1:]] == sorted(claim.distance for claim in found[1:])
+
+
+def test_a_verdict_says_what_became_of_an_answer() -> None:
+    assert verdict(llm_entry(1, 0)) == "used: {'waypoint': [1.0, 2.0]}"
+    assert verdict(llm_entry(1, 0, parsed=None, rejected="too far")) == "refused: too far"
+    assert verdict(llm_entry(1, 0, parsed=None, text=None, error="timeout: 3 s")) == "no answer: timeout: 3 s"
+
+
+def test_a_live_reel_shows_no_half_round(tmp_path: Path) -> None:
+    with RecordWriter(tmp_path / "run.mcap") as writer:
+        fake = FakeRun(n=2, rounds=3)
+        fake.rounds = 1
+        fake.write(writer, finish=False)
+        writer.event(ProtocolEvent(round=2, tick=0, robot=0, kind="killed", detail={}))
+        reel = replayed(tmp_path / "run.mcap")
+    assert reel.rounds == 1 and "2" not in reel.news(0, 0, 0)["marks"]
