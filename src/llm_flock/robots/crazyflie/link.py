@@ -134,6 +134,7 @@ class Link:
         """Open the link, fetch the tables, set the parameters; try again as often as time allows.
 
         Raises:
+            InputError: cflib is not installed, or a parameter cannot be set.
             RobotError: not done within `timeout_s`.
         """
         library()
@@ -149,15 +150,11 @@ class Link:
             attempts += 1
             try:
                 await self._attempt(end, bool(parameters))
-                for name, value in parameters.items():
-                    await in_thread(lambda n=name, v=value: self.cf.param.set_value(n, v), end - time.monotonic())
+                await self._set(parameters, end)
             except (TimeoutError, RobotError) as error:
                 why = error.what if isinstance(error, RobotError) else "no answer"
                 await self.close()
                 await asyncio.sleep(min(PAUSE_S, max(0.0, end - time.monotonic())))
-            except (KeyError, AttributeError) as error:
-                await self.close()
-                raise RobotError(self._name, f"a parameter cannot be set: {error}") from None
             except BaseException:
                 await self.close()
                 raise
@@ -198,6 +195,20 @@ class Link:
                 await asyncio.wait_for(ready.wait(), min(0.1, end - now))
             except TimeoutError:
                 continue
+
+    async def _set(self, parameters: Mapping[str, float], end: float) -> None:
+        """Have parameters set, up to `end`.
+
+        Raises:
+            InputError: the firmware has no such parameter, or it cannot be written.
+            TimeoutError: not done in time.
+        """
+        cf = self.cf
+        for name, value in parameters.items():
+            try:
+                await in_thread(lambda n=name, v=value: cf.param.set_value(n, v), end - time.monotonic())
+            except (KeyError, AttributeError) as error:
+                raise InputError("parameters", name, f"those that {self._name} has and lets be set ({error})") from None
 
     async def log(
         self, name: str, period_ms: int, variables: Mapping[str, str], take: Callable[[Mapping[str, float]], None]
