@@ -223,7 +223,7 @@ class CrazyflieRobot:
         end = time.monotonic() + STOP_S
         while time.monotonic() < end and self._link.open:
             try:
-                await self._link.send(lambda cf: cf.supervisor.send_emergency_stop())
+                await self._link.send(lambda cf: cf.supervisor.send_emergency_stop(), urgent=True)
             except RobotError:
                 return False
             if await self._until(lambda: bool(self._log.info & LOCKED), 0.06):
