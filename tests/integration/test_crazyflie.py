@@ -117,6 +117,8 @@ def test_a_drone_that_is_locked_refuses_with_what_its_supervisor_says():
             await robot.connect(5.0)
             with pytest.raises(RobotError, match=r"refused take-off.*can be armed"):
                 await robot.take_off(0.5, 0.5)
+            await robot.land(0.0, 1.0)
+            assert [command for _, command in drones[0].firmware.commands] == [7], "what never flew is not landed"
             assert await robot.stop_motors()
             with pytest.raises(RobotError, match=r"does not arm.*locked"):
                 await robot.arm()
@@ -159,7 +161,7 @@ def test_parameters_are_set_on_connect_and_unknown_ones_refused():
             await wait_until(lambda: values["stabilizer.controller"].value == 2, 1.0, "set")
             await wait_until(lambda: abs(values["locSrv.extPosStdDev"].value - 1e-3) < 1e-6, 1.0, "set")
             await robot.close()
-            with pytest.raises(RobotError, match=r"no\.such"):
+            with pytest.raises(InputError, match=r"no\.such"):
                 await robot_of(drones, parameters={"no.such": 1}).connect(5.0)
 
     asyncio.run(flight())

@@ -11,16 +11,14 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import RobotError
-
-T = TypeVar("T")
+from llm_flock.robots.crazyflie.threads import Worker, in_thread, new_thread
 
 SILENCE_S = 1.0
 """An attempt to open a link is given up when nothing came for so long [s]."""
@@ -52,37 +50,6 @@ def library() -> Any:
     return crazyflie
 
 
-async def in_thread(call: Callable[[], T], timeout_s: float) -> T:
-    """Run a blocking call in a thread that nobody waits for when it hangs.
-
-    Raises:
-        TimeoutError: not done in time; the thread is left to itself.
-    """
-    loop = asyncio.get_running_loop()
-    future: asyncio.Future[T] = loop.create_future()
-
-    def settle(result: T | None, error: Exception | None) -> None:
-        if future.done():
-            return
-        if error is not None:
-            future.set_exception(error)
-        else:
-            future.set_result(result)  # pyright: ignore[reportArgumentType]
-
-    def work() -> None:
-        result: T | None = None
-        failure: Exception | None = None
-        try:
-            result = call()
-        except Exception as error:  # noqa: BLE001  # handed to the one who waits
-            failure = error
-        if not loop.is_closed():
-            loop.call_soon_threadsafe(settle, result, failure)
-
-    threading.Thread(target=work, name="crazyflie", daemon=True).start()
-    return await asyncio.wait_for(future, timeout_s)
-
-
 class Link:
     """One link, opened and closed once.
 
@@ -102,6 +69,7 @@ class Link:
         self._heard_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._answers: dict[int, asyncio.Future[int]] = {}
+        self._worker: Worker | None = None
 
     @property
     def open(self) -> bool:
@@ -134,6 +102,7 @@ class Link:
         """Open the link, fetch the tables, set the parameters; try again as often as time allows.
 
         Raises:
+            InputError: cflib is not installed, or a parameter cannot be set.
             RobotError: not done within `timeout_s`.
         """
         library()
@@ -149,15 +118,11 @@ class Link:
             attempts += 1
             try:
                 await self._attempt(end, bool(parameters))
-                for name, value in parameters.items():
-                    await in_thread(lambda n=name, v=value: self.cf.param.set_value(n, v), end - time.monotonic())
+                await self._set(parameters, end)
             except (TimeoutError, RobotError) as error:
                 why = error.what if isinstance(error, RobotError) else "no answer"
                 await self.close()
                 await asyncio.sleep(min(PAUSE_S, max(0.0, end - time.monotonic())))
-            except (KeyError, AttributeError) as error:
-                await self.close()
-                raise RobotError(self._name, f"a parameter cannot be set: {error}") from None
             except BaseException:
                 await self.close()
                 raise
@@ -199,6 +164,20 @@ class Link:
             except TimeoutError:
                 continue
 
+    async def _set(self, parameters: Mapping[str, float], end: float) -> None:
+        """Have parameters set, up to `end`.
+
+        Raises:
+            InputError: the firmware has no such parameter, or it cannot be written.
+            TimeoutError: not done in time.
+        """
+        cf = self.cf
+        for name, value in parameters.items():
+            try:
+                await in_thread(lambda n=name, v=value: cf.param.set_value(n, v), end - time.monotonic())
+            except (KeyError, AttributeError) as error:
+                raise InputError("parameters", name, f"those that {self._name} has and lets be set ({error})") from None
+
     async def log(
         self, name: str, period_ms: int, variables: Mapping[str, str], take: Callable[[Mapping[str, float]], None]
     ) -> None:
@@ -229,17 +208,24 @@ class Link:
 
     # ------------------------------------------------------------ sending
 
-    async def send(self, call: Callable[[Any], None]) -> None:
-        """Send something with cflib's `Crazyflie`.
+    async def send(self, call: Callable[[Any], None], *, urgent: bool = False) -> None:
+        """Send something with cflib's `Crazyflie`, after what was sent before; something urgent waits for nothing.
 
         Raises:
             RobotError: the link is not open, or does not take the packet.
         """
         cf = self.cf
+        worker = self._worker = self._worker or Worker()
         try:
-            await in_thread(lambda: call(cf), SEND_S)
+            await in_thread(lambda: call(cf), SEND_S, new_thread if urgent else worker.do)
         except TimeoutError:
+            self._end_worker()
             raise RobotError(self._name, "the link takes no packet") from None
+
+    def _end_worker(self) -> None:
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.do(None)
 
     async def ask(self, command: int, call: Callable[[Any], None], timeout_s: float) -> int | None:
         """Send a command of the high-level commander and wait for its answer: 0, or the firmware's error.
@@ -259,6 +245,7 @@ class Link:
 
     async def close(self) -> None:
         """Close the link; the drone goes on with what it does."""
+        self._end_worker()
         cf, self._cf = self._cf, None
         if cf is None:
             return

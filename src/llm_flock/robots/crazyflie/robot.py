@@ -49,6 +49,10 @@ REFUSED = 1
 """The firmware's answer to a take-off of one that flies, and to a landing of one that lands."""
 
 
+class _Refused(RobotError):
+    """The firmware answered, and the answer was no."""
+
+
 class CrazyflieRobot:
     """One Crazyflie. Commands are confirmed by the firmware, and sent again with what is left of their duration.
 
@@ -97,7 +101,7 @@ class CrazyflieRobot:
         """Open the link and wait for the first estimate; a lost link is opened anew, also in flight.
 
         Raises:
-            InputError: cflib is not installed.
+            InputError: cflib is not installed, or a parameter cannot be set.
             RobotError: not done within `timeout_s`.
         """
         end = time.monotonic() + timeout_s
@@ -171,9 +175,14 @@ class CrazyflieRobot:
         """Rise straight up to `height_m`, keeping the yaw."""
         start = self._ready().position
         sent = self._limits.clip(start, (start[0], start[1], height_m), duration_s)
+        height, before = sent.target[2], self._aloft
+        # Without an answer it may be in the air all the same: then it has to be landed.
         self._yaw, self._aloft = math.radians(self._log.yaw_deg), True
-        height = sent.target[2]
-        await self._command(TAKE_OFF, lambda cf, left: cf.takeoff(height, left, yaw=None), duration_s, "take-off")
+        try:
+            await self._command(TAKE_OFF, lambda cf, left: cf.takeoff(height, left, yaw=None), duration_s, "take-off")
+        except _Refused:
+            self._aloft = before
+            raise
         return self._flies(start, sent)
 
     async def go_to(self, target: Position, duration_s: float) -> Commanded:
@@ -214,7 +223,7 @@ class CrazyflieRobot:
         end = time.monotonic() + STOP_S
         while time.monotonic() < end and self._link.open:
             try:
-                await self._link.send(lambda cf: cf.supervisor.send_emergency_stop())
+                await self._link.send(lambda cf: cf.supervisor.send_emergency_stop(), urgent=True)
             except RobotError:
                 return False
             if await self._until(lambda: bool(self._log.info & LOCKED), 0.06):
@@ -250,7 +259,7 @@ class CrazyflieRobot:
                 return
             if answer is not None:
                 said = says(self._log.info)
-                raise RobotError(self._name, f"refused {what} (answer {answer}); its supervisor says: {said}")
+                raise _Refused(self._name, f"refused {what} (answer {answer}); its supervisor says: {said}")
         raise RobotError(self._name, f"did not confirm {what}, sent {ATTEMPTS} times")
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
