@@ -16,7 +16,7 @@ from llm_flock.errors import FlockError
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.deadman import BEATS, Beat
 
-READY_S = 20.0
+READY_S = 60.0
 """Longest wait for the deadman to be ready [s]: it imports all that it may need before it says so."""
 
 FAREWELL_S = 5.0
