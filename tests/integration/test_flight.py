@@ -21,26 +21,33 @@ from llm_flock.runtime.flight import landing
 from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.landing import STOPPED
 from llm_flock.runtime.flight.monitors import Kind
-from llm_flock.runtime.result import FlightFigures
+from llm_flock.runtime.result import FlightFigures, RunResult
 
 Robots = list[SimulatedRobot]
 
 
+def trial(result) -> RunResult:
+    assert result.result is not None
+    return result.result
+
+
 def figures(result) -> FlightFigures:
-    found = result.result.summary.flight
+    found = trial(result).summary.flight
     assert found is not None
     return found
 
 
 def test_a_square_is_formed_and_landed(tmp_path) -> None:
     result = flown(flight_config(out=str(tmp_path)))
-    assert result.report.passed and result.result is not None and result.result.formed
+    assert result.report.passed and trial(result).formed
     flight = figures(result)
     assert flight.ended == "mission" and flight.safe and set(flight.ends.values()) == {"landed"}
-    assert flight.min_separation_m >= 0.2 and flight.tracking_max_m < 0.05 and flight.fan_out_ms < 100
+    assert (flight.min_separation_m or 0.0) >= 0.2
+    assert flight.tracking_max_m is not None and flight.tracking_max_m < 0.05
+    assert flight.fan_out_ms is not None and flight.fan_out_ms < 100
     record = read_record(tmp_path / "run.mcap")
-    assert record.result["flight"]["ends"] == flight.ends
-    assert record.rounds == result.result.summary.rounds == max(sample.round for sample in record.bodies)
+    assert record.result is not None and record.result["flight"]["ends"] == flight.ends
+    assert record.rounds == trial(result).summary.rounds == max(sample.round for sample in record.bodies)
     times = [sample.time_s for sample in record.bodies]
     assert all(0.05 < b - a < 1.0 for a, b in pairwise(times))
     kinds = [event.kind for event in record.flight]
@@ -64,7 +71,7 @@ def stall(flight: Flight, robots: Robots) -> None:
     """No estimate comes any more."""
     robot = robots[2]
     seen = robot.state()
-    robot.state = lambda: seen  # type: ignore[method-assign]
+    robot.state = lambda: seen
 
 
 def jump(flight: Flight, robots: Robots) -> None:
@@ -147,7 +154,7 @@ def test_whatever_goes_wrong_everybody_is_down_in_time(
     assert flight.ended in {kind.value for kind in ended}
     if ends is not None:
         assert set(flight.ends.values()) == ends
-    summary = result.result.summary
+    summary = trial(result).summary
     assert (summary.stopped, summary.reason) == (flight.ended, flight.reason) or at == "landing"
 
 
@@ -264,7 +271,7 @@ def test_a_mission_in_space_is_formed_and_landed() -> None:
     robots: Robots = []
     result = flown(in_space(), lambda flight, made: robots.extend(made), "landing")
     assert figures(result).safe and set(figures(result).ends.values()) == {"landed"}
-    assert figures(result).min_separation_m >= 0.2
+    assert (figures(result).min_separation_m or 0.0) >= 0.2
     now = time.monotonic()
     spots = [robot.body.position(now) for robot in robots]
     assert len(spots) == 3 and all(z == 0.0 for _, _, z in spots)
@@ -286,4 +293,4 @@ def test_landing_of_a_mission_in_space() -> None:
 
 
 def test_nobody_is_asked_when_all_is_well() -> None:
-    assert asyncio.run(fly(flight_config(), nothing)).result.formed
+    assert trial(asyncio.run(fly(flight_config(), nothing))).formed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from llm_flock.llm.fallback import FallbackPlanner
@@ -104,7 +104,7 @@ class Thinkers:
                 planner = FallbackPlanner(planner, geometry, shield_on=shield_on)
             return planner
 
-        self._planner_of = planner_of
+        self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts, self._mission = prompts, config.mission
         self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
 
@@ -112,6 +112,20 @@ class Thinkers:
     def planners(self) -> Sequence[Planner]:
         """One planner a robot, by id."""
         return self._planners
+
+    def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
+        """Have every planner go through another one, also those that come later.
+
+        Args:
+            around: gives the outer planner, from a robot's id and its own.
+        """
+        inner = self._planner_of
+
+        def planner_of(robot: int, text: str) -> Planner:
+            return around(robot, inner(robot, text))
+
+        self._planner_of = planner_of
+        self._planners = [around(robot, planner) for robot, planner in enumerate(self._planners)]
 
     def replace(self, robot: int, model: str) -> None:
         """Give a robot another model from its next question on.

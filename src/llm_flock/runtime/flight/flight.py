@@ -166,10 +166,7 @@ class Flight:
                 Trouble(kind=Kind.MODEL_SILENT, robot=robot, detail=f"{name}: no answer in {rounds} rounds on end")
             )
 
-        thinkers.planners = [
-            Impatient(planner, safety.think_s, safety.silent_rounds, told(robot))
-            for robot, planner in enumerate(thinkers.planners)
-        ]
+        thinkers.wrap(lambda robot, inner: Impatient(inner, safety.think_s, safety.silent_rounds, told(robot)))
 
     def _trial(self, thinkers: Thinkers, journal: Journal, team: FlyingTeam) -> Trial:
         config = self._config
