@@ -8,10 +8,10 @@ import pytest
 from sample_records import FakeRun, llm_entry, make_record
 
 from llm_flock.errors import InputError
-from llm_flock.record.schema import ProtocolEvent, RoundEnd
+from llm_flock.record.schema import BodySample, FlightEvent, ProtocolEvent, RoundEnd
 from llm_flock.record.tail import RecordTail
 from llm_flock.record.writer import RecordWriter
-from llm_flock.viewer.gallery import Gallery, play
+from llm_flock.viewer.gallery import Gallery, feed, play
 from llm_flock.viewer.mind import claims, pedigree, verdict
 from llm_flock.viewer.named import newest_in, records_in, title_of
 from llm_flock.viewer.reel import Reel
@@ -128,3 +128,13 @@ def test_a_live_reel_shows_no_half_round(tmp_path: Path) -> None:
         writer.event(ProtocolEvent(round=2, tick=0, robot=0, kind="killed", detail={}))
         reel = replayed(tmp_path / "run.mcap")
     assert reel.rounds == 1 and "2" not in reel.news(0, 0, 0)["marks"]
+
+
+def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_path: Path) -> None:
+    reel = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=3))
+    row = [[0.0, 0.0, 1.0]]
+    feed(reel, BodySample(round=2, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[3.9], link=[1.0]))
+    for robot, kind in ((1, "aloft"), (1, "link_lost"), (None, "abort")):
+        feed(reel, FlightEvent(round=2, time_s=1.0, kind=kind, robot=robot, detail={}))
+    assert reel.news(0, 0, 0)["marks"]["2"]["faults"] == 2
+    assert [event.kind for event in reel.events(2) if event.robot == 1][-2:] == ["aloft", "link_lost"]

@@ -22,14 +22,17 @@ BODY = 1
 """Counter of a robot of which there is only a body that was never heard: the others hear of it, and need not look for
 it. Who is awake counts on from here."""
 
-ROUNDS_PER_ROBOT = 0.3
-"""At least so many rounds for each robot of the team: heartbeats are handed on once a round, and in a ring of robots a
-gap that opens or closes changes their way, and with it their age, by many rounds at once."""
+FEW = 20
+"""A team of so many is small: heartbeats cross it well within the time-out."""
+
+ROUNDS_PER_ROBOT = 0.6
+"""So many rounds more for each further robot of the team. Heartbeats are handed on once a round: when a cluster spreads
+out into a ring of N, where the farthest is N / 2 robots away, they come late by nearly as many rounds."""
 
 
 def patience(time_out: int, n_robots: int) -> int:
     """Rounds without a heartbeat after which a robot of a team of so many is taken for dead."""
-    return max(time_out, int(ROUNDS_PER_ROBOT * n_robots))
+    return time_out + int(ROUNDS_PER_ROBOT * max(0, n_robots - FEW))
 
 
 class Liveness:

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -92,18 +93,17 @@ class PhysicsWorld:
         self, homes: Sequence[Position], *, drone: str = DRONE, clock: Callable[[], float] = time.monotonic
     ) -> None:
         try:
-            from crazyflow.control import Control  # pyright: ignore[reportMissingTypeStubs]
-            from crazyflow.sim import Sim  # pyright: ignore[reportMissingTypeStubs]
+            control: Any = import_module("crazyflow.control")  # checked without it too: it is large and has no types
+            simulation: Any = import_module("crazyflow.sim")
         except ImportError:
             raise InputError("physics", "not installed", "possible with: pip install 'llm-flock[physics]'") from None
         except RuntimeError as error:
             # It wants scipy's array API, which is chosen by the environment when scipy is first imported.
             raise InputError("physics", str(error), "possible with SCIPY_ARRAY_API=1 in the environment") from None
-        simulation: Any = Sim
         freq = round(SUBSTEPS / STEP_S)
         try:
-            self._sim: Any = simulation(
-                n_drones=len(homes), drone=drone, control=Control.state, freq=freq, state_freq=freq // SUBSTEPS
+            self._sim: Any = simulation.Sim(
+                n_drones=len(homes), drone=drone, control=control.Control.state, freq=freq, state_freq=freq // SUBSTEPS
             )
         except (ValueError, AssertionError, FileNotFoundError, KeyError) as error:
             raise InputError("drone", drone, f"a kind of drone that crazyflow knows ({error})") from None

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from llm_flock.errors import FlockError
 from llm_flock.record.schema import (
+    BodySample,
     Entry,
+    FlightEvent,
     LlmEntry,
     MetricsRow,
     MissionInfo,
@@ -73,6 +75,10 @@ def feed(reel: Reel, entry: Entry) -> None:
             reel.state(entry)
         case MetricsRow():
             reel.metrics(entry)
+        case BodySample():
+            reel.body(entry)
+        case FlightEvent():
+            reel.flight(entry)
         case RoundEnd():
             reel.end_round(entry.round)
         case Summary():

@@ -8,6 +8,8 @@ from typing import Any
 
 from llm_flock.record.schema import (
     DEAD,
+    BodySample,
+    FlightEvent,
     LlmEntry,
     MetricsRow,
     MissionInfo,
@@ -30,6 +32,9 @@ FIGURES = (
     "cost_usd",
 )
 """What the plots show, by its name in the record."""
+
+ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "landed"})
+"""What happens to every flight."""
 
 Point2 = list[float]
 
@@ -104,6 +109,17 @@ class Reel:
     def metrics(self, row: MetricsRow) -> None:
         """The figures of one round."""
         self.rows.append(row)
+
+    def body(self, sample: BodySample) -> None:
+        """Where bodies are between rounds is not shown."""
+
+    def flight(self, event: FlightEvent) -> None:
+        """What happened to a flight; all but its routine is marked as a fault."""
+        if event.kind not in ROUTINE:
+            self._marks[event.round]["faults"] += 1
+        if event.robot is not None:
+            told = ProtocolEvent(round=event.round, tick=None, robot=event.robot, kind=event.kind, detail=event.detail)
+            self._events[event.round].append(told)
 
     def end_round(self, number: int) -> None:
         """The round can be shown."""
