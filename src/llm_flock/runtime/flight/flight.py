@@ -124,7 +124,8 @@ class Flight:
         journal.mission_given(config.mission, 0, team.set_point_rows)
         log.note("preflight", checks=len(report.checks))
         landing = Landing(config, team, log)
-        async with Heartbeat(config, lambda: team.aloft):
+        async with Heartbeat(config, lambda: team.aloft) as heart:
+            team.tell_deadman = heart.tell
             watching = asyncio.create_task(guard.watch())
             watching.add_done_callback(lambda task: _unwatched(task, guard))
             try:

@@ -57,6 +57,7 @@ class Heartbeat:
                 process.kill()
                 await asyncio.to_thread(_gone, process, None)
                 raise NoDeadman("the deadman process did not start; nothing has taken off")
+            self.tell()
             self._beating = asyncio.create_task(self._beat())
         return self
 
@@ -78,8 +79,13 @@ class Heartbeat:
 
     async def _beat(self) -> None:
         while True:
-            self.say(Beat(aloft=tuple(sorted(self._aloft()))))
+            self.tell()
             await asyncio.sleep(self._config.fleet.deadman_s / BEATS)
+
+    def tell(self) -> None:
+        """Tell the deadman now who is in the air; what is written it reads, even if this process dies at once."""
+        if self._process is not None:
+            self.say(Beat(aloft=tuple(sorted(self._aloft()))))
 
     def say(self, beat: Beat) -> None:
         """Send a beat; nothing where the deadman is gone."""

@@ -54,7 +54,7 @@ async def _lift(config: FlightConfig, team: FlyingTeam, log: FlightLog, robot: i
     await asyncio.wait_for(body.arm(), ARM_S)
     here = body.state().position
     log.note("take_off", robot, name=body.name, altitude_m=altitude)
-    team.aloft.add(robot)
+    team.lifts(robot)
     began = time.monotonic()
     order = await asyncio.wait_for(body.take_off(altitude, safety.take_off_s), ARM_S)
     top: Position = (here[0], here[1], order.target[2])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -46,6 +46,7 @@ class FlyingTeam:
         motions: what each drone is flying.
         airborne: drones that have taken off, and were not told to land.
         aloft: those, and whoever is on the way down.
+        tell_deadman: called when somebody is about to take off.
     """
 
     def __init__(self, config: FlightConfig, robots: Sequence[Robot], log: FlightLog) -> None:
@@ -53,6 +54,7 @@ class FlyingTeam:
         self.names = [robot.name for robot in robots]
         self.airborne: set[int] = set()
         self.aloft: set[int] = set()
+        self.tell_deadman: Callable[[], None] = _nobody
         self._config = config
         self._frame = config.frame
         self._check = SetPointCheck(config)
@@ -76,6 +78,11 @@ class FlyingTeam:
         """Where everybody is meant to be now [m]."""
         now = time.monotonic()
         return [motion.at(now) for motion in self.motions]
+
+    def lifts(self, robot: int) -> None:
+        """A drone is about to be told to take off: the deadman knows before the drone does."""
+        self.aloft.add(robot)
+        self.tell_deadman()
 
     def rests(self, robot: int, position: Position) -> None:
         """A drone's set-point is, and stays, here; to be called for all before the first motion."""
@@ -160,3 +167,7 @@ class FlyingTeam:
             if all(math.dist(x, motion.end) <= within_m for x, motion in zip(places, self.motions, strict=True)):
                 return
             await asyncio.sleep(LOOK_S)
+
+
+def _nobody() -> None:
+    """There is no deadman."""

@@ -13,11 +13,16 @@ from pathlib import Path
 import pytest
 from flights import STARTS, flight_config
 
+from llm_flock.record.writer import NullWriter
+from llm_flock.robots.base import RobotError
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import heartbeat
 from llm_flock.runtime.flight.deadman import Beat, Ears, land_them, wait_for_the_end
 from llm_flock.runtime.flight.heartbeat import Heartbeat, NoDeadman
+from llm_flock.runtime.flight.lift import take_off
+from llm_flock.runtime.flight.log import FlightLog
+from llm_flock.runtime.flight.team import FlyingTeam
 
 
 def pipe_to_ears():
@@ -99,9 +104,12 @@ def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) 
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env, cwd=ROOT
     ) as parent:
         assert parent.stdout is not None and parent.stderr is not None
-        assert int(parent.stdout.readline()) > 0
-        parent.send_signal(how)
-        assert parent.wait(10.0) == -signal.SIGKILL  # one that hangs is ended: it may hold the radio
+        try:
+            assert int(parent.stdout.readline()) > 0
+            parent.send_signal(how)
+            assert parent.wait(10.0) == -signal.SIGKILL  # one that hangs is ended: it may hold the radio
+        finally:
+            parent.kill()
         said = parent.stderr.read()
     assert "the flight process is gone; calling d0, d2" in said
     assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
@@ -132,6 +140,30 @@ def test_a_flight_that_fails_in_the_air_says_no_farewell(monkeypatch) -> None:
         with pytest.raises(RuntimeError):
             asyncio.run(fail(aloft))
         assert said[-1] == Beat(aloft=tuple(aloft), farewell=farewell)
+
+
+def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> None:
+    """Whatever happens between the two, the drone is called down."""
+    happened: list[object] = []
+
+    async def whole() -> None:
+        config = flight_config()
+        robots = [SimulatedRobot(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
+        for robot in robots:
+            await robot.connect(1.0)
+        team = FlyingTeam(config, robots, FlightLog(config, NullWriter()))
+        team.tell_deadman = lambda: happened.append(frozenset(team.aloft))
+
+        async def refuse(height_m: float, duration_s: float) -> None:
+            happened.append("take off")
+            raise RobotError("d0", "refused")
+
+        monkeypatch.setattr(robots[0], "take_off", refuse)
+        with pytest.raises(RobotError):
+            await take_off(config, team, FlightLog(config, NullWriter()))
+
+    asyncio.run(whole())
+    assert happened[:2] == [{0}, "take off"]
 
 
 def test_drones_of_this_process_need_no_deadman() -> None:
