@@ -17,6 +17,8 @@ from llm_flock.record.scene import PALETTE, SceneDrawer, scene_schema
 from llm_flock.record.schema import (
     CHANNELS,
     TOPICS,
+    BodySample,
+    FlightEvent,
     MetricsRow,
     MissionInfo,
     PlanInfo,
@@ -65,7 +67,16 @@ def read_with_mcap(path: Path) -> Iterator[tuple[Any, Any, Any]]:
 
 def test_every_message_is_valid_against_the_schema_beside_it(tmp_path: Path) -> None:
     seen = set()
-    for schema, channel, message in read_with_mcap(make_record(tmp_path / "run.mcap", n=5, rounds=3)):
+    row = [[0.0, 0.5, 1.0]]
+    with RecordWriter(tmp_path / "run.mcap") as writer:
+        FakeRun(n=5, rounds=3).write(writer, finish=False)
+        writer.body(
+            BodySample(round=3, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[None], link=[1.0])
+        )
+        writer.flight(FlightEvent(round=3, time_s=1.0, kind="landing", robot=0, detail={"spot": [0.0, 0.5]}))
+        writer.flight(FlightEvent(round=3, time_s=1.0, kind="abort", robot=None, detail={}))
+        writer.summary({"formed": True})
+    for schema, channel, message in read_with_mcap(tmp_path / "run.mcap"):
         assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
         check(json.loads(message.data), json.loads(schema.data))
         seen.add(channel.topic)
@@ -105,7 +116,7 @@ def foxglove_takes(schema: dict[str, Any]) -> bool:
 
 def test_viewers_understand_every_schema_but_those_with_lists_of_points() -> None:
     refused = {topic for topic, model in CHANNELS.items() if not foxglove_takes(channel_schema(model))}
-    assert refused == {"/mission", "/plan", "/state"}
+    assert refused == {"/mission", "/plan", "/state", "/body"}
     assert foxglove_takes(scene_schema())
 
 
@@ -151,7 +162,8 @@ def test_same_run_same_bytes(tmp_path: Path) -> None:
 def test_what_may_differ_between_runs_of_one_seed_is_declared() -> None:
     assert volatile_fields("/run") == {"created_at", "environment"}
     assert volatile_fields("/llm") == {"latency_s"}
-    assert {t for t in CHANNELS if volatile_fields(t)} == {"/run", "/llm"}
+    assert volatile_fields("/flight") == {"time_s", "detail"}
+    assert {t for t in CHANNELS if volatile_fields(t)} == {"/run", "/llm", "/body", "/flight"}
     assert without_volatile("/llm", json.loads(llm_entry(1, 0, latency_s=1.0).encoded())) == without_volatile(
         "/llm", json.loads(llm_entry(1, 0, latency_s=2.0).encoded())
     )
