@@ -43,6 +43,7 @@ export class Clock {
 
   listen(listener) {
     this.listeners.add(listener);
+    this.changed(); // what came before it listened, it is told too
     return () => this.listeners.delete(listener);
   }
 

@@ -147,6 +147,8 @@ export class Timeline {
       if (late !== text) return this.tell();
       this.told = text;
       this.emit("cursor", now);
+      // What is told before the page is connected is lost: told once more, if it still holds.
+      setTimeout(() => { if (this.told === text) this.emit("cursor", now); }, 1000);
       return undefined;
     }, clock.playing || clock.following ? 0 : 60);
   }
