@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.assignment import Moment
+from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.auction import AuctionAssignment, gain
-from llm_flock.protocol.messages import NO_OWNER, UNSAID
+from llm_flock.protocol.messages import NO_OWNER, UNSAID, Message, Pedigree
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.rollcall import ROUNDS, VERSION, RollCall, assigned, by_roll
 from llm_flock.protocol.search import MANY
@@ -133,6 +134,18 @@ def test_places_of_a_roll_are_exchanged_by_straight_ways() -> None:
     )
     assert gain(now, there, 30, 1, straight=True) == pytest.approx(straight)
     assert straight < 0 < gain(now, there, 30, 1)
+
+
+@pytest.mark.parametrize(("version", "offered"), [(1, True), (VERSION, False), (VERSION + 1, False)])
+def test_a_place_of_the_roll_is_not_handed_on_along_the_formation(version: int, *, offered: bool) -> None:
+    """Across a ring one flies straight to a place of the roll; one that was won by bids moves up, place by place."""
+    ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
+    table = tuple((version, -1.0, {30: 0, 1: 1}.get(slot, k)) for slot, k in zip(range(60), range(2, 62), strict=True))
+    origin = Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+    heard = Message(sender=1, sequence=0, neighbors=0, plan=ring, pedigree=origin, slot=1, table=table)
+    now = replace(moment(None), robot=0, position=(99.0, 0.0), plan=ring, heard=(heard,), sensed={1: ring.points[1]})
+    claim = AuctionAssignment().update(Claim(slot=30, table=table, bids=(-1.0,) * 60), now)
+    assert claim.slot == 30 and (claim.offer is not None) == offered
 
 
 def test_an_entry_left_out_is_below_every_roll() -> None:
