@@ -8,6 +8,9 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 
+# So many tests run at once; many of them wait for something most of their time.
+WORKERS ?= 3
+
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
 PINS := pyproject.toml constraints.txt
 STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
@@ -36,13 +39,13 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 	$(BIN)/llm-flock animate runs/demo/run.mcap
 
 test: $(STAMP) ## Unit, property and integration tests, with coverage
-	$(BIN)/python -m pytest tests/unit tests/property tests/integration --cov --cov-report=
+	$(BIN)/python -m pytest tests/unit tests/property tests/integration --numprocesses $(WORKERS) --dist worksteal --cov --cov-report=
 	$(BIN)/coverage report --format=total
 	@echo "protocol/: every branch must be covered"
 	$(BIN)/coverage report --include='src/llm_flock/protocol/*' --fail-under=100
 
 e2e: $(STAMP) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e
+	$(BIN)/python -m pytest tests/e2e --numprocesses 2 --dist loadscope
 
 check: lint types layers docs ## Lint, types, layers and docs, as in CI
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -57,20 +59,19 @@ def test_a_preflight_that_fails_is_explained() -> None:
 @pytest.mark.parametrize(("presses", "end"), [(1, "landed"), (2, "motors cut")])
 def test_ctrl_c_lands_and_twice_cuts(presses: int, end: str) -> None:
     with subprocess.Popen(
-        [*COMMAND, *BRISK, *LONG, "--yes", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*COMMAND, *BRISK, *LONG, "--yes"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None and process.stderr is not None
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(6.0)
+        for line in process.stderr:
+            if line.startswith("round 1"):
+                break
         for _ in range(presses):
             process.send_signal(signal.SIGINT)
-            with pytest.raises(subprocess.TimeoutExpired):
-                process.wait(0.1)
+            time.sleep(0.1)
         out = process.stdout.read()
         assert process.wait(10.0) == 1
-    flight = json.loads(out)["summary"]["flight"]
     # The first trouble is what ended the flight; motors are cut whatever that was.
-    assert flight["ended"] == "abort" and set(flight["ends"].values()) == {end}
+    assert re.search(r"ended by\W+abort", out) and out.count(end) >= 4
 
 
 @pytest.mark.parametrize(("key", "end"), [(b"l", "landed"), (b"x", "motors cut")])

@@ -13,7 +13,7 @@ from llm_flock.record.reader import read_record
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.result import Summary
 
-SEEDS = range(12)
+SEEDS = range(6)
 
 
 def fly(seed: int = 0, **options: Any) -> Summary:

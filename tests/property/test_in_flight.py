@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from crew import PERFECT, WIDE, Crew, a_leaf, assert_at_rest, connected_places
-from hypothesis import given, settings
+from effort import cases
+from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.mission import Mission
@@ -32,7 +33,7 @@ def slots(crew: Crew) -> list[int]:
     return sorted(agent.claim.slot for agent in crew.minds if agent.claim.slot is not None)
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(seed=SEEDS, n=st.integers(1, 6), faults=FAULTS, when=st.integers(1, 8))
 def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults: LinkFaults, when: int) -> None:
     rng = np.random.default_rng(seed)
@@ -46,7 +47,7 @@ def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults:
     assert all(agent.mission == given for agent in crew.minds)
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS, later=st.integers(0, 3))
 def test_of_two_missions_given_to_two_robots_all_end_on_the_same_one(
     seed: int, n: int, faults: LinkFaults, later: int
@@ -70,7 +71,7 @@ def test_of_two_missions_given_to_two_robots_all_end_on_the_same_one(
         assert crew.agents[0].mission.digest == max(one.digest, other.digest)
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, comes_back=st.sampled_from(["anew", "as it was"]))
 def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     seed: int, n: int, faults: LinkFaults, comes_back: str
@@ -104,7 +105,7 @@ def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     assert slots(crew) == list(range(n))
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(seed=SEEDS, n=st.integers(2, 7), faults=FAULTS, changes=st.booleans())
 def test_a_late_joiner_finds_the_free_place_of_the_mission_in_force(
     seed: int, n: int, faults: LinkFaults, changes: bool
@@ -126,7 +127,7 @@ def test_a_late_joiner_finds_the_free_place_of_the_mission_in_force(
     assert {agent.mission.shape for agent in crew.minds} == {"line" if changes else "circle"}
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(seed=SEEDS, n=st.integers(2, 7), share=st.floats(0.1, 0.99), faults=FAULTS)
 def test_with_more_robots_than_places_every_place_has_one_owner_and_the_others_none(
     seed: int, n: int, share: float, faults: LinkFaults
@@ -139,7 +140,7 @@ def test_with_more_robots_than_places_every_place_has_one_owner_and_the_others_n
     assert slots(crew) == list(range(count))
 
 
-@settings(max_examples=12)
+@cases(5)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS)
 def test_a_plan_is_remade_for_those_that_are_left_and_again_for_all(seed: int, n: int, faults: LinkFaults) -> None:
     rng = np.random.default_rng(seed)
@@ -173,7 +174,7 @@ LIMITS: dict[str, Any] = {
 }
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(
     seed=SEEDS,
     changed=st.sets(st.sampled_from(sorted(LIMITS)), min_size=1),
@@ -207,7 +208,7 @@ def test_no_mission_over_the_radio_changes_what_is_a_robots_own(
     assert len(slots(crew)) == n - 1
 
 
-@settings(max_examples=16)
+@cases(6)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS, spare=st.integers(0, 3))
 def test_what_large_teams_leave_out_of_their_messages_does_not_matter(
     seed: int, n: int, faults: LinkFaults, spare: int

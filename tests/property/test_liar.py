@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hypothesis import given, settings
+from effort import cases
+from hypothesis import given
 from hypothesis import strategies as st
 from signed_team import Liar, SignedTeam, good_plan, line_up
 
@@ -59,7 +60,7 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
     return said
 
 
-@settings(max_examples=25)
+@cases(8)
 @given(SEEDS, st.floats(0, 0.3))
 def test_a_liar_holds_one_place_and_breaks_nobodys_safety(seed: int, loss: float) -> None:
     rng = np.random.default_rng(seed)
@@ -87,7 +88,7 @@ def test_a_liar_holds_one_place_and_breaks_nobodys_safety(seed: int, loss: float
     assert team.smallest >= MISSION.safe_distance - 1e-9
 
 
-@settings(max_examples=15)
+@cases(5)
 @given(SEEDS, st.floats(0, 0.4))
 def test_teams_without_a_liar_settle(seed: int, loss: float) -> None:
     rng = np.random.default_rng(seed)

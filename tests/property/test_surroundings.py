@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from hypothesis import given, settings
+from effort import cases
+from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.mission import Mission
@@ -44,7 +45,7 @@ def flown(position: tuple[float, ...], wish: tuple[float, ...], noise: float) ->
     )
 
 
-@settings(max_examples=80, deadline=None)
+@cases(30)
 @given(seed=st.integers(0, 2**32), noise=st.sampled_from([0.0, 0.1, 0.5]))
 def test_no_way_leads_near_an_obstacle_or_out_of_the_arena(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
@@ -66,7 +67,7 @@ def test_no_way_leads_near_an_obstacle_or_out_of_the_arena(seed: int, noise: flo
         here = there
 
 
-@settings(max_examples=40, deadline=None)
+@cases(20)
 @given(seed=st.integers(0, 2**32))
 def test_from_inside_an_obstacle_or_outside_the_arena_the_way_leads_back(seed: int) -> None:
     rng = np.random.default_rng(seed)

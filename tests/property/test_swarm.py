@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from effort import cases
+from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock import graph
@@ -66,7 +67,7 @@ def owned(agent: Agent) -> list[int]:
     return [a for a, entry in enumerate(table) if entry[2] == agent.robot]
 
 
-@settings(max_examples=40, deadline=None)
+@cases(15)
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 9))
 def test_a_connected_team_agrees_within_its_diameter(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -81,7 +82,7 @@ def test_a_connected_team_agrees_within_its_diameter(seed: int, n: int) -> None:
     assert len({a.plan for a in agents}) == 1
 
 
-@settings(max_examples=40, deadline=None)
+@cases(15)
 @given(
     seed=st.integers(0, 2**32),
     n=st.integers(1, 8),
@@ -108,7 +109,7 @@ def test_a_connected_team_ends_on_distinct_slots_under_faults(
     assert not any(a.rejected for a in agents)
 
 
-@settings(max_examples=20, deadline=None)
+@cases(8)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 7), junk=st.lists(st.binary(max_size=300), max_size=20))
 def test_junk_on_the_radio_changes_nothing(seed: int, n: int, junk: list[bytes]) -> None:
     rng = np.random.default_rng(seed)

@@ -4,7 +4,8 @@ import math
 from itertools import permutations
 
 import numpy as np
-from hypothesis import given, settings
+from effort import cases
+from hypothesis import given
 from hypothesis import strategies as st
 from team_by_hand import Links, Team, turned
 
@@ -63,7 +64,7 @@ def key_of(team: Team, robot: int) -> PlanKey:
     return plan_key(agent.plan, agent.pedigree, 0)
 
 
-@settings(max_examples=40, deadline=None)
+@cases(20)
 @given(seed=SEEDS, n=st.integers(1, 9))
 def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(seed: int, n: int) -> None:
     """Theorem 1: so all hold it after the diameter at the latest, and not a tick before they are reached."""
@@ -81,7 +82,7 @@ def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(
     assert set(team.plans) == {highest}
 
 
-@settings(max_examples=30, deadline=None)
+@cases(20)
 @given(seed=SEEDS, n=st.integers(2, 7), window=st.integers(1, 4))
 def test_a_jointly_connected_team_agrees(seed: int, n: int, window: int) -> None:
     """Theorem 2: each link of a random tree exists in one round of a window only; no graph needs to be whole."""
@@ -135,7 +136,7 @@ def greedy(bids: list[tuple[float, ...]]) -> list[int]:
     return slots
 
 
-@settings(max_examples=40, deadline=None)
+@cases(20)
 @given(seed=SEEDS, n=st.integers(1, 8))
 def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(seed: int, n: int) -> None:
     """Theorem 3: all follow one plan from the beginning, nobody exchanges."""
@@ -152,7 +153,7 @@ def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(s
     assert len({agent.claim.table for agent in team.agents}) == 1
 
 
-@settings(max_examples=40, deadline=None)
+@cases(20)
 @given(seed=SEEDS, n=st.integers(2, 7))
 def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> None:
     """What theorem 4 leaves open: all comes to rest, and no pair is left with an exchange that it would make."""

@@ -2,6 +2,7 @@
 
 import re
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -163,3 +164,11 @@ def test_the_data_dictionary_is_drawn_from_the_columns() -> None:
     assert re.findall(r"^```\{result-columns\} (\w+)$", text, re.MULTILINE) == ["trials", "rounds"]
     for column in (*tables.TRIALS, *tables.ROUNDS):
         assert column.meaning and column.kind
+
+
+def test_many_may_write_one_file_at_once(tmp_path: Path) -> None:
+    path, data = tmp_path / "table", [bytes([k]) * 200_000 for k in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda each: [write_whole(path, each, dated_ns=10**18) for _ in range(5)], data))
+    assert path.read_bytes() in data and path.stat().st_mtime_ns == 10**18
+    assert list(tmp_path.iterdir()) == [path]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
 from rich.markup import escape
@@ -11,8 +11,9 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColum
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from llm_flock.runtime.result import Summary
-from llm_flock.runtime.trial import Progress
+if TYPE_CHECKING:
+    from llm_flock.runtime.result import Summary
+    from llm_flock.runtime.trial import Progress
 
 
 class LiveLine:

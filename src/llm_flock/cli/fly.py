@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -21,9 +21,11 @@ from llm_flock.cli.keyboard import Keyboard, ask
 from llm_flock.cli.options import SET_BY_FLY, parse_flags, with_config_flags
 from llm_flock.runtime.config import load_config_of
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.flight import TAKING_OFF, Flight, FlightResult
-from llm_flock.runtime.flight.preflight import NAMES, Check, Report
-from llm_flock.runtime.flight.rehearsal import Rehearsal, rehearse
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.flight.flight import FlightResult
+    from llm_flock.runtime.flight.preflight import Check, Report
+    from llm_flock.runtime.flight.rehearsal import Rehearsal
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -74,6 +76,7 @@ def fly(
 
 async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool) -> FlightResult:
     from llm_flock.runtime.flight.fleet import build_fleet
+    from llm_flock.runtime.flight.flight import TAKING_OFF, Flight
 
     async def confirm(report: Report) -> bool:
         if not as_json:
@@ -118,6 +121,8 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
 
 
 def _rehearse(settings: FlightConfig, as_json: bool) -> None:
+    from llm_flock.runtime.flight.rehearsal import rehearse
+
     plan = asyncio.run(rehearse(settings))
     if as_json:
         print(json.dumps(_plan(plan), allow_nan=False))
@@ -132,6 +137,8 @@ def _rehearse(settings: FlightConfig, as_json: bool) -> None:
 
 
 def _preflight_table(checks: Sequence[Check]) -> Table:
+    from llm_flock.runtime.flight.preflight import NAMES
+
     table = Table("drone", *NAMES, title="preflight", title_justify="left")
     found = {(check.who, check.name): check for check in checks}
     for who in dict.fromkeys(check.who for check in checks):

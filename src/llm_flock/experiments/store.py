@@ -252,18 +252,26 @@ def read_trial(path: Path) -> StoredTrial:
     return found
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:
     """Write a file so that it is there in full or, whatever happens, as it was before.
+
+    Args:
+        path: where to.
+        data: what it shall hold.
+        dated_ns: time of change to give it, in nanoseconds since 1970; otherwise now.
 
     Raises:
         RecordError: the disk does not take it.
     """
-    partial = path.with_name(f".{path.name}.partial")
+    # A name of its own: another process may write the same file at the same time.
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.partial")
     try:
         with partial.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
+        if dated_ns is not None:
+            os.utime(partial, ns=(dated_ns, dated_ns))
         partial.replace(path)
         sync_folder(path.parent)
     except OSError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import polars as pl
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
-from llm_flock.experiments.store import StoredTrial, read_trial, sync_folder, trial_files
+from llm_flock.experiments.store import StoredTrial, read_trial, trial_files, write_whole
 from llm_flock.protocol.events import Origin
 
 TRIALS_NAME = "trials.parquet"
@@ -178,16 +178,14 @@ def build_tables(folder: Path) -> None:
 
     Raises:
         InputError: this is no directory of results.
-        RecordError: a trial is damaged.
+        RecordError: a trial is damaged, or the disk does not take the tables.
     """
     dated = _dated(folder)
     trials = load_all(folder)
     for name, frame in ((TRIALS_NAME, trials_frame(trials)), (ROUNDS_NAME, rounds_frame(trials))):
-        partial = folder / f".{name}.partial"
-        frame.write_parquet(partial)
-        os.utime(partial, ns=(dated, dated))
-        partial.replace(folder / name)
-    sync_folder(folder)
+        file = io.BytesIO()
+        frame.write_parquet(file)
+        write_whole(folder / name, file.getvalue(), dated_ns=dated)
 
 
 def load_all(folder: Path) -> list[StoredTrial]:
