@@ -12,6 +12,7 @@ import asyncio
 import os
 import signal
 import statistics
+import tempfile
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -147,6 +148,11 @@ async def _kill(swarm: Swarm) -> None:
     await asyncio.sleep(0.5)
 
 
+async def _kill_recorder(swarm: Swarm) -> None:
+    await asyncio.sleep(3.0)
+    swarm.signal("recorder", signal.SIGKILL)
+
+
 async def _stop(swarm: Swarm) -> None:
     await asyncio.sleep(3.0)
     swarm.signal("robot-2", signal.SIGSTOP)
@@ -163,6 +169,7 @@ async def _come(swarm: Swarm) -> None:
 
 FAULTS: dict[str, tuple[int, dict[str, Any], dict[str, Any]]] = {
     "kill -9 of a robot": (9, {}, {"meanwhile": _kill}),
+    "kill -9 of the recorder": (10, {}, {"meanwhile": _kill_recorder, "recorded": True}),
     "SIGSTOP for 3 s": (10, {}, {"meanwhile": _stop}),
     "30 % loss, 200 ms jitter": (10, {"loss": 0.3, "delay": 2}, {}),
     "a robot joins late": (10, {"gather_s": 1.0}, {"meanwhile": _come, "absent": 1}),
@@ -178,11 +185,16 @@ FAULTS: dict[str, tuple[int, dict[str, Any], dict[str, Any]]] = {
 def faults() -> None:
     """Every fault, five runs each."""
     for name, (robots, options, happens) in FAULTS.items():
-        flights = [fly(config_of(10, seed, **options), **happens) for seed in range(FAULT_RUNS)]
+        flights = [_fly_with(seed, options, **happens) for seed in range(FAULT_RUNS)]
         for seed, flight in enumerate(flights):
             print(f"  seed {seed}: {flight.result.mission_s} s; {_line(flight)}", flush=True)
         assert all(flight.result.n_robots == robots for flight in flights)
         _summary(name, flights)
+
+
+def _fly_with(seed: int, options: dict[str, Any], *, recorded: bool = False, **happens: Any) -> Flight:
+    with tempfile.TemporaryDirectory() as folder:
+        return fly(config_of(10, seed, **options, **({"out": folder} if recorded else {})), **happens)
 
 
 def _line(flight: Flight) -> str:

@@ -105,7 +105,7 @@ class SignedTeam:
 
     def counts(self, reason: str) -> int:
         """How often honest robots refused something for this reason."""
-        return sum(a.rejected[reason] + a._talks._signing.ledger.refused[reason] for a in self.agents)  # type: ignore[union-attr]
+        return sum(agent.rejected[reason] for agent in self.agents)
 
     def fly(self, rounds: int, liar_says: Talk = tuple, liar_moves: Callable[[], Point] | None = None) -> None:
         """So many rounds of five ticks; the liar speaks in every tick, to all."""

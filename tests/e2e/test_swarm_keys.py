@@ -44,7 +44,8 @@ def test_a_swarm_with_keys_forms_and_hears_no_stranger(tmp_path: Path) -> None:
             "trial": {"out": None, "start": "connected", "seed": 3},
         }
     )
-    _, rejected, heard = asyncio.run(fly(config))
+    stopped, rejected, heard = asyncio.run(fly(config))
+    assert stopped == "formed"
     assert heard == []
     assert rejected.get("wrong_topic", 0) > 0
     assert rejected.get("bad_signature", 0) == 0

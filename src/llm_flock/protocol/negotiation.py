@@ -72,7 +72,6 @@ class Negotiation:
         self.pedigree: Pedigree | None = None
         self.claim = Claim(slot=None)
         self.neighbors = 0
-        self.rejected: Counter[str] = Counter()
         self.liveness = liveness
         self._robot = robot
         self._consensus = consensus
@@ -82,6 +81,7 @@ class Negotiation:
         self._speech = Speech()
         self._roll = RollCall(robot, mission.n_robots if notary is None else 0)
         self._signing = None if notary is None else Signing(robot, notary)
+        self.rejected: Counter[str] = Counter() if self._signing is None else self._signing.ledger.refused
         self._proofs: dict[int, Proofs] = {}
         self._inbox: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []

@@ -1,0 +1,145 @@
+"""A member with its own keys, a process's worth of lies: it holds one place at most, and the honest form without it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from pathlib import Path
+
+from swarms import formed, swarm_config
+
+from llm_flock.arrays import Point
+from llm_flock.errors import MessageError
+from llm_flock.protocol.codec import decode, encode
+from llm_flock.protocol.messages import UNSAID, Message, Pedigree
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.warrants import (
+    Context,
+    Proofs,
+    Warrant,
+    claim_statement,
+    claims_of,
+    origin_statement,
+    unwrap,
+    wrap,
+)
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.joining import load_keys, open_link
+from llm_flock.runtime.network.swarm import SwarmResult, launched
+from llm_flock.runtime.network.wire import Beacon, Frame, pack, unpack
+from llm_flock.transport.seal import WORLD
+from llm_flock.trust.keys import make_keys
+
+N, LIAR = 5, 4
+LIES_S = 6.0
+
+
+class Liar:
+    """Hears all, and answers with lies that bear its own, true signature."""
+
+    def __init__(self, config: SwarmConfig) -> None:
+        self.keys = load_keys(config, LIAR)
+        self.link = open_link(config, LIAR, listen="tcp/127.0.0.1:0")
+        self.heard: Message | None = None
+        self.payload = b""
+        self.here: Point | None = None
+        self.tables: dict[int, tuple[str | None, dict[int, int]]] = {}
+        self.counts = itertools.count(1)
+        self.link.listen("say", None, self._hear)
+        self.link.listen("frame", None, self._see)
+
+    @property
+    def held(self) -> int:
+        """Most places that are its own by what any honest robot has said last of each."""
+        return max(sum(owner == LIAR for owner in owners.values()) for _, owners in self.tables.values())
+
+    def _hear(self, sender: int, payload: bytes) -> None:
+        try:
+            message = decode(unwrap(payload, N)[0], N, 2)
+        except MessageError:
+            return
+        if message.plan is not None and message.pedigree is not None:
+            self.heard, self.payload = message, payload
+        if self.tables.get(sender, ("", {}))[0] != message.plan_digest:
+            self.tables[sender] = message.plan_digest, {}
+        said = ((slot, entry) for slot, entry in enumerate(message.table or ()) if entry != UNSAID)
+        self.tables[sender][1].update((slot, entry[2]) for slot, entry in said)
+
+    def _see(self, sender: int, payload: bytes) -> None:
+        if sender == WORLD:
+            self.here = unpack(Frame, payload).bodies[LIAR].position
+
+    def lies(self) -> list[bytes]:
+        """Claims on all places, for itself or another, at whatever version; a hallucinated plan; another's message."""
+        known = self.heard
+        if known is None or known.plan is None or known.pedigree is None:
+            return []
+        count = next(self.counts)
+        about = Context(known.mission, known.plan.digest)
+        version, owner = ((0, LIAR), (1, LIAR), (2**39, LIAR), (1, 0))[count % 4]
+        entry = (version, -1e-9, owner)
+        claims = {
+            slot: Warrant(number=count, signature=self.keys.sign(claim_statement(about, slot, entry, count)))
+            for slot in range(N)
+        }
+        said = [self._message(known, claims=claims, slot=count % N, table=(entry,) * N, beats=(2**39,) * N)]
+        everywhere = Plan.of([(50.0, 50.0)] * N)
+        best = Pedigree(
+            mission=known.mission.counter,
+            mission_digest=known.mission.digest,
+            epoch=0,
+            neighbors=N - 1,
+            proposer=LIAR,
+            sequence=0,
+        )
+        said.append(self._message(known, plan=everywhere, pedigree=best, table=(UNSAID,) * N, slot=0))
+        return [*said, self.payload]
+
+    def _message(self, known: Message, *, claims: dict[int, Warrant] | None = None, **fields: object) -> bytes:
+        same = {"mission": known.mission, "plan": known.plan, "pedigree": known.pedigree}
+        whole: dict[str, object] = {**same, **fields}
+        message = Message(sender=LIAR, sequence=next(self.counts), neighbors=N - 1, **whole)  # type: ignore[arg-type]
+        assert message.pedigree is not None and message.plan is not None
+        own = self.keys.sign(origin_statement(message.pedigree, message.plan.digest))
+        numbers, grants = claims_of(claims or {})
+        return wrap(encode(message), Proofs(claims=numbers, grants=grants, origin=own))
+
+    def speak(self) -> None:
+        """Tell where the body is, which is true, and whatever is not."""
+        if self.here is not None:
+            beacon = Beacon(stamp=time.time(), position=self.here, end=self.here)
+            self.link.publish("beacon", LIAR, pack(beacon))
+        for lie in self.lies():
+            self.link.publish("say", LIAR, lie)
+
+
+async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
+    async with launched(config, absent=frozenset({LIAR})) as swarm:
+        liar = Liar(swarm.config)
+
+        async def lie() -> None:
+            end = time.monotonic() + LIES_S
+            while time.monotonic() < end:
+                liar.speak()
+                await asyncio.sleep(0.05)
+
+        task = asyncio.create_task(lie())
+        try:
+            stopped = await swarm.run(lambda observer: task.done() and formed(observer))
+            return stopped, swarm.result(stopped, None), liar
+        finally:
+            task.cancel()
+            liar.link.close()
+
+
+def test_a_member_that_lies_holds_one_place_and_hurts_nobody(tmp_path: Path) -> None:
+    make_keys(tmp_path / "team", N)
+    config = swarm_config(N, seed=3, keys=str(tmp_path / "team"), gather_s=1.0)
+    stopped, result, liar = asyncio.run(fly(config))
+    assert stopped == "formed"
+    # What it claimed before its last claim counts no more, and is freed as soon as two honest robots say so.
+    assert len(liar.tables) == N - 1 and liar.held <= 1
+    refused = result.messages_rejected
+    assert {"unwarranted", "unverified_plan", "impostor"} <= refused.keys(), refused
+    assert result.min_separation is not None and result.min_separation >= config.mission.safe_distance - 1e-6
