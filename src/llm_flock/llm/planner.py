@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm import answers as read
 from llm_flock.llm import schemas
-from llm_flock.llm.port import Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
+from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -134,7 +134,8 @@ class LanguagePlanner:
             return None if self._check_plan is None else self._check_plan(question, answer)
 
         schema = schemas.plan_schema(n, dim) if self._json else None
-        return await self._converse("plan", question, self._prompts.plan(question), schema, parse, objection)
+        form = AnswerForm(n=n, dim=dim, json=self._json)
+        return await self._converse("plan", question, self._prompts.plan(question), schema, form, parse, objection)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask for the next waypoint, or for a path."""
@@ -155,7 +156,8 @@ class LanguagePlanner:
         schema = None
         if self._json:
             schema = schemas.step_schema(dim) if horizon == 1 else schemas.path_schema(horizon, dim)
-        return await self._converse("step", question, self._prompts.step(question), schema, parse, objection)
+        form = AnswerForm(n=question.mission.n_places, dim=dim, horizon=horizon, json=self._json)
+        return await self._converse("step", question, self._prompts.step(question), schema, form, parse, objection)
 
     async def _converse(
         self,
@@ -163,6 +165,7 @@ class LanguagePlanner:
         asked: PlanQuestion | StepQuestion,
         text: str,
         schema: dict[str, Any] | None,
+        form: AnswerForm,
         parse: Callable[[str], tuple[A, dict[str, Any]]],
         objection: Callable[[A], str | None],
     ) -> A | NoAnswer:
@@ -172,7 +175,7 @@ class LanguagePlanner:
         messages = (system, *self._history, question)
         reason, unfit = "", None
         for _ in range(1 + self._max_retries):
-            call = self._call(kind, asked.round, messages, schema)
+            call = self._call(kind, asked.round, messages, schema, form)
             began = self._clock()
             try:
                 reply = await self._model.ask(call)
@@ -212,7 +215,14 @@ class LanguagePlanner:
             self._history = []
         self._about = mission
 
-    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> Call:
+    def _call(
+        self,
+        kind: Kind,
+        round_: int,
+        messages: tuple[ChatMessage, ...],
+        schema: dict[str, Any] | None,
+        form: AnswerForm,
+    ) -> Call:
         """The next call of this robot; attempts are numbered through a round, over both kinds of questions."""
         if round_ != self._round:
             self._round, self._attempt = round_, 0
@@ -223,6 +233,7 @@ class LanguagePlanner:
             attempt=self._attempt,
             messages=messages,
             schema=schema,
+            form=form,
         )
         self._attempt += 1
         return call

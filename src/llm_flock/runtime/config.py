@@ -71,7 +71,9 @@ class ProtocolConfig(Section):
 class ModelConfig(Section):
     """Who thinks for the robots."""
 
-    model: str = Field(default="simulated:ideal", description="provider:model for all robots, or by id: 0-4=A,5-9=B")
+    model: str = Field(
+        default="simulated:ideal", description="provider:model or local:MODEL for all robots, or by id: 0-4=A,5-9=B"
+    )
     base_url: str | None = Field(default=None, description="Address of an OpenAI-compatible server")
     answers: Literal["text", "json"] = Field(
         default="text", description="Answer format: the paper's text, or a JSON schema"
