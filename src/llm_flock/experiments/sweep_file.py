@@ -21,6 +21,7 @@ from llm_flock.llm.limits import Budget
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.profiles import parse_profile
+from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import known_providers, parse_model
 from llm_flock.llm.sharing import Rate
 from llm_flock.mission import input_error
@@ -283,7 +284,8 @@ def _fitted(base: Mapping[str, Any], fields: Mapping[str, Any]) -> Any:
 def trial_id(config: RunConfig) -> str:
     """The address of a trial: a hash of its resolved configuration, and of the files that it names."""
     plain = config.model_dump(mode="json", exclude=cast("Any", PLACES))
-    files = [_digest(Path(config.model.prompts))] if config.model.prompts is not None else []
+    words = config.model.prompts
+    files = [] if words is None or words in PACKAGED else [_digest(Path(words))]
     for model in dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)):
         name = parse_model(model)
         if name.kind == "replay":

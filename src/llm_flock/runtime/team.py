@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from llm_flock.llm.fallback import FallbackPlanner
+from llm_flock.llm.frame import trained_for
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
@@ -74,9 +75,15 @@ class Thinkers:
         settings = parse_settings(
             n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
         )
-        prompts = PromptSet.load(None if model.prompts is None else Path(model.prompts), json=model.answers == "json")
-        if any(parse_model(name).kind == "simulated" for name in self.names):
-            check_prompts(prompts, config.mission)
+
+        def prompts_of(text: str) -> PromptSet:
+            words = model.prompts or ("brief" if trained_for(text) else None)
+            prompts = PromptSet.named(words, json=model.answers == "json")
+            if parse_model(text).kind == "simulated":
+                check_prompts(prompts, config.mission)
+            return prompts
+
+        self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
         history = parse_history(model.history)
         shield_on = bool(config.protocol.shield)
         plan_check, step_check = _checks(shield_on=shield_on) if config.protocol.verify else (None, None)
@@ -97,13 +104,14 @@ class Thinkers:
             planner: Planner = LanguagePlanner(
                 robot,
                 thinker,
-                prompts,
+                self._prompts[text],
                 max_retries=model.max_retries,
                 history=history,
                 answers=model.answers,
                 on_attempt=self._tell,
                 check_plan=plan_check,
                 check_step=step_check,
+                frame=model.frame or ("own" if trained_for(text) else "world"),
             )
             if config.protocol.fallback == "geometry":
                 # In the reference orientation: robots whose models fail propose one and the same plan.
@@ -112,7 +120,7 @@ class Thinkers:
             return planner
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
-        self._prompts, self._mission = prompts, config.mission
+        self._prompts_of = prompts_of
         self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
 
     @property
@@ -140,8 +148,8 @@ class Thinkers:
         Raises:
             InputError: there is no such model.
         """
-        if parse_model(model).kind == "simulated":
-            check_prompts(self._prompts, self._mission)
+        if model not in self._prompts:
+            self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
 
     @property

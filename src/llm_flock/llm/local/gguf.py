@@ -105,7 +105,7 @@ class _Reader:
         if kind == _STRING:
             return self._text()
         if kind != _ARRAY:
-            return self._one(_SCALARS[kind] if kind in _SCALARS else "")
+            return self._one(_SCALARS.get(kind, ""))
         inner, count = self._one("I"), self._one("Q")
         if inner in _SCALARS:
             self._take(count * struct.calcsize(_SCALARS[inner]))

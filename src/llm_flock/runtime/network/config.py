@@ -87,7 +87,7 @@ def endpoints(text: str) -> list[str]:
 
 
 def check_models(config: SwarmConfig) -> None:
-    """Refuse models on board in a swarm on one machine: a process for each robot is an engine for each robot, all on the same cores.
+    """Refuse models on board in a swarm on one machine: each process would have an engine, all on the same cores.
 
     Raises:
         InputError: for field `model`.
