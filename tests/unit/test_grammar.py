@@ -37,7 +37,7 @@ def accepts(kind, form: AnswerForm, text: str) -> bool:
     return re.fullmatch(regex(answer_grammar(kind, form)), text) is not None
 
 
-PLAN = "Plan: [[1, 2.5], [-3.25, 4], [0.1234, 1000000]]\nmy plan: 2"
+PLAN = "Plan: [[1, 2.5], [-3.25, 4], [0.1234, 999999]]\nmy plan: 2"
 
 
 def test_a_plan_has_as_many_places_as_are_asked_for():
@@ -96,9 +96,10 @@ def test_json_answers_are_json_and_nothing_else(kind, form, text, reader):
     assert not accepts(kind, form, "Because of this:\n" + text)
 
 
-def test_numbers_end_and_every_coordinate_that_is_allowed_can_be_written():
+def test_numbers_end_and_none_is_too_large():
     form = AnswerForm(n=1, dim=2)
-    assert accepts("step", form, f"Position: [{MAX_COORDINATE:.0f}, -{MAX_COORDINATE:.0f}]")
+    assert accepts("step", form, f"Position: [{MAX_COORDINATE - 1:.0f}, -{MAX_COORDINATE - 1:.0f}]")
+    assert not accepts("step", form, f"Position: [{10 * MAX_COORDINATE:.0f}, 2]")
     assert not accepts("step", form, "Position: [1.00000000000, 2]")
     assert not accepts("step", form, "Position: [1e3, 2]")
     assert not accepts("step", form, "Position: [nan, 2]")
@@ -108,7 +109,7 @@ def test_numbers_end_and_every_coordinate_that_is_allowed_can_be_written():
 @pytest.mark.parametrize("json", [True, False])
 def test_the_longest_answer_is_long_enough(json, reasons):
     form = AnswerForm(n=7, dim=3, horizon=4, json=json, reasons=reasons)
-    point = "[" + ", ".join(["-1234567.1234"] * 3) + "]"
+    point = "[" + ", ".join(["-123456.1234"] * 3) + "]"
     points = f"[{', '.join([point] * 7)}]"
     plan = f'{{"plan": {points}, "my_plan": 6}}' if json else f"Plan: {points}\nmy plan: 6"
     assert accepts("plan", form, plan)

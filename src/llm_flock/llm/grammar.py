@@ -11,8 +11,8 @@ from functools import lru_cache
 
 from llm_flock.llm.port import AnswerForm, Kind
 
-WHOLE_DIGITS = 7
-"""Most digits before the decimal point: enough for `arrays.MAX_COORDINATE`."""
+WHOLE_DIGITS = 6
+"""Most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`."""
 
 DECIMALS = 4
 """Most digits after it: a model that has lost its way must not write a number without end."""

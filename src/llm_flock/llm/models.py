@@ -13,7 +13,6 @@ import numpy as np
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, Effort, PydanticModel
 from llm_flock.llm.local.model import Berths, LocalModel
-from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prices import price_known
 from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
@@ -188,7 +187,7 @@ class ModelPool:
 
     def model(
         self, text: str, *, robot: int, rng: np.random.Generator, settings: CallSettings | None = None
-    ) -> LanguageModel:
+    ) -> PydanticModel | LocalModel:
         """The language model of one robot.
 
         Args:

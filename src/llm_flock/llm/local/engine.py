@@ -6,7 +6,6 @@ listens on a Unix socket in a folder that nobody else may open, so that no port 
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import shutil
@@ -15,11 +14,14 @@ import tempfile
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm.local.weights import Weights, head_of
+from llm_flock.llm.port import Usage
 
 MIN_SLOTS = 4
 MAX_SLOTS = 16
@@ -29,6 +31,8 @@ BATCH = 512
 
 WORK_BYTES = 256 * 2**20
 """Memory of the engine beside weights and cache, generously [bytes]."""
+
+STOPPED = "the engine was stopped"
 
 QUIET = -1
 """The engine's level of logging: nothing."""
@@ -47,6 +51,14 @@ def thread_count() -> int:
 def slot_count() -> int:
     """Questions that are answered at once: few, as they share the cores and the memory."""
     return min(MAX_SLOTS, max(MIN_SLOTS, 2 * thread_count()))
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the engine answered, and the tokens of it."""
+
+    text: str
+    usage: Usage
 
 
 class Engine:
@@ -74,14 +86,13 @@ class Engine:
             raise
 
     def _load(self) -> Any:
-        import xllamacpp  # takes 100 MB: only those who use it load it
-
         tokens = self.slots * self.context
         check_memory(self.weights, tokens)
-        params: Any = xllamacpp.CommonParams()
+        library: Any = import_module("xllamacpp")  # takes 100 MB: only those who use it load it
+        params = library.CommonParams()
         params.model.path = str(self.weights.model)
         if self.weights.adapter is not None:
-            params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(self.weights.adapter), 1.0)]
+            params.lora_adapters = [library.CommonAdapterLoraInfo(str(self.weights.adapter), 1.0)]
         params.n_parallel = self.slots
         params.n_ctx = tokens
         # Each question has a part of its own: in a common one, a question that is too long ends all the others.
@@ -95,13 +106,13 @@ class Engine:
         params.api_keys = [secrets.token_hex(16)]
         params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
         try:
-            return xllamacpp.Server(params)
+            return library.Server(params)
         except RuntimeError:
             files = " and ".join(file.name for file in self.weights.files)
             allowed = f"what the engine can load: {files} may be damaged, of a kind it does not know, or too large"
             raise InputError("model", str(self.weights.model), allowed) from None
 
-    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[dict[str, Any]]:
+    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Told]:
         """Answer one chat request.
 
         Args:
@@ -109,33 +120,38 @@ class Engine:
             stop: set it to have the answer cut short.
 
         Returns:
-            `text`, `finish` and `usage`; a future that fails with ModelError.
+            the answer; the future fails with ModelError where there is none.
         """
         return self._threads.submit(self._ask, dict(body), stop)
 
-    def _ask(self, body: dict[str, Any], stop: threading.Event) -> dict[str, Any]:
+    def _ask(self, body: dict[str, Any], stop: threading.Event) -> Told:
         text: list[str] = []
-        answer: dict[str, Any] = {"finish": None, "usage": {}}
+        used: dict[str, Any] = {}
+        errors: list[dict[str, Any]] = []
 
         def take(chunk: dict[str, Any]) -> bool:
             if "error" in chunk:
-                answer["error"] = chunk["error"]
-            for choice in chunk.get("choices", ()):
-                text.append(choice.get("delta", {}).get("content") or "")
-                answer["finish"] = choice.get("finish_reason") or answer["finish"]
-            answer["usage"] = chunk.get("usage") or answer["usage"]
+                errors.append(chunk["error"])
+            text.extend(choice["delta"].get("content") or "" for choice in chunk.get("choices", ()))
+            used.update(chunk.get("usage") or {})
             return stop.is_set() or self._closing.is_set()
 
         server = self._server
         if server is None or self._closing.is_set():
-            raise ModelError("refused", "the engine was stopped")
+            raise ModelError("refused", STOPPED)
         try:
             server.handle_chat_completions({**body, "stream": True, "stream_options": {"include_usage": True}}, take)
         except (ValueError, RuntimeError) as error:
             raise ModelError("refused", f"the engine does not take this question: {error}") from None
-        if "error" in answer:
-            raise _model_error(answer["error"])
-        return {**answer, "text": "".join(text)}
+        if errors:
+            kind = "server" if errors[0].get("code", 0) >= 500 else "refused"
+            raise ModelError(kind, str(errors[0].get("message", "the engine does not say why")))
+        if self._closing.is_set():
+            raise ModelError("refused", STOPPED)
+        details: dict[str, int] = used.get("prompt_tokens_details") or {}
+        counts = used.get("prompt_tokens", 0), used.get("completion_tokens", 0), details.get("cached_tokens", 0)
+        usage = Usage(input=counts[0], output=counts[1], cached=counts[2])
+        return Told("".join(text), usage)
 
     def close(self) -> None:
         """Stop at once, cutting short what is being answered; may be called again."""
@@ -143,13 +159,6 @@ class Engine:
         self._threads.shutdown(wait=True, cancel_futures=True)
         self._server = None  # the last reference: the engine's own threads end with it
         shutil.rmtree(self._folder, ignore_errors=True)
-
-
-def _model_error(error: object) -> ModelError:
-    """What the engine objects to, as any provider's error."""
-    detail = error if isinstance(error, dict) else {"message": error}
-    code, story = detail.get("code"), str(detail.get("message", json.dumps(detail)))
-    return ModelError("server" if isinstance(code, int) and code >= 500 else "refused", story)
 
 
 def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None:

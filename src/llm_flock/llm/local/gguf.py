@@ -97,7 +97,7 @@ class _Reader:
             if dims > _MAX_DIMS:
                 raise ValueError
             tensors[name] = tuple(self._one("Q") for _ in range(dims))
-            self._one("I"), self._one("Q")  # its format, and where it begins
+            self._take(struct.calcsize("<IQ"))  # its format, and where it begins
         return Head(about=about, tensors=tensors)
 
     def _value(self, kind: int) -> Any:

@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from llm_flock.errors import InputError
@@ -13,7 +14,7 @@ from llm_flock.llm.client import CallSettings
 from llm_flock.llm.grammar import answer_grammar, longest_answer, tokens_of
 from llm_flock.llm.local.engine import ENGINES, Engine, Engines
 from llm_flock.llm.local.weights import Weights, find_weights, head_of
-from llm_flock.llm.port import Call, Reply, Usage
+from llm_flock.llm.port import Call, Reply
 
 TEMPERATURE = 0.0
 """Numbers are wanted, not variety."""
@@ -39,8 +40,7 @@ class Berths:
 
     def __init__(self, engines: Engines = ENGINES) -> None:
         self._engines = engines
-        self._leased: dict[Weights, Engine] = {}
-        self._loading = asyncio.Lock()
+        self._leased: dict[Weights, asyncio.Task[Engine]] = {}
 
     async def engine(self, weights: Weights, call: Call) -> Engine:
         """The engine for these files, loaded if it has to be; the first question says how much it has to hold.
@@ -48,18 +48,20 @@ class Berths:
         Raises:
             InputError: it cannot be loaded.
         """
-        async with self._loading:
-            if weights not in self._leased:
-                trained = head_of(weights.model).trained_context
-                context = context_for(call) if trained is None else min(trained, context_for(call))
-                self._leased[weights] = await asyncio.to_thread(self._engines.lease, weights, context)
-            return self._leased[weights]
+        if weights not in self._leased:
+            trained = head_of(weights.model).trained_context
+            context = context_for(call) if trained is None else min(trained, context_for(call))
+            load = asyncio.to_thread(self._engines.lease, weights, context)
+            self._leased[weights] = asyncio.create_task(load)
+        # Who stops waiting does not stop the others' engine, and `aclose` finds it when it is loaded.
+        return await asyncio.shield(self._leased[weights])
 
     async def aclose(self) -> None:
         """Give all engines back."""
         while self._leased:
-            _, engine = self._leased.popitem()
-            await asyncio.to_thread(self._engines.give_back, engine)
+            _, lease = self._leased.popitem()
+            with suppress(InputError):  # it never came to be, as those who asked it were told
+                await asyncio.to_thread(self._engines.give_back, await lease)
 
 
 class LocalModel:
@@ -110,19 +112,17 @@ class LocalModel:
             answer = await asyncio.wrap_future(engine.submit(self._body(call), stop))
         finally:
             stop.set()  # whoever no longer waits for an answer frees its place
-        used = answer["usage"]
-        cached = (used.get("prompt_tokens_details") or {}).get("cached_tokens", 0)
         return Reply(
-            text=answer["text"],
+            text=answer.text,
             model=self._name,
             settings=self._settings,
-            usage=Usage(input=used.get("prompt_tokens", 0), output=used.get("completion_tokens", 0), cached=cached),
+            usage=answer.usage,
             cost_usd=0.0,
             latency_s=self._clock() - started,
         )
 
     def _body(self, call: Call) -> dict[str, Any]:
-        body = {
+        body: dict[str, Any] = {
             "messages": [{"role": message.role, "content": message.text} for message in call.messages],
             "max_tokens": _longest(call),
             "chat_template_kwargs": {"enable_thinking": False},

