@@ -95,6 +95,7 @@ def test_a_step_is_asked_for_from_the_origin_in_step_limits() -> None:
     away = replace(STEP, target=(1.0, 2.0), slot=None)
     assert ask_step(away, "own").told.goal == (round((1 - 31.237) / 6, 2), round((2 - 60.018) / 6, 2))
     prompts = PromptSet.named("brief")
+    told = ask_step(replace(STEP, mission=build_mission(shape="circle", n_robots=5)), "own").told
     assert prompts.step(told).endswith(f"1 a step from [0, 0].\nKeep 0.5 from [0.29, 0.16].\nGoal: {list(told.goal)}")
 
 
