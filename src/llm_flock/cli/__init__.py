@@ -229,6 +229,7 @@ def models() -> None:
     table = Table("provider", "key in", "default address", "example")
     for provider in known_providers():
         table.add_row(provider.name, provider.key_env, provider.base_url or "-", provider.example)
+    table.add_row("local", "-", "this process", "local:smollm2")
     Console().print(table)
 
 

@@ -126,7 +126,10 @@ def _stand_in(spec: TrialSpec, expect: ExpectTable) -> RunConfig:
     kinds = {parse_model(name).kind for name in spec.models}
     if spec.waits or "replay" in kinds:
         plain = {"model": f"simulated:{expect.profile}", "base_url": None, "reasoning_effort": None}
-        model = model.model_copy(update={**plain, "temperature": None, "model_seed": None})
+        # Stand-ins understand the full words only; brief ones are counted too high.
+        words = None if model.prompts == "brief" else model.prompts
+        plain |= {"temperature": None, "model_seed": None, "prompts": words, "frame": None}
+        model = model.model_copy(update=plain)
     limits = config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None})
     return config.model_copy(update={"model": model, "limits": limits})
 
