@@ -53,6 +53,13 @@ def file(tmp_path):
     return write_model(tmp_path / "m.gguf")
 
 
+def the_engine(engines: Engines) -> StandIn:
+    """The only one that is loaded."""
+    (engine,) = engines._users
+    assert isinstance(engine, StandIn)
+    return engine
+
+
 def question(form: AnswerForm | None = None, text: str = "Where to?", schema=None) -> Call:
     messages = (ChatMessage("system", "Be brief."), ChatMessage("user", text))
     return Call(robot=0, round=1, kind="step", attempt=0, messages=messages, form=form, schema=schema)
@@ -66,7 +73,7 @@ def test_a_call_is_asked_in_its_form_and_costs_nothing(file):
         berths = Berths(engines)
         model = LocalModel(f"local:{file}", berths)
         reply = await model.ask(question(form))
-        (leased,) = engines._users
+        leased = the_engine(engines)
         await berths.aclose()
         return model, reply, leased
 
@@ -86,7 +93,7 @@ def test_without_a_form_a_schema_holds_the_answer(file):
         engines = Engines()
         berths = Berths(engines)
         await LocalModel(f"local:{file}", berths, CallSettings(temperature=0.7, seed=3)).ask(call)
-        (leased,) = engines._users
+        leased = the_engine(engines)
         return leased.bodies[0]
 
     body = asyncio.run(go(question(schema={"type": "object"})))
@@ -102,7 +109,7 @@ def test_robots_and_runs_share_one_engine_until_nobody_needs_it(file):
         first, second = Berths(engines), Berths(engines)
         models = [LocalModel(f"local:{file}", berths) for berths in (first, first, second)]
         await asyncio.gather(*(model.ask(question()) for model in models))
-        (leased,) = engines._users
+        leased = the_engine(engines)
         assert len(leased.bodies) == 3
         await first.aclose()
         assert leased.closed == 0 and engines.running == 1
@@ -140,7 +147,7 @@ def test_whoever_stops_waiting_stops_the_answer(file):
         engines = Engines()
         model = LocalModel(f"local:{file}", Berths(engines))
         await model.ask(question())
-        (leased,) = engines._users
+        leased = the_engine(engines)
         leased.answer = Future()
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.01):
@@ -155,7 +162,7 @@ def test_faults_of_the_engine_are_model_errors(file):
         engines = Engines()
         model = LocalModel(f"local:{file}", Berths(engines))
         await model.ask(question())
-        (leased,) = engines._users
+        leased = the_engine(engines)
         leased.answer = Future()
         leased.answer.set_exception(ModelError("refused", "too long"))
         await model.ask(question())
