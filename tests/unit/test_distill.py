@@ -202,6 +202,6 @@ def test_what_is_told_in_an_example_is_what_a_run_asks() -> None:
         kind="step",
         system=BRIEF.system(MISSION),
         user=BRIEF.step(ask_step(question, "own").told),
-        answer="Position: [0.96, 0.0]",
+        answer="Position: [0.92, 0.0]",
         team="line 2",
     )

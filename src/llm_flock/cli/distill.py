@@ -28,14 +28,20 @@ def data(
     count: Annotated[int, typer.Option(min=1, help="Examples of motion")] = 12_000,
     plans: Annotated[int, typer.Option(min=0, help="How often every plan is in it")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
+    cassette: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recording of --record-llm whose accepted answers are added; may be repeated"),
+    ] = None,
     held_out: Annotated[bool, typer.Option("--held-out", help="Other shapes, sizes, centres and spacings")] = False,
 ) -> None:
-    """Write examples that our own planners make over random missions."""
+    """Write examples that our own planners make over random missions, and accepted answers of recorded runs."""
     from llm_flock.distill.examples import Split, motion_examples, plan_examples
     from llm_flock.distill.lessons import write_examples
+    from llm_flock.distill.recorded import recorded_examples
 
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
+    parts += [recorded_examples(file) for file in cassette or []]
     sys.stdout.write(f"{write_examples(out, chain(*parts))} examples in {out}\n")
 
 

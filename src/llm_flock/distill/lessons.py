@@ -103,7 +103,7 @@ def plan_epoch(rows: Sequence[Row], budget: int, rng: np.random.Generator) -> li
         budget: about so many tokens a batch, those of the shared beginning counted once.
         rng: the order.
     """
-    order = rng.permutation(len(rows)).tolist()
+    order: list[int] = rng.permutation(len(rows)).tolist()
     typical = max(1, int(np.mean([len(row.prompt) + len(row.answer) for row in rows])))
     pool = max(1, POOL * budget // typical)
     batches: list[list[int]] = []
