@@ -14,6 +14,7 @@
 `physics`   flights of drones with real dynamics, and how fast that is; see benchmarks/physics.py (only when named)
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`: see
             benchmarks/swarm.py (only when named)
+`local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
 
@@ -33,7 +34,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import flight, links, physics, swarm, sweeps
+from benchmarks import flight, links, local, physics, swarm, sweeps
 
 import llm_flock
 
@@ -140,6 +141,7 @@ PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
 LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
+LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.table}
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import InputError
-from llm_flock.llm.prompting import VARIABLES, PromptSet, number_text, position_decimals
+from llm_flock.llm.prompting import VARIABLES, PromptSet
+from llm_flock.llm.wording import number_text, position_decimals
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
@@ -268,3 +269,30 @@ def test_a_spare_is_told_where_it_waits() -> None:
     assert "Your goal, where you wait, out of the others' way: [1.0, 2.0]\n" in text
     with pytest.raises(AssertionError, match="where to wait"):
         assert step_question(slot=None).goal
+
+
+def test_brief_prompts_are_brief_and_say_what_a_robot_must_know() -> None:
+    brief = PromptSet.named("brief")
+    assert PromptSet.named("brief") is not PromptSet.named(None)
+    plan, step = brief.plan(plan_question()), brief.step(step_question())
+    assert max(map(len, (brief.system(MISSION), plan, step))) <= 240
+    assert plan.startswith("Plan: [[x, y], [x, y], ...]\nmy plan: a\n")
+    assert step.startswith("Position: [x, y]\n")
+    assert brief.step(step_question(horizon=4)).startswith("Path of at most 4: [[x, y], ...]\n")
+    json = PromptSet.named("brief", json=True)
+    assert json.plan(plan_question()).startswith('{"plan": [[x, y], [x, y], ...], "my_plan": a}\n')
+    assert json.step(step_question()).startswith('{"position": [x, y]}\n')
+    assert json.step(step_question(horizon=4)).startswith('{"path": [[x, y], ...]}, at most 4\n')
+    assert brief.retry("it is empty.", "step") == "Not usable: it is empty. Answer again in full."
+    stones = build_mission(obstacles=[{"center": [10, 10], "radius": 2}])
+    assert "keep your position" in brief.step(step_question(mission=stones))
+    assert "keep your position" in brief.plan(plan_question(mission=stones))
+
+
+def test_brief_prompts_tell_the_three_nearest_robots_that_a_step_could_meet() -> None:
+    here = (50.0, 50.0)
+    around = ((58.0, 50.0), (50.0, 54.5), (47.0, 46.0), (50.0, 42.25), (59.5, 50.0))
+    told = PromptSet.named("brief").step(step_question(position=here, neighbors=around, mission=build_mission()))
+    assert "Keep 3 from [50, 54.5], [47, 46], [50, 42.25]." in told
+    told = PromptSet.named("brief").step(step_question(position=here, neighbors=around[4:], mission=build_mission()))
+    assert "Keep" not in told

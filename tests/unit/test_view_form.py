@@ -33,6 +33,8 @@ def test_a_form_is_checked_as_the_command_line_checks_it() -> None:
         ("shape", "  points:/etc/passwd"),
         ("model", "replay:/etc/passwd"),
         ("model", "openai:gpt-5"),
+        ("model", "local:/etc/passwd"),
+        ("model", "local:smollm2+/etc/passwd.gguf"),
         ("model", "0=simulated:ideal,1=openai:gpt-5"),
         ("start_positions", [[0, 0]]),
     ],
@@ -44,6 +46,11 @@ def test_a_page_reaches_no_file_no_module_and_no_other_address(field: str, value
 
 def test_models_that_the_operator_named_may_be_asked() -> None:
     assert config_of({"model": "openai:gpt-5"}, ["openai:gpt-5"]).model.model == "openai:gpt-5"
+
+
+def test_the_packaged_model_on_board_may_be_asked() -> None:
+    pytest.importorskip("xllamacpp")
+    assert config_of({"model": "local:smollm2+none"}).model.model == "local:smollm2+none"
 
 
 def test_fields_of_the_page_are_fields_of_the_configuration() -> None:

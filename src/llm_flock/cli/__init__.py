@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.distill import distill
 from llm_flock.cli.fly import fly
 from llm_flock.cli.keys import keys
 from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
@@ -202,6 +203,7 @@ def inspect(
 
 
 app.command()(keys)
+app.add_typer(distill)
 app.command()(view)
 app.command()(report)
 app.command()(export)
@@ -227,6 +229,7 @@ def models() -> None:
     table = Table("provider", "key in", "default address", "example")
     for provider in known_providers():
         table.add_row(provider.name, provider.key_env, provider.base_url or "-", provider.example)
+    table.add_row("local", "-", "this process", "local:smollm2")
     Console().print(table)
 
 

@@ -147,6 +147,12 @@ def fly_sweep(
     limited = shares or ((limits.max_cost is not None or bool(rates)) and any(spec.waits for spec in sweep.trials))
     if executor == "pool" and cluster is None and limited:
         raise InputError("executor", executor, "one or auto, as a budget or a rate is shared by all trials")
+    if any(model.startswith("local:") for spec in sweep.trials for model in spec.models):
+        # Each process would have an engine, all of them on the same cores.
+        if executor == "pool" and cluster is None:
+            raise InputError("executor", executor, "one or auto with models on board, which share an engine")
+        if cluster is not None:
+            raise InputError("cluster", cluster, "nothing with models on board, which share an engine in one process")
     check(sweep)
     store = Store(folder)
     register(sweep, store)

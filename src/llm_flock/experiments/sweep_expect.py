@@ -126,7 +126,10 @@ def _stand_in(spec: TrialSpec, expect: ExpectTable) -> RunConfig:
     kinds = {parse_model(name).kind for name in spec.models}
     if spec.waits or "replay" in kinds:
         plain = {"model": f"simulated:{expect.profile}", "base_url": None, "reasoning_effort": None}
-        model = model.model_copy(update={**plain, "temperature": None, "model_seed": None})
+        # Stand-ins understand the full words only; brief ones are counted too high.
+        words = None if model.prompts == "brief" else model.prompts
+        plain |= {"temperature": None, "model_seed": None, "prompts": words, "frame": None}
+        model = model.model_copy(update=plain)
     limits = config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None})
     return config.model_copy(update={"model": model, "limits": limits})
 
@@ -170,7 +173,7 @@ def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
     names = [parse_model(text) for text in parse_models(config.model.model, config.mission.n_robots)]
     addresses = parse_base_urls(config.model.base_url, spec.models)
     calls = [found.calls / len(names) if name.kind not in ("geometry", "replay") else 0.0 for name in names]
-    answers = [expect.output_tokens if name.kind == "provider" else 0.0 for name in names]
+    answers = [expect.output_tokens if name.kind in ("provider", "local") else 0.0 for name in names]
     output = sum(count * tokens for count, tokens in zip(calls, answers, strict=True))
     if not any(answers):
         output = found.tokens_output

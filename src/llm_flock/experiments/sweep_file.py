@@ -18,8 +18,10 @@ from llm_flock.errors import InputError
 from llm_flock.experiments.arena import fitted_arena
 from llm_flock.experiments.compare import UNDISTURBED, parse_teams
 from llm_flock.llm.limits import Budget
+from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.profiles import parse_profile
+from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import known_providers, parse_model
 from llm_flock.llm.sharing import Rate
 from llm_flock.mission import input_error
@@ -186,7 +188,7 @@ def load_sweep(
     except ValidationError as error:
         raise input_error(error) from None
     for name in file.providers:
-        if name not in {info.name for info in known_providers()} | {"simulated"}:
+        if name not in {info.name for info in known_providers()} | {"local", "simulated"}:
             raise InputError("providers", name, "a provider; `llm-flock models` lists them")
     parse_profile(file.expect.profile)
     return Sweep(file=file, text=text, trials=tuple(_trials(file, variables or {}, overrides)))
@@ -282,11 +284,14 @@ def _fitted(base: Mapping[str, Any], fields: Mapping[str, Any]) -> Any:
 def trial_id(config: RunConfig) -> str:
     """The address of a trial: a hash of its resolved configuration, and of the files that it names."""
     plain = config.model_dump(mode="json", exclude=cast("Any", PLACES))
-    files = [_digest(Path(config.model.prompts))] if config.model.prompts is not None else []
+    words = config.model.prompts
+    files = [] if words is None or words in PACKAGED else [_digest(Path(words))]
     for model in dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)):
         name = parse_model(model)
         if name.kind == "replay":
             files.append(_digest(Path(name.model)))
+        elif name.kind == "local":
+            files.extend(find_weights(name.model).digests().values())
     text = json.dumps([plain, files], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
@@ -303,6 +308,6 @@ def _digest(path: Path) -> str:
 def _waits(model: str) -> bool:
     name = parse_model(model)
     if name.kind != "simulated":
-        return name.kind == "provider"
+        return name.kind in ("provider", "local")
     profile = parse_profile(name.model)
     return profile.slow > 0 or profile.flaky > 0

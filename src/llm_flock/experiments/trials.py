@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from llm_flock.errors import FlockError, InputError
+from llm_flock.llm.models import parse_models
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.result import Summary
@@ -57,7 +58,7 @@ def run_trials(
 
     Args:
         configs: one for each trial.
-        jobs: processes at most; each uses one core.
+        jobs: processes at most; each uses one core. With models on board it is one: its engine uses all cores but one.
         on_outcome: told of each outcome, in the order of `configs`.
 
     Returns:
@@ -72,6 +73,8 @@ def run_trials(
         raise InputError("jobs", jobs, "at least 1")
     if not configs:
         return []
+    if any(name.startswith("local:") for config in configs for name in _models(config)):
+        jobs = 1
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(configs)), mp_context=context, initializer=end_with_parent)
@@ -96,6 +99,10 @@ def run_trials(
                 worker.terminate()
         pool.shutdown(cancel_futures=True)
     return outcomes
+
+
+def _models(config: RunConfig) -> tuple[str, ...]:
+    return parse_models(config.model.model, config.mission.n_robots)
 
 
 def _fly(config: RunConfig) -> Outcome | _Refused:

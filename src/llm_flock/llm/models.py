@@ -12,6 +12,7 @@ import numpy as np
 
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, Effort, PydanticModel
+from llm_flock.llm.local.model import Berths, LocalModel
 from llm_flock.llm.prices import price_known
 from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
@@ -144,7 +145,7 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
 
 
 class ModelPool:
-    """Builds each model once per (provider, model), all on one HTTP client; an async context manager.
+    """Builds each model once per (provider, model), all on one HTTP client or one engine; an async context manager.
 
     Keys are read from the environment when a model is first needed, and kept out of everything this object returns.
 
@@ -166,6 +167,7 @@ class ModelPool:
         self._environ = os.environ if environ is None else environ
         self._models: dict[tuple[str, str], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
+        self._berths = Berths()
 
     async def __aenter__(self) -> Self:
         return self
@@ -176,7 +178,8 @@ class ModelPool:
         await self.aclose()
 
     async def aclose(self) -> None:
-        """Close all connections; models of this pool must not be asked afterwards."""
+        """Close all connections and stop engines; models of this pool must not be asked afterwards."""
+        await self._berths.aclose()
         if self._http is not None:
             await self._http.aclose()
         self._http = None
@@ -184,25 +187,27 @@ class ModelPool:
 
     def model(
         self, text: str, *, robot: int, rng: np.random.Generator, settings: CallSettings | None = None
-    ) -> PydanticModel:
+    ) -> PydanticModel | LocalModel:
         """The language model of one robot.
 
         Args:
-            text: `provider:model` or `simulated:PROFILE`.
+            text: `provider:model`, `local:MODEL` or `simulated:PROFILE`.
             robot: whose model it is.
             rng: chance of a stand-in; real providers do not use it.
             settings: how to sample.
 
         Raises:
-            InputError: unknown name, missing key (naming the variable), missing address; or a replay or geometry,
-                which are not models of this kind (see `replay.ReplayModel`, `geometry.GeometryPlanner`).
+            InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
+                geometry, which are not models of this kind (see `replay.ReplayModel`, `geometry.GeometryPlanner`).
         """
         name = parse_model(text)
         if name.kind == "simulated":
             stand_in = simulated_model(parse_profile(name.model), robot, rng)
             return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
+        if name.kind == "local":
+            return LocalModel(name.text, self._berths, settings)
         if name.kind != "provider":
-            raise InputError("model", text, "PROVIDER:MODEL or simulated:PROFILE here")
+            raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
         key = self._key(name)
         own_address = name.provider not in self._base_urls
         return PydanticModel(

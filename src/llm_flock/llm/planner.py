@@ -15,7 +15,8 @@ from typing import Any, Literal, TypeAlias, TypeVar
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm import answers as read
 from llm_flock.llm import schemas
-from llm_flock.llm.port import Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
+from llm_flock.llm.frame import Asked, FrameName, ask_plan, ask_step
+from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -23,6 +24,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 logger = logging.getLogger(__name__)
 
 A = TypeVar("A", PlanAnswer, StepAnswer)
+Q = TypeVar("Q", PlanQuestion, StepQuestion)
 
 Answers: TypeAlias = Literal["text", "json"]
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
@@ -67,6 +69,25 @@ def _same_task(one: Mission, other: Mission) -> bool:
     return one.model_dump(exclude=way) == other.model_dump(exclude=way)
 
 
+def _objection(asked: Asked[Q], told: A, answer: A, check: Callable[[Q, A], str | None] | None) -> str | None:
+    """Why an answer will not do, in the numbers that the model was told and has given."""
+    rejected = None if check is None else check(asked.question, answer)
+    if check is None or rejected is None or asked.frame is None:
+        return rejected
+    # The world decides. By a hair of rounding the same answer may pass in the model's own numbers.
+    return check(asked.told, told) or f"in the team's coordinates, which are not yours, {rejected}"
+
+
+def _plain(question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer) -> dict[str, Any]:
+    """An answer as it is recorded, in the world."""
+    if isinstance(answer, PlanAnswer):
+        return {"plan": [list(point) for point in answer.plan.points], "slot": answer.slot}
+    plain: dict[str, Any] = {"waypoint": list(answer.waypoint)}
+    if isinstance(question, StepQuestion) and question.horizon > 1:
+        plain["path"] = [list(point) for point in answer.path]
+    return plain
+
+
 class LanguagePlanner:
     """A `Planner` that asks a language model.
 
@@ -83,10 +104,12 @@ class LanguagePlanner:
         on_attempt: told of every call and what came of it.
         check_plan: an objection to a plan that can be read, or None.
         check_step: an objection to a waypoint or path that can be read, or None.
+        frame: whether the model is asked in the world's coordinates or in its own.
         clock: seconds, only differences matter.
 
     Raises:
-        InputError: `max_retries` is negative, or `prompts` ask for another form of answers.
+        InputError: `max_retries` is negative, `prompts` ask for another form of answers, or exchanges are to be kept
+            whose questions are each in a frame of its own.
     """
 
     def __init__(
@@ -101,6 +124,7 @@ class LanguagePlanner:
         on_attempt: AttemptSink | None = None,
         check_plan: CheckPlan | None = None,
         check_step: CheckStep | None = None,
+        frame: FrameName = "world",
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         if max_retries < 0:
@@ -112,6 +136,9 @@ class LanguagePlanner:
         self._prompts = prompts
         self._max_retries = max_retries
         self._kept = (history or History()).exchanges
+        if frame == "own" and self._kept != 0:
+            raise InputError("frame", frame, "world where history is kept: every question has an own frame of its own")
+        self._frame: FrameName = frame
         self._json = answers == "json"
         self._on_attempt = on_attempt
         self._check_plan = check_plan
@@ -125,70 +152,65 @@ class LanguagePlanner:
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
         """Ask for a plan of the whole formation and the robot's own place in it."""
         n, dim = question.mission.n_places, question.mission.dim
+        asked = ask_plan(question, self._frame)
 
-        def parse(text: str) -> tuple[PlanAnswer, dict[str, Any]]:
+        def parse(text: str) -> PlanAnswer:
             plan, slot = read.parse_plan_json(text, n, dim) if self._json else read.parse_plan(text, n, dim)
-            return PlanAnswer(plan=plan, slot=slot), {"plan": [list(point) for point in plan.points], "slot": slot}
+            return PlanAnswer(plan=plan, slot=slot)
 
-        def objection(answer: PlanAnswer) -> str | None:
-            return None if self._check_plan is None else self._check_plan(question, answer)
-
-        schema = schemas.plan_schema(n, dim) if self._json else None
-        return await self._converse("plan", question, self._prompts.plan(question), schema, parse, objection)
+        form = AnswerForm(n=n, dim=dim, json=self._json, reasons=self._prompts.reasons)
+        return await self._converse("plan", asked, self._prompts.plan(asked.told), form, parse, self._check_plan)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask for the next waypoint, or for a path."""
         dim, horizon = question.mission.dim, question.horizon
+        asked = ask_step(question, self._frame)
 
-        def parse(text: str) -> tuple[StepAnswer, dict[str, Any]]:
+        def parse(text: str) -> StepAnswer:
             if horizon > 1:
-                reader = read.parse_path_json if self._json else read.parse_path
-                waypoint, *path = reader(text, horizon, dim)
-                parsed = {"waypoint": list(waypoint), "path": [list(point) for point in path]}
-                return StepAnswer(waypoint=waypoint, path=tuple(path)), parsed
-            waypoint = read.parse_step_json(text, dim) if self._json else read.parse_step(text, dim)
-            return StepAnswer(waypoint=waypoint), {"waypoint": list(waypoint)}
+                waypoint, *path = (read.parse_path_json if self._json else read.parse_path)(text, horizon, dim)
+                return StepAnswer(waypoint=waypoint, path=tuple(path))
+            return StepAnswer(waypoint=(read.parse_step_json if self._json else read.parse_step)(text, dim))
 
-        def objection(answer: StepAnswer) -> str | None:
-            return None if self._check_step is None else self._check_step(question, answer)
-
-        schema = None
-        if self._json:
-            schema = schemas.step_schema(dim) if horizon == 1 else schemas.path_schema(horizon, dim)
-        return await self._converse("step", question, self._prompts.step(question), schema, parse, objection)
+        n, reasons = question.mission.n_places, self._prompts.reasons
+        form = AnswerForm(n=n, dim=dim, horizon=horizon, json=self._json, reasons=reasons)
+        return await self._converse("step", asked, self._prompts.step(asked.told), form, parse, self._check_step)
 
     async def _converse(
         self,
         kind: Kind,
-        asked: PlanQuestion | StepQuestion,
+        asked: Asked[Q],
         text: str,
-        schema: dict[str, Any] | None,
-        parse: Callable[[str], tuple[A, dict[str, Any]]],
-        objection: Callable[[A], str | None],
+        form: AnswerForm,
+        parse: Callable[[str], A],
+        check: Callable[[Q, A], str | None] | None,
     ) -> A | NoAnswer:
         """One question, and as many tries at it as are allowed."""
-        self._remember_only(asked.mission)
-        system, question = ChatMessage("system", self._prompts.system(asked.mission)), ChatMessage("user", text)
+        mission, round_ = asked.question.mission, asked.question.round
+        self._remember_only(mission)
+        system = ChatMessage("system", self._prompts.system(asked.told.mission))
+        question = ChatMessage("user", text)
         messages = (system, *self._history, question)
         reason, unfit = "", None
         for _ in range(1 + self._max_retries):
-            call = self._call(kind, asked.round, messages, schema)
+            call = self._call(kind, round_, messages, form)
             began = self._clock()
             try:
                 reply = await self._model.ask(call)
             except ModelError as error:
                 return self._give_up(call, error, self._clock() - began)
             try:
-                answer, parsed = parse(reply.text)
-                rejected = objection(answer)
+                told = parse(reply.text)
+                answer = asked.meant(told)
+                rejected = _objection(asked, told, answer, check)
             except AnswerError as error:
-                answer, parsed, rejected = None, None, str(error)
+                answer, rejected = None, str(error)
             self._tell(
                 Attempt(
                     call=call,
                     model=reply.model,
                     reply=reply,
-                    parsed=parsed if rejected is None else None,
+                    parsed=_plain(asked.question, answer) if answer is not None and rejected is None else None,
                     rejected=rejected,
                     faults=reply.faults,
                     latency_s=reply.latency_s,
@@ -203,7 +225,7 @@ class LanguagePlanner:
             messages += (said, ChatMessage("user", self._prompts.retry(reason, kind)))
         tries = 1 + self._max_retries
         story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
-        logger.info("robot %d, round %d, %s: %s", self._robot, asked.round, kind, story)
+        logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
     def _remember_only(self, mission: Mission) -> None:
@@ -212,7 +234,7 @@ class LanguagePlanner:
             self._history = []
         self._about = mission
 
-    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> Call:
+    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm) -> Call:
         """The next call of this robot; attempts are numbered through a round, over both kinds of questions."""
         if round_ != self._round:
             self._round, self._attempt = round_, 0
@@ -222,7 +244,8 @@ class LanguagePlanner:
             kind=kind,
             attempt=self._attempt,
             messages=messages,
-            schema=schema,
+            schema=schemas.answer_schema(kind, form) if form.json else None,
+            form=form,
         )
         self._attempt += 1
         return call

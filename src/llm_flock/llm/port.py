@@ -40,6 +40,25 @@ class Usage:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AnswerForm:
+    """What an answer may look like, for models that can be held to it while they write.
+
+    Attributes:
+        n: places that a plan must have.
+        dim: coordinates of a point.
+        horizon: positions that a path may have; with 1 a step is a single position.
+        json: a JSON object instead of the paper's lines.
+        reasons: the prompts ask for a reason before the answer.
+    """
+
+    n: int
+    dim: int
+    horizon: int = 1
+    json: bool = False
+    reasons: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
     """One question to a model.
 
@@ -50,6 +69,7 @@ class Call:
         attempt: 0 for the first try, then 1, 2, ... as rejected answers are sent back.
         messages: the whole conversation that the model sees.
         schema: JSON schema of the answer where structured answers are on, else None.
+        form: what the answer may look like. It is told by the messages as well, and no part of `request_hash`.
     """
 
     robot: int
@@ -58,6 +78,7 @@ class Call:
     attempt: int
     messages: tuple[ChatMessage, ...]
     schema: Mapping[str, Any] | None = None
+    form: AnswerForm | None = None
 
     @property
     def request_hash(self) -> str:

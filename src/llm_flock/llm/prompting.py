@@ -7,11 +7,9 @@ update (166-171); the wording here is our own, and the plan message also gives t
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -20,17 +18,26 @@ import jinja2
 import jinja2.meta
 from jinja2.sandbox import SandboxedEnvironment
 
-from llm_flock import formations
-from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.llm.port import Kind
+from llm_flock.llm.wording import (
+    mission_variables,
+    nearest_text,
+    place_text,
+    plan_text,
+    position_decimals,
+    position_text,
+    positions_text,
+    short_text,
+)
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.plan import DECIMALS, Plan
+from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 
-AXES = ("x", "y", "z")
+PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
+"""Sets of templates that come with the package, and their folders in it."""
 
 REMEMBERED = 64
 """So many missions are kept written out."""
@@ -51,7 +58,7 @@ TEAM = frozenset(
     }
 )
 COMMON = TEAM | {"json", "point_format", "plan_format"}
-OBSERVED = frozenset({"robot", "round", "position", "neighbors"})
+OBSERVED = frozenset({"robot", "round", "position", "neighbors", "here", "near"})
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON | OBSERVED | {"still"},
@@ -61,105 +68,18 @@ VARIABLES: Mapping[str, frozenset[str]] = {
 """The templates, and the variables that each may use."""
 
 
-def number_text(value: float) -> str:
-    """A number as short as it can be said, to six decimals at most: `10`, `2.5`."""
-    rounded = round(value, DECIMALS)
-    return str(int(rounded)) if rounded == int(rounded) else repr(rounded)
-
-
-def place_text(place: Point) -> str:
-    """A place of a plan as it was given, to six decimals at most: `[45.0, 65.388418]`."""
-    # Adding zero turns -0.0 into 0.0.
-    return repr([round(x, DECIMALS) + 0.0 for x in place])
-
-
-def position_text(position: Point, decimals: int) -> str:
-    """An observed position, with a fixed number of decimals: `[12.346, 3.000]`."""
-    return "[" + ", ".join([f"%.{decimals}f"] * len(position)) % position + "]"
-
-
-def positions_text(positions: Sequence[Point], decimals: int) -> str:
-    """Observed positions as `[[x, y], ...]`, or `none`."""
-    if not positions:
-        return "none"
-    # One format for all: a hundred neighbours cost a third of what a format for each would.
-    one = "[" + ", ".join([f"%.{decimals}f"] * len(positions[0])) + "]"
-    return "[" + ", ".join([one] * len(positions)) % tuple(chain.from_iterable(positions)) + "]"
-
-
-def position_decimals(length: float) -> int:
-    """Decimals of positions where `length` (the step limit, say) matters: 3, more if a thousandth of it is finer."""
-    return min(DECIMALS, max(3, 3 - math.floor(math.log10(length))))
-
-
-@lru_cache(maxsize=1024)
-def plan_text(plan: Plan) -> str:
-    """A plan as it was given, to six decimals; the same few plans are shown many times in a run."""
-    return "[" + ", ".join(map(place_text, plan.points)) + "]"
-
-
-def shape_text(mission: Mission) -> str:
-    """The shape in words; a custom shape is given by its points relative to its centre, in any orientation."""
-    if mission.points is None or mission.ideal is None:
-        return formations.describe(mission.shape)
-    # Rounding, and adding zero, takes away differences like -1e-15, which would be told as -0.000.
-    offsets = [
-        tuple(round(x - c, DECIMALS) + 0.0 for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal
-    ]
-    places = positions_text(offsets, position_decimals(mission.spacing))
-    return f"a given shape, turned in any direction; relative to its centre its places are {places}"
-
-
-def obstacles_text(mission: Mission) -> str:
-    """The obstacles and the distance to keep from them, in words; empty without any."""
-    if not mission.obstacles:
-        return ""
-
-    def row(place: Point) -> str:
-        return "[" + ", ".join(map(number_text, place)) + "]"
-
-    body = "disc" if mission.dim == 2 else "ball"
-    parts = [
-        f"a polygon with the corners [{', '.join(map(row, o.polygon))}]"
-        if o.polygon is not None
-        else f"a {body} of radius {number_text(o.radius or 0.0)} around {row(o.center or ())}"
-        for o in mission.obstacles
-    ]
-    return f"keep your position and every place of a plan {number_text(mission.body_radius)} or more from " + "; ".join(
-        parts
-    )
-
-
-def mission_variables(mission: Mission) -> Mapping[str, Any]:
-    """What every template but `retry.j2` may use of the mission."""
-    axes = ", ".join(AXES[: mission.dim])
-    return {
-        "shape": shape_text(mission),
-        "n_robots": mission.n_robots,
-        "places": mission.n_places,
-        "dim": mission.dim,
-        "center": "[" + ", ".join(map(number_text, mission.center)) + "]",
-        "velocity": "" if mission.velocity is None else place_text(mission.velocity),
-        "spacing": number_text(mission.spacing),
-        "safe_distance": number_text(mission.safe_distance),
-        "max_step": number_text(mission.max_step),
-        "comm_range": number_text(mission.comm_range),
-        "obstacles": obstacles_text(mission),
-        "point_format": f"[{axes}]",
-        "plan_format": f"[[{axes}], [{axes}], ...]" if mission.n_places > 1 else f"[[{axes}]]",
-    }
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptSet:
     """Four templates, compiled and checked.
 
     Attributes:
         json: whether the templates ask for a JSON object instead of the paper's text forms.
+        reasons: whether they ask for a reason before the answer.
         templates: compiled template by file name.
     """
 
     json: bool
+    reasons: bool = True
     templates: Mapping[str, jinja2.Template]
     _missions: dict[str, Mapping[str, Any]] = field(
         default_factory=dict[str, Mapping[str, Any]], init=False, repr=False
@@ -167,11 +87,22 @@ class PromptSet:
     _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
 
     @classmethod
-    def load(cls, directory: Path | None = None, *, json: bool = False) -> Self:
-        """The packaged templates, each replaced by the file of the same name in `directory` where there is one.
+    def named(cls, words: str | None, *, json: bool = False) -> Self:
+        """A packaged set by its name, or a folder of the operator's; None is `full`.
+
+        Raises:
+            InputError: as `load`.
+        """
+        words = words or "full"
+        return cls.load(packaged=words, json=json) if words in PACKAGED else cls.load(Path(words), json=json)
+
+    @classmethod
+    def load(cls, directory: Path | None = None, *, packaged: str = "full", json: bool = False) -> Self:
+        """Packaged templates, each replaced by the file of the same name in `directory` where there is one.
 
         Args:
             directory: the operator's own templates; they may include one another.
+            packaged: the set that they replace, a name of `PACKAGED`.
             json: ask for JSON objects.
 
         Raises:
@@ -183,8 +114,8 @@ class PromptSet:
             if not replaced:
                 raise InputError("prompts", str(directory), f"a folder with at least one of {', '.join(VARIABLES)}")
             logger.info("prompt templates from %s: %s", directory, ", ".join(replaced))
-        templates = _packaged_templates() if directory is None else _templates(directory)
-        prompts = cls(json=json, templates=templates)
+        templates = _packaged_templates(packaged) if directory is None else _templates(packaged, directory)
+        prompts = cls(json=json, reasons=packaged != "brief", templates=templates)
         prompts._try_out()
         return prompts
 
@@ -235,6 +166,8 @@ class PromptSet:
             "round": question.round,
             "position": position_text(question.position, decimals),
             "neighbors": positions_text(question.neighbors, decimals),
+            "here": short_text(question.position, decimals),
+            "near": nearest_text(question.position, question.neighbors, question.mission),
         }
 
     def _render(self, name: str, variables: Mapping[str, Any]) -> str:
@@ -265,18 +198,18 @@ class PromptSet:
             self.retry("the answer is an example.", kind)
 
 
-@lru_cache(maxsize=1)
-def _packaged_templates() -> Mapping[str, jinja2.Template]:
+@lru_cache(maxsize=len(PACKAGED))
+def _packaged_templates(packaged: str) -> Mapping[str, jinja2.Template]:
     """Compiled once in a process: a trial of a second should not spend a tenth of it on that."""
-    return MappingProxyType(_templates(None))
+    return MappingProxyType(_templates(packaged, None))
 
 
-def _templates(directory: Path | None) -> dict[str, jinja2.Template]:
+def _templates(packaged: str, directory: Path | None) -> dict[str, jinja2.Template]:
     """Every template, compiled and checked: the operator's where there is one, else the packaged one."""
     folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
     # Templates may come from strangers; the sandbox keeps them from anything but text.
     environment = SandboxedEnvironment(
-        loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", "prompts")]),
+        loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

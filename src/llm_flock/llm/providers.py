@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from llm_flock.errors import InputError
 
-ModelKind: TypeAlias = Literal["provider", "simulated", "replay", "geometry"]
+ModelKind: TypeAlias = Literal["provider", "local", "simulated", "replay", "geometry"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,9 +115,10 @@ class ModelName:
 
     Attributes:
         text: as written.
-        kind: what answers: a provider, a simulated stand-in, a cassette, or plain geometry.
+        kind: what answers: a provider, a model on board, a simulated stand-in, a cassette, or plain geometry.
         provider: name in the table of providers; the kind itself for everything else.
-        model: what follows the first colon: model name, profile of the stand-in, path of the cassette.
+        model: what follows the first colon: model name, file of a model on board, profile of the stand-in, path of the
+            cassette.
     """
 
     text: str
@@ -132,7 +133,7 @@ class ModelName:
 
 
 def parse_model(text: str) -> ModelName:
-    """Read `provider:model`, `simulated:PROFILE`, `replay:FILE` or `geometry`.
+    """Read `provider:model`, `local:MODEL`, `simulated:PROFILE`, `replay:FILE` or `geometry`.
 
     Raises:
         InputError: for field `model`, with the list of what exists.
@@ -142,18 +143,17 @@ def parse_model(text: str) -> ModelName:
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
     names = [info.name for info in _PROVIDERS]
-    if not colon or provider not in {*names, "simulated", "replay"}:
-        raise InputError(
-            "model",
-            text,
-            f"PROVIDER:MODEL with a provider of {', '.join(names)}; or simulated:PROFILE, replay:FILE, geometry",
-        )
+    if not colon or provider not in {*names, "local", "simulated", "replay"}:
+        others = "local:MODEL, simulated:PROFILE, replay:FILE, geometry"
+        raise InputError("model", text, f"PROVIDER:MODEL with a provider of {', '.join(names)}; or {others}")
     if not model:
-        missing = {"simulated": "a profile", "replay": "a file"}.get(provider, "a model name")
+        missing = {"local": "smollm2 or a GGUF file", "simulated": "a profile", "replay": "a file"}.get(
+            provider, "a model name"
+        )
         raise InputError("model", text, f"{missing} after '{provider}:'")
     if provider in names and re.search(r"[\s,=]", model):
         raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
-    kind = cast(ModelKind, provider) if provider in {"simulated", "replay"} else "provider"
+    kind = "provider" if provider in names else cast(ModelKind, provider)
     return ModelName(text=text, kind=kind, provider=provider, model=model)
 
 

@@ -4,6 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from llm_flock.llm.port import AnswerForm, Kind
+
+
+def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
+    """JSON schema of an answer in this form."""
+    if kind == "plan":
+        return plan_schema(form.n, form.dim)
+    return step_schema(form.dim) if form.horizon == 1 else path_schema(form.horizon, form.dim)
+
 
 def plan_schema(n: int, dim: int) -> dict[str, Any]:
     """JSON schema of an answer to the plan question."""

@@ -13,6 +13,7 @@ from typing import Protocol
 
 from llm_flock.errors import BudgetExceeded, InputError
 from llm_flock.llm.limits import Budget
+from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, Reply, Usage
 from llm_flock.llm.prices import cost_usd
@@ -135,7 +136,8 @@ class SharedGate:
 
     Args:
         budget: of all runs together.
-        rates: of each provider that has any, by its name (`openai`, `simulated`, ...).
+        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). The models on board, `local`,
+            are asked as many questions at once as their engine answers, unless this says otherwise.
         window_s: what a minute is, for tests [s].
         clock: seconds, only differences matter.
     """
@@ -148,7 +150,7 @@ class SharedGate:
         window_s: float = WINDOW_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        rates = rates or {}
+        rates = {"local": Rate(max_concurrent=slot_count()), **(rates or {})}
         self.budget = budget or Budget()
         self.spent = Spent()
         self.elsewhere = Spent()

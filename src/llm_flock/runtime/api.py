@@ -178,7 +178,7 @@ def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:
     return RunInfo(
         format_version=1,
         config=config.model_dump(mode="json", exclude=places),
-        versions=provenance.versions(),
+        versions={**provenance.versions(), **thinkers.weights},
         git_revision=provenance.git_revision(),
         seed=config.trial.seed,
         simulated=thinkers.simulated,

@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from llm_flock import formations
 from llm_flock.errors import InputError
+from llm_flock.llm.frame import FrameName
 from llm_flock.mission import Coordinate, Mission, input_error
 from llm_flock.protocol.liveness import TIME_OUT
 from llm_flock.runtime.rules import PRESETS
@@ -71,7 +72,9 @@ class ProtocolConfig(Section):
 class ModelConfig(Section):
     """Who thinks for the robots."""
 
-    model: str = Field(default="simulated:ideal", description="provider:model for all robots, or by id: 0-4=A,5-9=B")
+    model: str = Field(
+        default="simulated:ideal", description="provider:model or local:MODEL for all robots, or by id: 0-4=A,5-9=B"
+    )
     base_url: str | None = Field(default=None, description="Address of an OpenAI-compatible server")
     answers: Literal["text", "json"] = Field(
         default="text", description="Answer format: the paper's text, or a JSON schema"
@@ -87,7 +90,16 @@ class ModelConfig(Section):
     max_retries: int = Field(
         default=2, ge=0, le=20, description="How often a rejected answer is sent back to the model"
     )
-    prompts: str | None = Field(default=None, description="Folder with prompt templates that replace the packaged ones")
+    prompts: str | None = Field(
+        default=None,
+        description="Packaged prompts (full, brief), or a folder with templates that replace full ones "
+        "[the model's: brief for local:smollm2, full for others]",
+    )
+    frame: FrameName | None = Field(
+        default=None,
+        description="Coordinates in which a model is asked: world, or own (plans around the origin in spacings, steps "
+        "from the origin in step limits) [the model's: own for local:smollm2, world for others]",
+    )
     temperature: PerRobot = Field(default=None, description="Sampling temperature, for all or by id")
     reasoning_effort: PerRobot = Field(default=None, description="Reasoning effort (minimal .. max), for all or by id")
     model_seed: PerRobot = Field(default=None, description="Sampling seed sent to the provider, for all or by id")

@@ -8,7 +8,18 @@ from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("llm-flock", "numpy", "scipy", "pydantic", "pydantic-ai-slim", "openai", "anthropic", "jinja2", "mcap")
+PACKAGES = (
+    "llm-flock",
+    "numpy",
+    "scipy",
+    "pydantic",
+    "pydantic-ai-slim",
+    "openai",
+    "anthropic",
+    "jinja2",
+    "mcap",
+    "xllamacpp",
+)
 
 
 def versions() -> dict[str, str]:

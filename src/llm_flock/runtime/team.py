@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from llm_flock.llm.fallback import FallbackPlanner
+from llm_flock.llm.frame import trained_for
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
+from llm_flock.llm.local.engine import slot_count
+from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import (
     ModelPool,
     check_priced,
@@ -56,20 +59,31 @@ class Thinkers:
         self._pool = make(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
         self._own_pool = shared is None
         seed = config.trial.seed
-        self._limits = Limits(
-            max_concurrent=limits.max_concurrent,
-            timeout_s=limits.timeout_s,
-            retry=RetryPolicy(max_tries=limits.max_tries),
-            meter=self._meter,
-            gate=lane,
-            rng=stream(seed, Stream.BACKOFF),
-        )
+
+        def limits_of(at_once: int) -> Limits:
+            return Limits(
+                max_concurrent=min(limits.max_concurrent, at_once),
+                timeout_s=limits.timeout_s,
+                retry=RetryPolicy(max_tries=limits.max_tries),
+                meter=self._meter,
+                gate=lane,
+                rng=stream(seed, Stream.BACKOFF),
+            )
+
+        # A question that waits for the engine waits outside of its time-out, in a queue that delays nobody else.
+        self._limits, on_board = limits_of(limits.max_concurrent), limits_of(slot_count())
         settings = parse_settings(
             n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
         )
-        prompts = PromptSet.load(None if model.prompts is None else Path(model.prompts), json=model.answers == "json")
-        if any(parse_model(name).kind == "simulated" for name in self.names):
-            check_prompts(prompts, config.mission)
+
+        def prompts_of(text: str) -> PromptSet:
+            words = model.prompts or ("brief" if trained_for(text) else None)
+            prompts = PromptSet.named(words, json=model.answers == "json")
+            if parse_model(text).kind == "simulated":
+                check_prompts(prompts, config.mission)
+            return prompts
+
+        self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
         history = parse_history(model.history)
         shield_on = bool(config.protocol.shield)
         plan_check, step_check = _checks(shield_on=shield_on) if config.protocol.verify else (None, None)
@@ -86,17 +100,18 @@ class Thinkers:
                 thinker = Metered(self._replays[text], self._meter)
             else:
                 asked = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
-                thinker = Limited(asked, self._limits)
+                thinker = Limited(asked, on_board if name.kind == "local" else self._limits)
             planner: Planner = LanguagePlanner(
                 robot,
                 thinker,
-                prompts,
+                self._prompts[text],
                 max_retries=model.max_retries,
                 history=history,
                 answers=model.answers,
                 on_attempt=self._tell,
                 check_plan=plan_check,
                 check_step=step_check,
+                frame=model.frame or ("own" if trained_for(text) else "world"),
             )
             if config.protocol.fallback == "geometry":
                 # In the reference orientation: robots whose models fail propose one and the same plan.
@@ -105,7 +120,7 @@ class Thinkers:
             return planner
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
-        self._prompts, self._mission = prompts, config.mission
+        self._prompts_of = prompts_of
         self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
 
     @property
@@ -133,8 +148,8 @@ class Thinkers:
         Raises:
             InputError: there is no such model.
         """
-        if parse_model(model).kind == "simulated":
-            check_prompts(self._prompts, self._mission)
+        if model not in self._prompts:
+            self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
 
     @property
@@ -143,6 +158,12 @@ class Thinkers:
         return any(parse_model(name).kind == "simulated" for name in self.names) or any(
             model.startswith("simulated:") for replay in self._replays.values() for model in replay.models
         )
+
+    @property
+    def weights(self) -> Mapping[str, str]:
+        """Digest of each file that models on board are made of, by its name."""
+        names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "local"]
+        return {file: digest for name in names for file, digest in find_weights(name.model).digests().items()}
 
     @property
     def exhausted(self) -> bool:

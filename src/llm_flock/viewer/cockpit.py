@@ -16,6 +16,7 @@ MODELS = (
     "simulated:distorted@0.3,overshoot@0.3",
     "simulated:malformed@0.3,flaky@0.1",
     "simulated:collapse@0.3",
+    "local:smollm2",
     "geometry",
 )
 

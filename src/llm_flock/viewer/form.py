@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from llm_flock.errors import InputError
+from llm_flock.llm.local.weights import is_packaged
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.seeds import Stream, stream
@@ -53,7 +54,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     model = given.get("model")
     # Per-robot lists ("0=...,1=...") are taken apart nowhere else: each part has to be free, or allowed as a whole.
     if model is not None and model not in models and not _free(str(model)):
-        allowed = "simulated:PROFILE or geometry, or a model that `llm-flock view --model` named"
+        allowed = "simulated:PROFILE, geometry or local:smollm2, or a model that `llm-flock view --model` named"
         raise InputError("model", model, allowed)
     config = build_config({}, **given)
     if _free(config.model.model):
@@ -74,4 +75,7 @@ def check_shape(shape: object) -> None:
 
 
 def _free(model: str) -> bool:
-    return "=" not in model and (model == "geometry" or model.startswith("simulated:"))
+    provider, _, name = model.partition(":")
+    # Of models on board only what is packaged: pages read no files.
+    packaged = provider == "local" and is_packaged(name)
+    return "=" not in model and (model == "geometry" or provider == "simulated" or packaged)

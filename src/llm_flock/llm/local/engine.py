@@ -1,0 +1,228 @@
+"""llama.cpp inside this process, through xllamacpp: one engine for all robots of all runs that use the same files.
+
+Questions go to the engine by function calls, from threads that wait for it. Its own HTTP server cannot be left out; it
+listens on a Unix socket in a folder that nobody else may open, so that no port is opened.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import socket
+import tempfile
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from llm_flock.errors import InputError, ModelError
+from llm_flock.llm.local.weights import Weights, head_of
+from llm_flock.llm.port import Usage
+
+MIN_SLOTS = 4
+MAX_SLOTS = 16
+
+BATCH = 512
+"""Tokens of questions that are worked through at once; memory for intermediate results grows with it."""
+
+WORK_BYTES = 256 * 2**20
+"""Memory of the engine beside weights and cache, generously [bytes]."""
+
+STOPPED = "the engine was stopped"
+
+QUIET = -1
+"""The engine's level of logging: nothing."""
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """Threads that compute: one core is left to the rest. With every core taken, generation is many times slower."""
+    return max(1, cores() - 1)
+
+
+def slot_count() -> int:
+    """Questions that are answered at once: few, as they share the cores and the memory."""
+    return min(MAX_SLOTS, max(MIN_SLOTS, 2 * thread_count()))
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the engine answered, and the tokens of it."""
+
+    text: str
+    usage: Usage
+
+
+class Engine:
+    """One loaded model; `ask` may be called from many threads at once.
+
+    Args:
+        weights: the files.
+        context: most tokens of a question with its answer, kept for each of the questions that are answered at once.
+
+    Raises:
+        InputError: for field `model`: the engine cannot load it.
+    """
+
+    def __init__(self, weights: Weights, context: int) -> None:
+        self.weights = weights
+        self.context = context
+        self.slots = slot_count()
+        self._threads = ThreadPoolExecutor(self.slots, thread_name_prefix="engine")
+        self._closing = threading.Event()
+        self._folder = Path(tempfile.mkdtemp(prefix="llm-flock-"))
+        try:
+            self._server: Any = self._load()
+        except BaseException:
+            self.close()
+            raise
+
+    def _load(self) -> Any:
+        tokens = self.slots * self.context
+        check_memory(self.weights, tokens)
+        library: Any = import_module("xllamacpp")  # takes 100 MB: only those who use it load it
+        params = library.CommonParams()
+        params.model.path = str(self.weights.model)
+        if self.weights.adapter is not None:
+            params.lora_adapters = [library.CommonAdapterLoraInfo(str(self.weights.adapter), 1.0)]
+        params.n_parallel = self.slots
+        params.n_ctx = tokens
+        # Each question has a part of its own: in a common one, a question that is too long ends all the others.
+        params.kv_unified = False
+        params.n_batch = params.n_ubatch = BATCH
+        params.cpuparams.n_threads = params.cpuparams_batch.n_threads = thread_count()
+        params.cache_ram_mib = params.n_ctx_checkpoints = 0
+        params.enable_reasoning = 0
+        params.fit_params = params.warmup = params.ui = params.endpoint_slots = False
+        params.verbosity = QUIET
+        params.api_keys = [secrets.token_hex(16)]
+        params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
+        try:
+            return library.Server(params)
+        except RuntimeError:
+            files = " and ".join(file.name for file in self.weights.files)
+            allowed = f"what the engine can load: {files} may be damaged, of a kind it does not know, or too large"
+            raise InputError("model", str(self.weights.model), allowed) from None
+
+    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Told]:
+        """Answer one chat request.
+
+        Args:
+            body: as for a chat completion of llama.cpp's server.
+            stop: set it to have the answer cut short.
+
+        Returns:
+            the answer; the future fails with ModelError where there is none.
+        """
+        return self._threads.submit(self._ask, dict(body), stop)
+
+    def _ask(self, body: dict[str, Any], stop: threading.Event) -> Told:
+        text: list[str] = []
+        used: dict[str, Any] = {}
+        errors: list[dict[str, Any]] = []
+
+        def take(chunk: dict[str, Any]) -> bool:
+            if "error" in chunk:
+                errors.append(chunk["error"])
+            text.extend(choice["delta"].get("content") or "" for choice in chunk.get("choices", ()))
+            used.update(chunk.get("usage") or {})
+            return stop.is_set() or self._closing.is_set()
+
+        server = self._server
+        if server is None or self._closing.is_set():
+            raise ModelError("refused", STOPPED)
+        try:
+            server.handle_chat_completions({**body, "stream": True, "stream_options": {"include_usage": True}}, take)
+        except (ValueError, RuntimeError) as error:
+            raise ModelError("refused", f"the engine does not take this question: {error}") from None
+        if errors:
+            kind = "server" if errors[0].get("code", 0) >= 500 else "refused"
+            raise ModelError(kind, str(errors[0].get("message", "the engine does not say why")))
+        if self._closing.is_set():
+            raise ModelError("refused", STOPPED)
+        details: dict[str, int] = used.get("prompt_tokens_details") or {}
+        counts = used.get("prompt_tokens", 0), used.get("completion_tokens", 0), details.get("cached_tokens", 0)
+        usage = Usage(input=counts[0], output=counts[1], cached=counts[2])
+        return Told("".join(text), usage)
+
+    def close(self) -> None:
+        """Stop at once, cutting short what is being answered; may be called again."""
+        self._closing.set()
+        self._threads.shutdown(wait=True, cancel_futures=True)
+        self._server = None  # the last reference: the engine's own threads end with it
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None:
+    """Refuse what does not fit into memory: the system would end this process without a word.
+
+    Args:
+        weights: the files.
+        tokens: of all questions at once.
+        free: memory that may be taken, as the system tells it if left out [bytes].
+
+    Raises:
+        InputError: for field `model`.
+    """
+    free = _free_bytes() if free is None else free
+    needed = sum(file.stat().st_size for file in weights.files)
+    needed += tokens * head_of(weights.model).cache_bytes + WORK_BYTES
+    if free is not None and needed > free:
+        allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
+        raise InputError("model", str(weights.model), allowed)
+
+
+def _free_bytes() -> int | None:
+    """Memory that may be taken, None where the system does not tell [bytes]."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    found = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+    return next((int(kib) * 1024 for kib in found), None)
+
+
+class Engines:
+    """The engines of this process, each shared by all who need it and stopped when nobody does."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._users: dict[Engine, int] = {}
+
+    def lease(self, weights: Weights, context: int) -> Engine:
+        """An engine with these files and at least so much context; loads it if there is none.
+
+        Raises:
+            InputError: it cannot be loaded.
+        """
+        with self._lock:
+            fit = (e for e in self._users if e.weights == weights and e.context >= context)
+            engine = next(fit, None) or Engine(weights, context)
+            self._users[engine] = self._users.get(engine, 0) + 1
+            return engine
+
+    def give_back(self, engine: Engine) -> None:
+        """The opposite of `lease`."""
+        with self._lock:
+            self._users[engine] -= 1
+            if self._users[engine]:
+                return
+            del self._users[engine]
+        engine.close()
+
+    @property
+    def running(self) -> int:
+        """How many engines are loaded."""
+        return len(self._users)
+
+
+ENGINES = Engines()
+"""All of this process."""

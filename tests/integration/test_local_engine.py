@@ -1,0 +1,205 @@
+"""Models on board with their real engine: seconds each, no network."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from gguf_files import write_model
+
+from llm_flock.errors import InputError, ModelError
+from llm_flock.llm import answers as read
+from llm_flock.llm.client import CallSettings
+from llm_flock.llm.local.engine import ENGINES, Engine, slot_count
+from llm_flock.llm.local.model import Berths, LocalModel
+from llm_flock.llm.local.weights import Weights, find_weights
+from llm_flock.llm.port import AnswerForm, Call, ChatMessage
+from llm_flock.record.reader import read_record
+from llm_flock.runtime.api import run
+
+pytest.importorskip("xllamacpp")
+
+STOCK = "local:smollm2+none"
+MISSION = {"shape": "triangle", "n_robots": 3, "center": [10, 10], "arena": [[0, 0], [20, 20]], "spacing": 6}
+
+
+def question(kind, form: AnswerForm, text: str, robot: int = 0) -> Call:
+    messages = (ChatMessage("system", "You steer a robot. Answer in numbers."), ChatMessage("user", text))
+    return Call(robot=robot, round=1, kind=kind, attempt=0, messages=messages, form=form)
+
+
+@pytest.fixture(scope="module")
+def engine():
+    engine = Engine(find_weights("smollm2+none"), 512)
+    yield engine
+    engine.close()
+
+
+async def ask(call: Call, **settings):
+    berths = Berths()
+    try:
+        return await LocalModel(STOCK, berths, CallSettings(**settings)).ask(call)
+    finally:
+        await berths.aclose()
+
+
+def test_every_answer_is_in_the_form_that_was_asked_for():
+    """However badly a model answers: at a high temperature it does."""
+    forms = [
+        ("step", AnswerForm(n=3, dim=2, reasons=False), lambda text: read.parse_step(text, 2)),
+        ("step", AnswerForm(n=3, dim=3, horizon=2, reasons=False), lambda text: read.parse_path(text, 2, 3)),
+        ("step", AnswerForm(n=3, dim=2, json=True), lambda text: read.parse_step_json(text, 2)),
+        ("plan", AnswerForm(n=3, dim=2, reasons=False), lambda text: read.parse_plan(text, 3, 2)),
+        ("plan", AnswerForm(n=2, dim=2, json=True), lambda text: read.parse_plan_json(text, 2, 2)),
+        ("step", AnswerForm(n=3, dim=2), lambda text: read.parse_step(text, 2)),
+    ]
+
+    async def go():
+        berths = Berths()
+        model = LocalModel(STOCK, berths, CallSettings(temperature=1.5, seed=1))
+        calls = [question(kind, form, f"Robot {i}, where to?", i) for i, (kind, form, _) in enumerate(forms)]
+        try:
+            return await asyncio.gather(*map(model.ask, calls))
+        finally:
+            await berths.aclose()
+
+    replies = asyncio.run(go())
+    for (kind, form, reader), reply in zip(forms, replies, strict=True):
+        assert reader(reply.text), (kind, form, reply.text)
+        assert reply.usage.input > 20 and reply.usage.output > 5 and reply.cost_usd == 0.0
+    assert ENGINES.running == 0
+
+
+def test_what_two_questions_begin_with_is_read_once(engine):
+    body = {"messages": [{"role": "system", "content": "Be brief. " * 20}], "max_tokens": 1}
+    for place in ("here", "there"):
+        asked = {**body, "messages": [*body["messages"], {"role": "user", "content": f"Robot {place}?"}]}
+        told = engine.submit(asked, threading.Event()).result()
+    assert told.usage.cached > 40
+
+
+def test_a_question_that_is_too_long_is_refused_and_the_engine_goes_on(engine):
+    body = {"messages": [{"role": "user", "content": "word " * 1000}], "max_tokens": 1}
+    with pytest.raises(ModelError, match="exceeds the available context") as caught:
+        engine.submit(body, threading.Event()).result()
+    assert caught.value.kind == "refused"
+    with pytest.raises(ModelError, match="does not take this question"):
+        engine.submit({"messages": "none"}, threading.Event()).result()
+    body["messages"] = [{"role": "user", "content": "Hello"}]
+    assert engine.submit(body, threading.Event()).result().usage.output == 1
+
+
+def test_an_answer_that_nobody_waits_for_is_cut_short(engine):
+    body = {"messages": [{"role": "user", "content": "Count."}], "max_tokens": 400, "ignore_eos": True}
+    stop = threading.Event()
+    answer = engine.submit(body, stop)
+    time.sleep(0.5)
+    stop.set()
+    began = time.monotonic()
+    assert answer.result().usage.output < 400
+    assert time.monotonic() - began < 5
+
+
+def test_a_stopped_engine_leaves_nothing_behind():
+    before = set(threading.enumerate())
+    engine = Engine(find_weights("smollm2+none"), 512)
+    folder = engine._folder
+    body = {"messages": [{"role": "user", "content": "Count."}], "max_tokens": 400, "ignore_eos": True}
+    answers = [engine.submit(body, threading.Event()) for _ in range(slot_count() + 1)]
+    time.sleep(0.5)
+    assert folder.is_dir() and folder.stat().st_mode & 0o077 == 0
+    engine.close()
+    engine.close()
+    assert not folder.exists() and engine._server is None
+    assert all(answer.cancelled() or isinstance(answer.exception(), ModelError) for answer in answers)
+    assert set(threading.enumerate()) <= before
+
+
+def test_a_file_that_only_looks_like_a_model_is_refused(tmp_path):
+    with pytest.raises(InputError, match="may be damaged"):
+        Engine(Weights(write_model(tmp_path / "m.gguf")), 256)
+
+
+def test_a_run_records_which_files_it_used_and_is_not_simulated(tmp_path):
+    result = run(**MISSION, model=STOCK, rounds=1, max_retries=0, out=str(tmp_path))
+    summary = result.summary
+    assert list(summary.models) == [STOCK]
+    assert not summary.simulated and summary.cost_usd == 0.0 and summary.model_calls == 3 and summary.tokens > 100
+    record = read_record(tmp_path / "run.mcap")
+    (digest,) = find_weights("smollm2").digests().items()
+    assert digest in record.run.versions.items() and not record.run.simulated
+    assert {entry.model for entry in record.llm} == {STOCK}
+    assert ENGINES.running == 0
+
+
+WITHOUT_NETWORK = """
+import ctypes, os, re, socket, sys
+from pathlib import Path
+CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
+alone = ctypes.CDLL(None).unshare(CLONE_NEWUSER | CLONE_NEWNET) == 0 # no network from here on: not even loopback is up
+
+def guard(event, args):
+    if event in ("socket.connect", "socket.bind", "socket.sendto", "socket.getaddrinfo"):
+        local = event != "socket.getaddrinfo" and args[0].family == socket.AF_UNIX
+        host = args[1][0] if event != "socket.getaddrinfo" and not local else args[0]
+        if not local and host not in ("127.0.0.1", "::1", "localhost"):
+            print("REACHED OUT", event, args, flush=True)
+            os._exit(3)
+sys.addaudithook(guard)
+
+def foreign_sockets():
+    # Also those of the engine, which is not Python: open sockets of this process, and where they are.
+    mine = {link[8:-1] for fd in Path("/proc/self/fd").iterdir()
+            if (link := os.readlink(fd) if fd.is_symlink() else "").startswith("socket:[")}
+    found = []
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in mine and not fields[1].startswith(("0100007F", "0" * 24 + "01000000")):
+                found.append(line)
+    return found
+
+from llm_flock.llm.local.engine import ENGINES
+from llm_flock.runtime.api import run
+seen = []
+def look(now):
+    seen.append(ENGINES.running)
+    assert not foreign_sockets(), foreign_sockets()
+result = run(shape="triangle", n_robots=3, center=[10, 10], arena=[[0, 0], [20, 20]], spacing=6, rounds=1,
+             model=MODEL, max_retries=0, on_round=look)
+assert seen == [1], seen
+print("calls", result.summary.model_calls, "failed", result.summary.calls_failed, "alone", alone)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sockets are looked up in /proc")
+def test_a_mission_needs_no_network():
+    """In a network of its own without any device where the system allows that, and under a watch anyway."""
+    script = WITHOUT_NETWORK.replace("MODEL", repr("local:smollm2"))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "failed 0" in done.stdout
+    assert "calls 0" not in done.stdout
+
+
+@pytest.mark.skipif(not hasattr(socket, "AF_UNIX") or os.name != "posix", reason="signals of POSIX systems")
+def test_ctrl_c_stops_the_engine_with_the_run(tmp_path):
+    command = [sys.executable, "-m", "llm_flock", "run", "--model", STOCK, "--robots", "10", "--quiet"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen([*command, "--no-record"], env=environment, stderr=subprocess.PIPE) as process:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.glob("llm-flock-*/engine.sock")):
+            assert time.monotonic() < deadline and process.poll() is None
+            time.sleep(0.1)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
+    assert not list(Path(tmp_path).glob("llm-flock-*"))

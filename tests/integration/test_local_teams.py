@@ -1,0 +1,97 @@
+"""Many runs, or many processes, with models on board: they share one engine, or are refused."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from swarms import swarm_config
+from sweeps import small, small_file
+
+from llm_flock.errors import InputError
+from llm_flock.experiments import tables, trials
+from llm_flock.experiments.sweep import fly_sweep
+from llm_flock.experiments.sweep_expect import expect_cells
+from llm_flock.experiments.sweep_file import load_sweep
+from llm_flock.llm.local import engine
+from llm_flock.llm.local.engine import ENGINES
+from llm_flock.llm.local.weights import find_weights
+from llm_flock.runtime.config import build_config
+from llm_flock.runtime.network.swarm import run_swarm
+from llm_flock.runtime.team import Thinkers
+
+pytest.importorskip("xllamacpp")
+
+STOCK = "local:smollm2+none"
+
+
+def test_all_trials_of_a_sweep_share_one_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded: list[engine.Engine] = []
+
+    class Counted(engine.Engine):
+        def __init__(self, *args) -> None:
+            super().__init__(*args)
+            loaded.append(self)
+
+    monkeypatch.setattr(engine, "Engine", Counted)
+    overrides = {"model": STOCK, "rounds": 1, "max_retries": 0, "protocol": "flock"}
+    sweep = small(tmp_path, **overrides)
+    assert all(spec.waits for spec in sweep.trials)
+    for options in ({"executor": "pool"}, {"cluster": "auto"}):
+        with pytest.raises(InputError, match="with models on board"):
+            fly_sweep(sweep, tmp_path / "refused", **options)  # pyright: ignore[reportArgumentType]
+    assert fly_sweep(sweep, tmp_path / "out").complete
+    assert len(loaded) == 1 and ENGINES.running == 0
+    table = tables.read_trials(tmp_path / "out")
+    assert table["calls_failed"].sum() == 0 and table["cost_usd"].sum() == 0 and not table["simulated"].any()
+
+
+def test_a_trial_is_another_one_when_its_weights_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ids() -> set[str]:
+        return {spec.id for spec in load_sweep(small_file(tmp_path), model=STOCK).trials}
+
+    before = ids()
+    assert ids() == before
+    monkeypatch.setattr(type(find_weights("smollm2")), "digests", lambda self: {"model.gguf": "sha256:0"})
+    assert not ids() & before
+
+
+def test_what_a_sweep_will_use_is_rehearsed_without_an_engine(tmp_path: Path) -> None:
+    sweep = small(tmp_path, model=STOCK, prompts="brief", frame="own", more="[expect]\noutput_tokens = 20")
+    for found in expect_cells(sweep).values():
+        assert found.calls > 0 and found.cost_usd == 0.0
+        assert found.tokens_output == 20 * found.calls
+    assert ENGINES.running == 0
+
+
+def test_processes_of_a_comparison_would_take_each_others_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs: list[int] = []
+
+    class Refused(Exception):
+        pass
+
+    def pool(count: int, **_: object) -> None:
+        jobs.append(count)
+        raise Refused
+
+    monkeypatch.setattr(trials, "ProcessPoolExecutor", pool)
+    for model, expected in ((STOCK, 1), ("0=local:smollm2,1-9=simulated:ideal", 1), ("simulated:ideal", 3)):
+        with pytest.raises(Refused):
+            trials.run_trials([build_config(model=model, seed=seed) for seed in range(4)], jobs=3)
+        assert jobs.pop() == expected
+
+
+def test_a_swarm_on_one_machine_has_one_robot_on_board_at_most() -> None:
+    config = swarm_config(3, model=STOCK)
+    with pytest.raises(InputError, match="`run` has one engine for all robots"):
+        asyncio.run(run_swarm(config))
+
+
+def test_files_are_looked_into_before_anything_is_asked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a file that is there"):
+        Thinkers(build_config(model=f"local:{tmp_path}/none.gguf"))
+    thinkers = Thinkers(build_config(model="0=local:smollm2+none,1-9=simulated:ideal"))
+    assert not ENGINES.running and thinkers.simulated
+    assert thinkers.weights == find_weights("smollm2+none").digests()
+    asyncio.run(thinkers.close())

