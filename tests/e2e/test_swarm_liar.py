@@ -39,7 +39,9 @@ class Liar:
     """Hears all, and answers with lies that bear its own, true signature."""
 
     def __init__(self, config: SwarmConfig) -> None:
-        self.keys = load_keys(config, LIAR)
+        keys = load_keys(config, LIAR)
+        assert keys is not None
+        self.keys = keys
         self.link = open_link(config, LIAR, listen="tcp/127.0.0.1:0")
         self.heard: Message | None = None
         self.payload = b""

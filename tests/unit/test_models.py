@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from llm_flock.errors import InputError
-from llm_flock.llm.client import CallSettings
+from llm_flock.llm.client import CallSettings, PydanticModel
 from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings, per_robot
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd, price_known
@@ -31,6 +31,7 @@ def test_every_provider_in_the_table_can_be_built(info) -> None:
         async with ModelPool(base_urls=urls, environ={info.key_env: "key-0123456789"}) as pool:
             first = pool.model(info.example, robot=0, rng=np.random.default_rng(0))
             second = pool.model(info.example, robot=1, rng=np.random.default_rng(1))
+            assert isinstance(first, PydanticModel) and isinstance(second, PydanticModel)
             assert first._model is second._model  # one model, one set of connections, for all robots
             assert first._model.model_name == name.model
             assert first._model.client.max_retries == 0  # pyright: ignore[reportAttributeAccessIssue]
@@ -183,7 +184,7 @@ def test_simulated_models_are_free_and_go_through_the_same_door() -> None:
     pool = ModelPool(environ={})
     model = pool.model("simulated:ideal", robot=0, rng=np.random.default_rng(0))
     assert model.name == "simulated:ideal"
-    assert type(model._model).__name__ == "FunctionModel"
+    assert isinstance(model, PydanticModel) and type(model._model).__name__ == "FunctionModel"
     for text in ("geometry", "replay:x"):
         with pytest.raises(InputError):
             pool.model(text, robot=0, rng=np.random.default_rng(0))
