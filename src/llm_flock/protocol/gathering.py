@@ -8,7 +8,9 @@ goes to where its place lies on that circle as seen from the centre, and looks f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -25,6 +27,17 @@ HOLLOW = 0.5
 ENOUGH = 0.5
 """With this share of a plan's places taken, its robots fly to them."""
 
+NEAR = 1.0
+"""Who is within so many spacings of the circle is on it."""
+
+HOLD = 0.8
+"""Those who wait spread out to at most this share of the radio range."""
+
+LINK = 0.95
+"""Nobody leaves a neighbour on the circle behind by more than this share of the radio range."""
+
+PLANE = 2
+
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[Entry]) -> Plan:
     """Where the places of a plan are for now: on the circle of the mean radius while most are nobody's.
@@ -37,8 +50,89 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[Entry]) -> Plan
     places = _on_circle(plan, mission.center)
     if places is plan or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
         return plan
-    clear = all(clearance(place, mission.obstacles) >= mission.body_radius for place in places.points)
-    return places if clear else plan
+    return places if _clear(mission, places) else plan
+
+
+def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
+    """Where a robot that waits for others comes to the circle; None where there is no such circle.
+
+    Args:
+        mission: centre, and obstacles that no place may be on.
+        plan: the plan that is followed.
+        here: own believed position [units; frame of the mission].
+    """
+    places = _on_circle(plan, mission.center)
+    if mission.dim != PLANE or places is plan or not _clear(mission, places):
+        return None
+    return _at(mission.center, _polar(places.points[0], mission.center)[0], _polar(here, mission.center)[1])
+
+
+def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
+    """Where to wait on the circle for those who are not known yet; None where there is no such circle.
+
+    Those known who follow each other on it within radio range spread out evenly around where they are on average, up to
+    `HOLD` apart, so that their ends meet others.
+
+    Args:
+        mission: centre, and obstacles that no place may be on.
+        plan: the plan that is followed.
+        here: own believed position [units; frame of the mission].
+        others: where the others are that are known [units; frame of the mission].
+    """
+    point = landing(mission, plan, here)
+    near = NEAR * mission.spacing
+    if point is None or math.dist(here, point) > near:
+        return point
+    radius, direction = _polar(point, mission.center)
+    seen = (_polar(place, mission.center) for place in others)
+    arcs = sorted(radius * _wrapped(angle - direction) for away, angle in seen if abs(away - radius) <= near)
+    along = _spread(arcs, math.tau * radius, mission.comm_range)
+    return _at(mission.center, radius, direction + min(max(along, -mission.spacing), mission.spacing) / radius)
+
+
+def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
+    """How far to go along the circle [units].
+
+    Args:
+        arcs: how far the others are along the circle, sorted [units].
+        around: length of the whole circle [units].
+        reach: radio range [units].
+    """
+    first = last = mine = bisect_left(arcs, 0.0)
+    arcs = [*arcs[:mine], 0.0, *arcs[mine:]]
+    while first > 0 and arcs[first] - arcs[first - 1] <= reach:
+        first -= 1
+    while last < len(arcs) - 1 and arcs[last + 1] - arcs[last] <= reach:
+        last += 1
+    chain = arcs[first : last + 1]
+    if len(chain) == len(arcs) and chain[0] + around - chain[-1] <= reach:
+        return 0.0  # the circle is closed
+    apart = min(HOLD * reach, around / len(chain))
+    along = sum(chain) / len(chain) + (mine - first - (len(chain) - 1) / 2) * apart
+    # Of what is left of a link each of its two ends may use up one half.
+    if mine < last:
+        along = max(along, min(0.0, (arcs[mine + 1] - LINK * reach) / 2))
+    if mine > first:
+        along = min(along, max(0.0, (arcs[mine - 1] + LINK * reach) / 2))
+    return along
+
+
+def _polar(point: Point, center: Point) -> tuple[float, float]:
+    """Distance [units] and direction [rad] from the centre, in the plane."""
+    x, y = point[0] - center[0], point[1] - center[1]
+    return math.hypot(x, y), math.atan2(y, x)
+
+
+def _at(center: Point, radius: float, direction_rad: float) -> Point:
+    return center[0] + radius * math.cos(direction_rad), center[1] + radius * math.sin(direction_rad)
+
+
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % math.tau - math.pi
+
+
+def _clear(mission: Mission, places: Plan) -> bool:
+    return all(clearance(place, mission.obstacles) >= mission.body_radius for place in places.points)
 
 
 @lru_cache(maxsize=256)
