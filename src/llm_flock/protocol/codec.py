@@ -75,7 +75,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
     offer: _WireOffer | None
     beats: tuple[Counter, ...] | None
-    roll: dict[Id, tuple[Round, tuple[Coordinate, ...]]] | None
+    roll: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
 
 
 _ENCODER = msgspec.msgpack.Encoder()
@@ -241,7 +241,7 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
 def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
     if wire.beats is not None and len(wire.beats) != n_robots:
         raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
-    if wire.roll and {len(place) for _, place in wire.roll.values()} != {dim}:
+    if wire.roll and not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in wire.roll.values()):
         raise MessageError("wrong_length", f"a position has {dim} coordinates")
     if (wire.plan_digest is None) != (wire.pedigree is None) or (wire.plan is not None and wire.plan_digest is None):
         raise MessageError("malformed", "a plan and its pedigree go together")

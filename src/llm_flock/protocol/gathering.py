@@ -27,6 +27,10 @@ HOLLOW = 0.5
 ENOUGH = 0.5
 """With this share of a plan's places taken, its robots fly to them."""
 
+WITHIN = 0.95
+"""The circle on which robots wait for each other is smaller by this: there they stand closer, and find it easier to
+close it."""
+
 NEAR = 1.0
 """Who is within so many spacings of the circle is on it."""
 
@@ -48,7 +52,7 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[Entry]) -> Plan
         table: all claims known.
     """
     places = _on_circle(plan, mission.center)
-    if places is plan or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
+    if places is None or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
         return plan
     return places if _clear(mission, places) else plan
 
@@ -62,9 +66,10 @@ def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
         here: own believed position [units; frame of the mission].
     """
     places = _on_circle(plan, mission.center)
-    if mission.dim != PLANE or places is plan or not _clear(mission, places):
+    if mission.dim != PLANE or places is None or not _clear(mission, places):
         return None
-    return _at(mission.center, _polar(places.points[0], mission.center)[0], _polar(here, mission.center)[1])
+    radius = WITHIN * _polar(places.points[0], mission.center)[0]
+    return _at(mission.center, radius, _polar(here, mission.center)[1])
 
 
 def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
@@ -98,22 +103,24 @@ def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
         around: length of the whole circle [units].
         reach: radio range [units].
     """
-    first = last = mine = bisect_left(arcs, 0.0)
-    arcs = [*arcs[:mine], 0.0, *arcs[mine:]]
-    while first > 0 and arcs[first] - arcs[first - 1] <= reach:
+    mine = bisect_left(arcs, 0.0)
+    once = [*arcs[:mine], 0.0, *arcs[mine:]]
+    unrolled = [arc + turn for turn in (-around, 0.0, around) for arc in once]
+    first = last = mine = mine + len(once)
+    while mine - first < len(once) and unrolled[first] - unrolled[first - 1] <= reach:
         first -= 1
-    while last < len(arcs) - 1 and arcs[last + 1] - arcs[last] <= reach:
-        last += 1
-    chain = arcs[first : last + 1]
-    if len(chain) == len(arcs) and chain[0] + around - chain[-1] <= reach:
+    if mine - first == len(once):
         return 0.0  # the circle is closed
+    while unrolled[last + 1] - unrolled[last] <= reach:
+        last += 1
+    chain = unrolled[first : last + 1]
     apart = min(HOLD * reach, around / len(chain))
     along = sum(chain) / len(chain) + (mine - first - (len(chain) - 1) / 2) * apart
-    # Of what is left of a link each of its two ends may use up one half.
+    # What is left of a link may be used up by who moves away from the middle of the chain.
     if mine < last:
-        along = max(along, min(0.0, (arcs[mine + 1] - LINK * reach) / 2))
+        along = max(along, min(0.0, unrolled[mine + 1] - LINK * reach) if mine - first < last - mine else 0.0)
     if mine > first:
-        along = min(along, max(0.0, (arcs[mine - 1] + LINK * reach) / 2))
+        along = min(along, max(0.0, unrolled[mine - 1] + LINK * reach) if mine - first > last - mine else 0.0)
     return along
 
 
@@ -132,14 +139,16 @@ def _wrapped(angle_rad: float) -> float:
 
 
 def _clear(mission: Mission, places: Plan) -> bool:
-    return all(clearance(place, mission.obstacles) >= mission.body_radius for place in places.points)
+    return not mission.obstacles or all(
+        clearance(place, mission.obstacles) >= mission.body_radius for place in places.points
+    )
 
 
 @lru_cache(maxsize=256)
-def _on_circle(plan: Plan, center: Point) -> Plan:
+def _on_circle(plan: Plan, center: Point) -> Plan | None:
     """The places of a hollow plan, each moved to or from the centre onto the circle of their mean radius."""
     offsets = plan.array - np.array(center)
     radii = np.linalg.norm(offsets, axis=1, keepdims=True)
     if radii.min() < HOLLOW * radii.max() or not radii.min():
-        return plan
+        return None
     return Plan.of(tuple(place) for place in (np.array(center) + offsets * (radii.mean() / radii)).tolist())

@@ -54,14 +54,14 @@ class Lookout:
         return target, notes
 
     def _wait_for_others(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
-        """Where a robot of a large team in pieces waits for the others, instead of searching; None where it does not."""
+        """Where a robot of a large team in pieces waits for the others, not searching; None where it does not."""
         talks, mission = self._talks, self._talks.mission
-        if talks.placed:
+        if not talks.roll.waiting or talks.placed:
             return None, []
-        known = (place for robot, (_, place) in talks.roll.known.items() if robot != talks.robot)
-        point = meeting_point(mission, plan, here, known)
-        if point is None or not talks.roll.waits(there=math.dist(here, point) <= NEAR * mission.spacing):
+        point = meeting_point(mission, plan, here, talks.roll.others)
+        if point is None:
             return None, []
+        talks.roll.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
         searched, self._search = self._search, Search()
         ended = [Note("search", {"begun": False, "vacant": list(searched.known[1])})] if searched.way else []
         return point, ended

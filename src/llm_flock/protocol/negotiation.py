@@ -75,7 +75,7 @@ class Negotiation:
         self.neighbors = 0
         self.rejected: Counter[str] = Counter()
         self.liveness = liveness
-        self.robot = robot
+        self._robot = robot
         self._consensus = consensus
         self._assignment = assignment
         self._judge = judge
@@ -193,7 +193,7 @@ class Negotiation:
             mission_digest=self.stamp.digest,
             epoch=0 if self.pedigree is None else self.pedigree.epoch + 1,
             neighbors=self.neighbors,
-            proposer=self.robot,
+            proposer=self._robot,
             sequence=self._proposals,
         )
         self._proposals += 1
@@ -236,7 +236,7 @@ class Negotiation:
                 ledger.survey(table, silent, blocked, clear)
             granted, order = ledger.granted(table), ledger.order
         return Moment(
-            robot=self.robot,
+            robot=self._robot,
             position=self._position,
             plan=self.plan,
             spacing=self.mission.spacing,
@@ -248,7 +248,7 @@ class Negotiation:
             blocked=blocked,
             clear=clear,
             granted=granted,
-            roll=None if self.liveness.silent else self.roll.sightings(self.plan, self.claim.table),
+            roll=None if self.liveness.silent else self.roll.complete(self.plan),
             order=order,
         )
 
@@ -272,16 +272,16 @@ class Negotiation:
     # ---------------------------------------------------------------- messages
 
     @property
-    def _awaited(self) -> Point:
-        """Where this robot will be soon [units; frame of the mission]: on the circle, if it waits there for others."""
+    def _waits_at(self) -> Point | None:
+        """Where this robot waits for others, or comes to wait [units; frame of the mission]; None where it does not."""
         if self.plan is None or not self.roll.waiting:
-            return self._position
-        return landing(self.mission, self.plan, self._position) or self._position
+            return None
+        return landing(self.mission, self.plan, self._position)
 
     def broadcast(self) -> bytes:
         """The own standing as bytes, which are made anew only when there is something new to say."""
         whole = Message(
-            sender=self.robot,
+            sender=self._robot,
             sequence=0,
             neighbors=self.neighbors,
             mission=self.stamp,
@@ -292,7 +292,8 @@ class Negotiation:
             table_digest=self._speech.digest(self.claim.table),
             offer=self.claim.offer,
             roll=self.roll.say(
-                self._awaited,
+                self._position,
+                waits_at=self._waits_at,
                 greeting=self._speech.greets,
                 settled=by_roll(self.claim.table, self.claim.slot),
                 spacing=self.mission.spacing,
@@ -315,8 +316,8 @@ class Negotiation:
             if self._signing is not None:
                 payload, proofs = unwrap(payload, self.mission.n_robots)
             message = decode(payload, *team)
-            if message.sender == self.robot:
-                raise MessageError("own_id", f"a message from outside claims to come from robot {self.robot}")
+            if message.sender == self._robot:
+                raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
             if self._signing is not None:
                 self._signing.vouch(message, proofs, sender)
         except MessageError as error:

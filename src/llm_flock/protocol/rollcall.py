@@ -4,12 +4,12 @@ Auctions and exchanges find good places for a few robots in a few ticks. In a la
 places, and what is settled exchange by exchange is settled while they fly. So every robot of a large team says where it
 is, and passes on what it hears. Who knows that of everybody works out which assignment has the smallest sum of squared
 ways, as C-CAPT does in one place (Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for
-multiple robots, IJRR 2014), and writes it in its table; the others hear of it as of any claim.
+multiple robots, IJRR 2014), and writes it in its table. All who do so have the same positions and write the same; the
+others hear of it as of any claim.
 
-In the first rounds of a mission everybody says where it was when the mission came, so a team in contact has the same
-positions and writes the same. A team that starts in pieces completes the call when the last piece is found. By then
-everybody has moved, so later on robots say where they are now. Several may complete the call with positions of
-different rounds; what comes of the oldest, which has spread farthest, has the highest version.
+The roll is called twice. In the first rounds of a mission everybody says where it was when the mission came; a team in
+pieces never completes that. Its robots then wait for each other (`llm_flock.protocol.gathering`), and everybody says
+where it came to wait.
 
 Nothing depends on it: a table is merged as any other table, and whoever still finds itself on no place, or on several,
 does what it always does.
@@ -18,43 +18,40 @@ does what it always does.
 from __future__ import annotations
 
 import math
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages import LAST_STAMP, NO_OWNER, Sighting, Table
+from llm_flock.protocol.messages import LAST_STAMP, NO_OWNER, Roll, Sighting, Table
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.search import MANY
 
 ROUNDS = 8
-"""Rounds of a mission in which positions at its beginning are said; later on they are no longer true."""
+"""Rounds of a mission in which its first roll is called; later on the positions are no longer true."""
+
+SECOND = 0.15
+"""The second call takes where everybody waits in the round that is this share of the team size; by then most robots of
+a ring have come to its circle, and those who are still on their way are expected where they will come to it."""
 
 VERSION = 1024
-"""Claims of a roll call have versions from here on: above all that were made before."""
+"""Version of the claims that come of the first call: above all that were made before. Those of the second call have
+twice that."""
 
 LARGEST = 256
 """Larger teams call the roll at the beginning of a mission only: what everybody says anew all the time grows with the
 square of their number."""
 
-KINDS = 16
-"""Calls with equally old positions differ in version by fewer than so many steps, drawn from the positions."""
-
-OLDEST = KINDS * LARGEST * LAST_STAMP
-"""Steps from the version of the newest call to that of the oldest; a step is `VERSION`, so that places can be exchanged
-without reaching the next one."""
-
 DECIMALS = 2
 """Positions are said to so many."""
 
 MOVED = 0.1
-"""A robot says anew where it is when it has moved by this share of the spacing."""
+"""Who waits says anew where it is when it has moved by this share of the spacing."""
 
 PATIENCE = 16
-"""Rounds that a robot waits where the team meets without news of anybody who was unknown."""
+"""Rounds that a robot waits without news of anybody who was unknown."""
 
 
 class RollCall:
@@ -80,97 +77,112 @@ class RollCall:
 
     @property
     def known(self) -> Mapping[int, Sighting]:
-        """Where each robot was when it last said so, by id."""
+        """What is known of each robot, by id."""
         return self._known
+
+    @property
+    def others(self) -> list[Point]:
+        """Where the others are that are known [units; frame of the mission]."""
+        return [where for robot, (_, where, _) in self._known.items() if robot != self._robot]
+
+    @property
+    def _later(self) -> bool:
+        return self._round > ROUNDS
 
     @property
     def waiting(self) -> bool:
         """Whether those who are not known yet are waited for."""
-        return self._round > ROUNDS and self._called and self._waited <= PATIENCE
+        return self._later and MANY < self._n <= LARGEST and self._waited <= PATIENCE
 
     @property
     def _called(self) -> bool:
-        return MANY < self._n and (self._n <= LARGEST or self._round <= ROUNDS)
+        return self.waiting or (self._n > MANY and not self._later)
 
     def begin_round(self) -> None:
         """Another round has begun."""
         self._round += 1
-        if not self._called:
+        if self._round == ROUNDS + 1 or not self._called:
             self._known, self._news = {}, {}
 
-    def waits(self, *, there: bool) -> bool:
-        """Whether to wait, where the team meets, for those who are not known yet; ask once a round.
+    def wait(self, *, there: bool) -> None:
+        """Another round is waited for those who are not known yet.
 
         Args:
             there: whether the robot has come to where it waits.
         """
-        waiting = self.waiting
-        self._waited += waiting and there
-        return waiting
+        self._waited += there
 
     def hear(self, said: Mapping[int, Sighting]) -> None:
         """Take in what a neighbour knows."""
         if not self._called:
             return
-        known = self._known
-        new = {robot: seen for robot, seen in said.items() if robot not in known or seen[0] > known[robot][0]}
+        known, later = self._known, self._later
+        new = {
+            robot: seen
+            for robot, seen in said.items()
+            if (robot not in known or seen[0] > known[robot][0]) and later == (seen[0] > 0)
+        }
         if new:
-            if self._waited <= PATIENCE and not new.keys() <= known.keys():
+            if not new.keys() <= known.keys():
                 self._waited = 0
             known |= new
             self._news |= new
 
-    def sightings(self, plan: Plan, table: Table | None) -> tuple[Sighting, ...] | None:
-        """Where everybody is, by id: once for each plan, when the call is complete and nobody else has completed it.
-
-        Args:
-            plan: the plan that is followed.
-            table: all claims known on it.
-        """
-        if len(self._known) < self._n or self._taken == plan.digest or not self._called:
+    def complete(self, plan: Plan) -> Roll | None:
+        """Where everybody is, once for each plan, when a call is complete."""
+        known, later = self._known, self._later
+        if len(known) < self._n or self._taken == plan.digest or (later and not all(m for _, _, m in known.values())):
             return None
         self._taken = plan.digest
-        if self._round > ROUNDS and table is not None and any(entry[0] >= VERSION for entry in table):
-            return None
-        return tuple(self._known[robot] for robot in range(self._n))
+        seen = [known[robot] for robot in range(self._n)]
+        return (2 * VERSION, tuple(mark for _, _, mark in seen)) if later else (VERSION, tuple(x for _, x, _ in seen))
 
     def say(
-        self, position: Point, *, greeting: bool, settled: bool, spacing: float
+        self, position: Point, *, waits_at: Point | None, greeting: bool, settled: bool, spacing: float
     ) -> dict[int, Sighting] | None:
         """What to tell the neighbours: all that is known once a round, what is new in every tick; None for nothing.
 
         Args:
             position: own believed position [units; frame of the mission].
+            waits_at: where this robot waits, or comes to wait; None where it does not [units; frame of the mission].
             greeting: whether this is the first broadcast of a round.
-            settled: whether the own place was given by a roll call; then nobody needs another.
+            settled: whether the own place was given by a roll call; then nobody needs the second.
             spacing: wanted distance between neighbouring robots [units].
         """
-        later = self._round > ROUNDS
-        if not self._called or (later and settled):
-            return None
         mine = self._known.get(self._robot)
-        if mine is None or (later and math.dist(position, mine[1]) > MOVED * spacing):
-            stamp = 0 if mine is None and not later else max(self._round, mine[0] + 1 if mine else 0)
-            here = tuple(round(x, DECIMALS) for x in position)
-            self.hear({self._robot: (min(stamp, LAST_STAMP), here)})
+        if self._later:
+            if not self._called or settled or waits_at is None:
+                return None
+            self._tell(mine, _rounded(waits_at), MOVED * spacing)
+        elif self._called:
+            self.hear({self._robot: (0, _rounded(position), ())})
         said, self._news = dict(self._known if greeting else self._news), {}
         return said or None
 
+    def _tell(self, mine: Sighting | None, here: Point, moved: float) -> None:
+        """Say anew where this robot waits, if that has changed, and what to take down for the second call."""
+        stamp, before, mark = mine or (0, (), ())
+        due = not mark and self._round > SECOND * self._n
+        if due or not before or math.dist(here, before) > moved:
+            # Who was restarted, and hears of its former life, counts on from there.
+            self.hear({self._robot: (min(max(self._round, stamp + 1), LAST_STAMP), here, here if due else mark)})
+
+
+def _rounded(point: Point) -> Point:
+    return tuple(round(x, DECIMALS) for x in point)
+
 
 @lru_cache(maxsize=64)
-def assigned(plan: Plan, sightings: Sequence[Sighting]) -> Table:
+def assigned(plan: Plan, roll: Roll) -> Table:
     """The claims that make the sum of the squared ways as small as can be.
 
     With more robots than places some get none; with fewer, some places stay free.
 
     Args:
         plan: has the places.
-        sightings: where each robot is, by id.
+        roll: where each robot is.
     """
-    places = tuple(place for _, place in sightings)
-    news = sum(stamp for stamp, _ in sightings)
-    kind = zlib.crc32(repr(places).encode()) % KINDS
-    version = VERSION * (OLDEST - (KINDS * news - kind if news else 0))
+    version, places = roll
     ways = np.linalg.norm(np.array(places)[:, None] - plan.array[None], axis=2)
     table = [(version, 0.0, NO_OWNER)] * len(plan)
     for robot, slot in zip(*linear_sum_assignment(ways**2), strict=True):
