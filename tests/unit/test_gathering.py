@@ -224,3 +224,13 @@ def test_it_leaves_when_the_roll_has_given_places_to_all_that_it_hears() -> None
     effects = flown(agent, ROUNDS + 1, here, message(1, 2 * VERSION), message(2, 0))
     assert agent.claim.slot == len(PLAN) - 1 and target(effects) == pytest.approx(landing(SQUARE, PLAN, here))
     assert target(flown(agent, ROUNDS + 2, here, message(1, 2 * VERSION), message(2, 2 * VERSION))) is None
+
+
+def test_where_there_is_no_circle_it_searches_on() -> None:
+    there = meeting_places(SQUARE, PLAN, owned(1)).points[3]
+    walled = SQUARE.model_copy(update={"obstacles": (Obstacle(center=there, radius=1.0),)})
+    agent = Agent(0, walled, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    effects = list[Effect]()
+    for number in range(1, ROUNDS + 2):
+        effects = flown(agent, number, PLAN.points[5])
+    assert target(effects) in PLAN.points

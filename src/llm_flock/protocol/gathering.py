@@ -4,6 +4,10 @@ Every piece has a plan of its own, and the same shape in another turn has its pl
 squares are far from each other's sides, and pieces that sit on them do not meet. The circle about the centre with the
 mean radius of the places is the same in every turn. So while less than half of a plan's places have owners, a robot
 goes to where its place lies on that circle as seen from the centre, and looks for others along it.
+
+A large team whose first roll call (`llm_flock.protocol.rollcall`) has not come to an end in the plane does more: it
+waits near that circle, and spreads out along it until it is closed. Then everybody hears of everybody, and all places
+are taken at one stroke.
 """
 
 from __future__ import annotations
