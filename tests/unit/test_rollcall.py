@@ -96,6 +96,7 @@ def test_small_teams_call_no_roll() -> None:
     call.hear(sightings(MANY))
     assert call.complete(ROW) is None
     assert not later(MANY).waiting
+    assert RollCall(0, 0).complete(ROW) is None, "nor does one whose claims are signed"
 
 
 def test_later_on_those_who_wait_say_where_and_say_it_anew_when_they_have_moved() -> None:

@@ -131,7 +131,9 @@ class RollCall:
     def complete(self, plan: Plan) -> Roll | None:
         """Where everybody is, once for each plan, when a call is complete."""
         known, later = self._known, self._later
-        if len(known) < self._n or self._taken == plan.digest or (later and not all(m for _, _, m in known.values())):
+        if not self._called or len(known) < self._n or self._taken == plan.digest:
+            return None
+        if later and not all(mark for _, _, mark in known.values()):
             return None
         self._taken = plan.digest
         seen = [known[robot] for robot in range(self._n)]
