@@ -12,83 +12,173 @@ from hypothesis import strategies as st
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.auction import AuctionAssignment, gain
-from llm_flock.protocol.messages import NO_OWNER, UNSAID, Message, Pedigree
+from llm_flock.protocol.messages import LAST_STAMP, NO_OWNER, UNSAID, Message, Pedigree, Roll, Sighting
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.rollcall import ROUNDS, VERSION, RollCall, assigned, by_roll
+from llm_flock.protocol.rollcall import (
+    LARGEST,
+    MOVED,
+    PATIENCE,
+    ROUNDS,
+    SECOND,
+    VERSION,
+    RollCall,
+    assigned,
+    by_roll,
+)
 from llm_flock.protocol.search import MANY
 
 N = MANY + 1
 ROW = Plan.of([[10.0 * k, 0.0] for k in range(N)])
+SPACING = 10.0
 
 
 def starts(n: int) -> list[Point]:
     return [(float(k), 1.0) for k in range(n)]
 
 
+def sightings(n: int, stamp: int = 0, mark: Point = ()) -> dict[int, Sighting]:
+    return {robot: (stamp, where, mark) for robot, where in enumerate(starts(n))}
+
+
+def say(
+    call: RollCall, where: Point, *, greeting: bool = True, waits_at: Point | None = None, settled: bool = False
+) -> dict[int, Sighting] | None:
+    return call.say(where, waits_at=waits_at, greeting=greeting, settled=settled, spacing=SPACING)
+
+
+def later(n: int = N, rounds: int = ROUNDS + 1) -> RollCall:
+    call = RollCall(0, n)
+    for _ in range(rounds):
+        call.begin_round()
+    return call
+
+
 def test_news_travel_a_robot_a_tick_and_everything_is_said_once_a_round() -> None:
     calls = [RollCall(robot, N) for robot in range(N)]
     for tick in range(N - 1):
-        said = [call.say(where, greeting=tick == 0) for call, where in zip(calls, starts(N), strict=True)]
+        said = [say(call, where, greeting=tick == 0) for call, where in zip(calls, starts(N), strict=True)]
         for robot, call in enumerate(calls):
             for neighbor in (robot - 1, robot + 1):
                 if 0 <= neighbor < N:
                     call.hear(said[neighbor] or {})
-        assert tick == N - 2 or calls[0].places(ROW) is None
-    assert [call.places(ROW) for call in calls] == [tuple(starts(N))] * N
-    assert calls[0].say((5.0, 5.0), greeting=False) == {N - 1: starts(N)[-1]}, "the last that it heard of"
-    assert calls[0].say((5.0, 5.0), greeting=False) is None, "and nothing is said twice"
-    assert calls[0].say((5.0, 5.0), greeting=True) == dict(enumerate(starts(N))), "but to greet"
+        assert tick == N - 2 or calls[0].complete(ROW) is None
+    assert [call.complete(ROW) for call in calls] == [(VERSION, tuple(starts(N)))] * N
+    assert say(calls[0], (5.0, 5.0), greeting=False) == {N - 1: (0, starts(N)[-1], ())}, "the last that it heard of"
+    assert say(calls[0], (5.0, 5.0), greeting=False) is None, "and nothing is said twice"
+    assert say(calls[0], (5.0, 5.0)) == sightings(N), "but to greet"
 
 
 def test_the_places_are_given_out_once_for_each_plan() -> None:
     call = RollCall(0, N)
-    call.say((0.0, 1.0), greeting=True)
-    call.hear(dict(enumerate(starts(N))))
+    call.hear(sightings(N))
     other = Plan.of([[10.0 * k, 5.0] for k in range(N)])
-    assert call.places(ROW) is not None and call.places(ROW) is None
-    assert call.places(other) is not None
+    assert call.complete(ROW) is not None and call.complete(ROW) is None
+    assert call.complete(other) is not None
 
 
 def test_positions_that_are_no_longer_true_are_forgotten_and_a_new_mission_calls_anew() -> None:
-    call = RollCall(0, N)
-    call.say((0.0, 1.0), greeting=True)
-    for _ in range(ROUNDS):
-        call.begin_round()
-    call.hear(dict(enumerate(starts(N))))
+    call = later(rounds=ROUNDS)
+    say(call, (0.0, 1.0))
+    call.hear(sightings(N))
     call.begin_round()
-    assert call.places(ROW) is None
-    call.hear(dict(enumerate(starts(N))))
-    assert call.places(ROW) is None and call.say((0.0, 1.0), greeting=True) is None
+    assert call.complete(ROW) is None and not call.known
+    call.hear(sightings(N))
+    assert call.complete(ROW) is None and say(call, (0.0, 1.0)) is None
     call.begin()
     call.begin_round()
-    assert call.say((7.123, 1.0), greeting=True) == {0: (7.12, 1.0)}
+    assert say(call, (7.123, 1.0)) == {0: (0, (7.12, 1.0), ())}
 
 
 def test_small_teams_call_no_roll() -> None:
     call = RollCall(0, MANY)
     call.begin_round()
-    assert call.say((0.0, 0.0), greeting=True) is None
-    call.hear(dict(enumerate(starts(MANY))))
-    assert call.places(ROW) is None
+    assert say(call, (0.0, 0.0)) is None
+    call.hear(sightings(MANY))
+    assert call.complete(ROW) is None
+    assert not later(MANY).waiting
+    assert RollCall(0, 0).complete(ROW) is None, "nor does one whose claims are signed"
+
+
+def test_later_on_those_who_wait_say_where_and_say_it_anew_when_they_have_moved() -> None:
+    call = later()
+    assert say(call, (0.0, 0.0)) is None, "it does not wait"
+    assert say(call, (0.0, 0.0), waits_at=(3.0, 0.0), settled=True) is None, "it has a place"
+    first = {0: (ROUNDS + 1, (3.0, 0.0), (3.0, 0.0))}
+    assert ROUNDS + 1 > SECOND * N
+    assert say(call, (0.0, 0.0), waits_at=(3.0, 0.0)) == first
+    call.begin_round()
+    assert say(call, (0.0, 0.0), waits_at=(3.0 + MOVED * SPACING, 0.0)) == first
+    moved = say(call, (0.0, 0.0), waits_at=(3.5 + MOVED * SPACING, 0.0))
+    assert moved == {0: (ROUNDS + 2, (4.5, 0.0), (3.0, 0.0))}, "what was taken down stays"
+
+
+def test_the_second_call_takes_down_where_everybody_waits_in_a_certain_round() -> None:
+    n = 100
+    call = later(n)
+    assert say(call, (0.0, 0.0), waits_at=(3.0, 0.0)) == {0: (ROUNDS + 1, (3.0, 0.0), ())}
+    while call._round <= SECOND * n:
+        assert call.complete(ROW) is None
+        call.begin_round()
+    call.hear(sightings(n, 3))
+    say(call, (0.0, 0.0), waits_at=(9.0, 0.0))
+    assert call.known[0] == (16, (9.0, 0.0), (9.0, 0.0)) and call.complete(ROW) is None
+    call.hear({robot: (20, where, where) for robot, where in enumerate(starts(n)) if robot})
+    assert call.complete(ROW) == (2 * VERSION, ((9.0, 0.0), *starts(n)[1:]))
+
+
+def test_the_newest_is_believed_and_who_was_restarted_counts_on_from_its_former_life() -> None:
+    call = later()
+    call.hear({0: (30, (1.0, 1.0), ()), 1: (30, (2.0, 2.0), ())})
+    call.hear({1: (29, (5.0, 5.0), ())})
+    assert call.others == [(2.0, 2.0)]
+    said = say(call, (0.0, 0.0), waits_at=(3.0, 0.0))
+    assert said == {0: (31, (3.0, 0.0), (3.0, 0.0)), 1: (30, (2.0, 2.0), ())}
+    call.hear({0: (LAST_STAMP, (1.0, 1.0), ())})
+    assert say(call, (0.0, 0.0), waits_at=(3.0, 0.0)) == {0: (LAST_STAMP, (1.0, 1.0), ()), 1: (30, (2.0, 2.0), ())}
+
+
+def test_one_waits_until_nobody_new_is_heard_of_for_long() -> None:
+    call = later()
+    assert not RollCall(0, N).waiting
+    for _ in range(2 * PATIENCE):
+        call.wait(there=False)
+    for _ in range(PATIENCE):
+        call.wait(there=True)
+    call.hear({5: (ROUNDS + 1, (2.0, 2.0), ())})
+    for _ in range(PATIENCE):
+        call.wait(there=True)
+    call.hear({5: (ROUNDS + 2, (3.0, 2.0), ())})
+    assert call.waiting, "news of who was known do not count, but it is still the last round"
+    call.wait(there=True)
+    assert not call.waiting
+    call.begin_round()
+    call.hear({6: (ROUNDS + 1, (2.0, 2.0), ())})
+    assert not call.waiting and not call.known and say(call, (0.0, 0.0), waits_at=(3.0, 0.0)) is None
+
+
+def test_the_largest_teams_call_the_roll_at_the_beginning_only() -> None:
+    assert later(LARGEST).waiting and not later(LARGEST + 1).waiting
+    assert say(later(LARGEST + 1, ROUNDS), (0.0, 1.0)) == {0: (0, (0.0, 1.0), ())}
 
 
 @given(st.permutations(range(N)))
 def test_all_who_know_the_same_write_the_same_and_nobody_flies_across(order: list[int]) -> None:
     """Robots above the places of a row, in any order: each gets the place below it."""
     places = tuple((10.0 * k, 3.0) for k in order)
-    table = assigned(ROW, places)
+    table = assigned(ROW, (VERSION, places))
     assert [owner for _, _, owner in table] == [order.index(k) for k in range(N)]
     assert {version for version, _, _ in table} == {VERSION} and {bid for _, bid, _ in table} == {-3.0}
 
 
 def test_places_that_are_left_over_are_free_and_robots_may_be_left_over_too() -> None:
-    table = assigned(ROW, ((1.0, 0.0), (12.0, 0.0)))
+    table = assigned(ROW, (2 * VERSION, ((1.0, 0.0), (12.0, 0.0))))
     assert [owner for _, _, owner in table[:3]] == [0, 1, NO_OWNER]
+    assert {version for version, _, _ in table} == {2 * VERSION}
     few = Plan.of([[0.0, 0.0], [10.0, 0.0]])
-    assert [owner for _, _, owner in assigned(few, ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0)))] == [1, 2]
+    assert [owner for _, _, owner in assigned(few, (VERSION, ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0))))] == [1, 2]
 
 
-def moment(roll: tuple[Point, ...] | None) -> Moment:
+def moment(roll: Roll | None) -> Moment:
     return Moment(
         robot=1,
         position=(0.0, 0.0),
@@ -107,7 +197,7 @@ def test_the_auction_gives_way_to_the_roll_and_exchanges_go_on_from_there() -> N
     claim = rule.take(moment(None))
     assert claim.slot == 0 and not by_roll(claim.table, 0)
     # Robot 0 is nearer to the first place: by the roll it is not for robot 1, which had bid for it.
-    roll = ((-5.0, 0.0), (0.0, 0.0), *((10.0 * k, 0.0) for k in range(2, N)))
+    roll = (VERSION, ((-5.0, 0.0), (0.0, 0.0), *((10.0 * k, 0.0) for k in range(2, N))))
     claim = rule.update(claim, moment(roll))
     assert claim.slot == 1 and claim.table is not None and by_roll(claim.table, 1)
     assert sorted(owner for _, _, owner in claim.table) == list(range(N))
@@ -149,4 +239,4 @@ def test_a_place_of_the_roll_is_not_handed_on_along_the_formation(version: int, 
 
 
 def test_an_entry_left_out_is_below_every_roll() -> None:
-    assert not by_roll((UNSAID,), 0)
+    assert not by_roll((UNSAID,), 0) and not by_roll(((VERSION, 0.0, 3),), None)

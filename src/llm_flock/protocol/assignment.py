@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages import Entry, Message, Offer, Table
+from llm_flock.protocol.messages import Entry, Message, Offer, Roll, Table
 from llm_flock.protocol.plan import Plan
 
 
@@ -48,7 +48,7 @@ class Moment:
         blocked: places that nobody can take, because a body that does not move is on them.
         clear: places that surely have no such body.
         granted: entries that enough robots have signed together (signed claims only).
-        roll: where everybody was when the mission came, by id [units; frame of the plan]; None where that is not known.
+        roll: where everybody is; None where that is not known, or no news.
         order: of several places of one's own the one with the highest of these is kept (signed claims only).
     """
 
@@ -64,7 +64,7 @@ class Moment:
     blocked: frozenset[int] = frozenset()
     clear: frozenset[int] = frozenset()
     granted: Table | None = None
-    roll: tuple[Point, ...] | None = None
+    roll: Roll | None = None
     order: Callable[[int, Entry], tuple[int, int]] | None = None
 
 

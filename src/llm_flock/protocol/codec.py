@@ -16,6 +16,7 @@ from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages import (
     BLOCKED,
+    LAST_STAMP,
     MAX_BID,
     UNSAID,
     Entry,
@@ -27,7 +28,7 @@ from llm_flock.protocol.messages import (
 )
 from llm_flock.protocol.plan import Plan
 
-WIRE_VERSION = 4
+WIRE_VERSION = 5
 
 FEW = 0.5
 """Claims on up to this share of the slots are few."""
@@ -38,6 +39,7 @@ Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE
 Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
 Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
 """Far more than any honest robot counts, and far enough from the integers of a machine to be raised without harm."""
+Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_STAMP)]
 Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 
 
@@ -73,7 +75,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
     offer: _WireOffer | None
     beats: tuple[Counter, ...] | None
-    roll: dict[Id, tuple[Coordinate, ...]] | None
+    roll: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
 
 
 _ENCODER = msgspec.msgpack.Encoder()
@@ -239,7 +241,7 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
 def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
     if wire.beats is not None and len(wire.beats) != n_robots:
         raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
-    if wire.roll and set(map(len, wire.roll.values())) != {dim}:
+    if wire.roll and not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in wire.roll.values()):
         raise MessageError("wrong_length", f"a position has {dim} coordinates")
     if (wire.plan_digest is None) != (wire.pedigree is None) or (wire.plan is not None and wire.plan_digest is None):
         raise MessageError("malformed", "a plan and its pedigree go together")

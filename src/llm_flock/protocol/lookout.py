@@ -7,7 +7,7 @@ import math
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.gathering import meeting_places
+from llm_flock.protocol.gathering import NEAR, meeting_places, meeting_point
 from llm_flock.protocol.negotiation import Negotiation
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.rollcall import by_roll
@@ -40,6 +40,9 @@ class Lookout:
             slot: own place in it.
         """
         live, table, mission = self._talks.liveness, self._talks.claim.table, self._talks.mission
+        waits, ended = self._wait_for_others(here, plan, slot)
+        if waits is not None:
+            return waits, ended
         places = self._places_for_now(plan)
         notes = self._look_for_others(here, places, slot)
         target = self._search.target
@@ -49,6 +52,19 @@ class Lookout:
         if target is None and places is not plan:
             target = places.points[slot]
         return target, notes
+
+    def _wait_for_others(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
+        """Where a robot of a large team in pieces waits for the others, not searching; None where it does not."""
+        talks, mission = self._talks, self._talks.mission
+        if not talks.roll.waiting or talks.placed:
+            return None, []
+        point = meeting_point(mission, plan, here, talks.roll.others)
+        if point is None:
+            return None, []
+        talks.roll.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
+        searched, self._search = self._search, Search()
+        ended = [Note("search", {"begun": False, "vacant": list(searched.known[1])})] if searched.way else []
+        return point, ended
 
     def _places_for_now(self, plan: Plan) -> Plan:
         """The places of the plan, or where those of a large team in pieces meet first, until they give that up."""

@@ -29,6 +29,16 @@ Entry: TypeAlias = tuple[int, float, int]
 
 Table: TypeAlias = tuple[Entry, ...]
 
+Sighting: TypeAlias = tuple[int, Point, Point]
+"""What a robot says of itself in a roll call: the round of the mission, 0 for when the mission came; where it is then;
+and where it is for the second call, empty before that [units; frame of the mission]."""
+
+Roll: TypeAlias = tuple[int, tuple[Point, ...]]
+"""A complete call: the version of its claims, and where each robot is, by id [units; frame of the mission]."""
+
+LAST_STAMP = 1023
+"""Rounds of sightings are counted up to here."""
+
 UNSAID: Entry = (0, 0.0, NO_OWNER)
 """The lowest entry: merging it changes nothing, so it stands for the slots that a message leaves out."""
 
@@ -102,7 +112,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         table_digest: digest of its whole table (auction only); that of `table` if left out.
         offer: an exchange of places that it offers (auction only).
         beats: how often it has heard each robot's heart beat, by id; None where that is not said.
-        roll: where robots were when the mission came, by id [units; frame of the mission]; None where that is not said.
+        roll: what robots have said in the roll call, by id; None where that is not said.
         plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
     """
 
@@ -121,7 +131,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     table_digest: str | None = None
     offer: Offer | None = None
     beats: tuple[int, ...] | None = None
-    roll: dict[int, Point] | None = None
+    roll: dict[int, Sighting] | None = None
     plan_class: int = 0
 
     def __post_init__(self) -> None:

@@ -21,13 +21,14 @@ from llm_flock.protocol.auction import changed
 from llm_flock.protocol.codec import completed, decode, heartbeats
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
+from llm_flock.protocol.gathering import landing
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Message, Pedigree, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.remaking import Gaps, Remaking
-from llm_flock.protocol.rollcall import RollCall
+from llm_flock.protocol.rollcall import RollCall, by_roll
 from llm_flock.protocol.signing import Signing
 from llm_flock.protocol.speech import Speech, mission_fields
 from llm_flock.protocol.survey import bodies, surveyed
@@ -79,11 +80,12 @@ class Negotiation:
         self._judge = judge
         self._remaking = Remaking(robot, judge, liveness, gaps)
         self._speech = Speech()
-        self._roll = RollCall(robot, mission.n_robots if notary is None else 0)
+        self.roll = RollCall(robot, mission.n_robots if notary is None else 0)
         self._signing = None if notary is None else Signing(robot, notary)
         self.rejected: Counter[str] = Counter() if self._signing is None else self._signing.ledger.refused
         self._proofs: dict[int, Proofs] = {}
         self._inbox: dict[int, Message] = {}
+        self._unplaced: set[int] = set()
         self._beats: list[NDArray[np.int64]] = []
         self._plans: dict[str, Plan] = {}
         self._no_plan: NoAnswer | None = None
@@ -115,7 +117,8 @@ class Negotiation:
         self._survey_due = True
         self.liveness.begin_round(round_number, near)
         self._speech.begin_round(near, neighbors)
-        self._roll.begin_round()
+        self.roll.begin_round()
+        self._unplaced.clear()
 
     # ---------------------------------------------------------------- mission
 
@@ -127,7 +130,7 @@ class Negotiation:
         self.claim = Claim(slot=None)
         self._inbox, self._plans = {}, {}
         self._remaking.reset()
-        self._roll.begin()
+        self.roll.begin()
         if self._signing is not None:
             self._proposals = 0  # bounded for each mission
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
@@ -245,9 +248,14 @@ class Negotiation:
             blocked=blocked,
             clear=clear,
             granted=granted,
-            roll=None if self.liveness.silent else self._roll.places(self.plan),
+            roll=None if self.liveness.silent else self.roll.complete(self.plan),
             order=order,
         )
+
+    @property
+    def placed(self) -> bool:
+        """Whether a roll call has given places to this robot and all that it has heard in this round."""
+        return by_roll(self.claim.table, self.claim.slot) and not self._unplaced
 
     @property
     def bodies(self) -> tuple[Point, ...]:
@@ -263,6 +271,13 @@ class Negotiation:
 
     # ---------------------------------------------------------------- messages
 
+    @property
+    def _waits_at(self) -> Point | None:
+        """Where this robot waits for others, or comes to wait [units; frame of the mission]; None where it does not."""
+        if self.plan is None or not self.roll.waiting:
+            return None
+        return landing(self.mission, self.plan, self._position)
+
     def broadcast(self) -> bytes:
         """The own standing as bytes, which are made anew only when there is something new to say."""
         whole = Message(
@@ -276,7 +291,13 @@ class Negotiation:
             table=self.claim.table,
             table_digest=self._speech.digest(self.claim.table),
             offer=self.claim.offer,
-            roll=self._roll.say(self._position, greeting=self._speech.greets),
+            roll=self.roll.say(
+                self._position,
+                waits_at=self._waits_at,
+                greeting=self._speech.greets,
+                settled=by_roll(self.claim.table, self.claim.slot),
+                spacing=self.mission.spacing,
+            ),
         )
         payload = self._speech.say(whole, self.mission, self.liveness)
         if self._signing is None:
@@ -314,7 +335,7 @@ class Negotiation:
         if message.mission != self.stamp:
             return notes
         if message.roll is not None:
-            self._roll.hear(message.roll)
+            self.roll.hear(message.roll)
         plan = message.plan
         objection = self._judge.objection(plan)
         if objection is not None and plan is not None:
@@ -365,6 +386,8 @@ class Negotiation:
         if not notes and self.plan is not None:
             self._claims(self._assignment.update(self.claim, self._moment(adopted=True, heard=heard)))
         self._survey_due = False
+        self._unplaced -= {m.sender for m in heard}
+        self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not by_roll(m.table, m.slot)}
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         return notes
