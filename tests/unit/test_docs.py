@@ -47,11 +47,13 @@ def mentioned_targets(line: str) -> list[str]:
 
 def commands() -> dict[str, set[str]]:
     """Every command of the command line, with the options that it takes."""
+
+    def options(command: Any) -> set[str]:
+        own = {"--help"} | {opt for param in command.params for opt in (*param.opts, *param.secondary_opts)}
+        return own.union(*(options(part) for part in getattr(command, "commands", {}).values()))
+
     group: Any = typer.main.get_command(app)
-    return {
-        name: {"--help"} | {opt for param in command.params for opt in (*param.opts, *param.secondary_opts)}
-        for name, command in group.commands.items()
-    }
+    return {name: options(command) for name, command in group.commands.items()}
 
 
 def faults_in(line: str, known: dict[str, set[str]]) -> list[str]:

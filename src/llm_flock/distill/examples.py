@@ -42,11 +42,10 @@ PATHS = 0.15
 """Share of the motion questions that ask for a path."""
 
 TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
-    ("triangle", (3, 6)),
-    ("square", (4, 8)),
-    ("circle", (3, 4, 5, 6, 7, 8, 10)),
+    ("triangle", (3,)),
+    ("square", (4,)),
     ("cross", (5,)),
-    ("line", (2, 3, 4, 5)),
+    ("circle", (5, 10)),
 )
 """Shapes and numbers of places whose plans are taught."""
 

@@ -15,6 +15,9 @@ from llm_flock.errors import InputError
 POOL = 80
 """So many batches are put together at a time: sorted within, in random order among one another."""
 
+ALIKE = 40
+"""So many first tokens decide which rows are put together; beyond them rows may differ, and batches are as varied."""
+
 
 def write_examples(path: Path, examples: Iterable[Example]) -> int:
     """Write examples as JSON lines; gives their number."""
@@ -108,7 +111,7 @@ def plan_epoch(rows: Sequence[Row], budget: int, rng: np.random.Generator) -> li
     pool = max(1, POOL * budget // typical)
     batches: list[list[int]] = []
     for begin in range(0, len(order), pool):
-        chosen = sorted(order[begin : begin + pool], key=lambda i: rows[i].prompt)
+        chosen = sorted(order[begin : begin + pool], key=lambda i: rows[i].prompt[:ALIKE])
         batches += _cut([rows[i] for i in chosen], chosen, budget)
     return [batches[i] for i in rng.permutation(len(batches))]
 
