@@ -12,8 +12,9 @@ import shutil
 import socket
 import tempfile
 import threading
+import time
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -33,6 +34,9 @@ WORK_BYTES = 256 * 2**20
 """Memory of the engine beside weights and cache, generously [bytes]."""
 
 STOPPED = "the engine was stopped"
+
+CLOSE_S = 10.0
+"""Longest wait for answers that are cut short; an engine that hangs must not keep the process from its end."""
 
 QUIET = -1
 """The engine's level of logging: nothing."""
@@ -76,7 +80,8 @@ class Engine:
         self.weights = weights
         self.context = context
         self.slots = slot_count()
-        self._threads = ThreadPoolExecutor(self.slots, thread_name_prefix="engine")
+        self._places = threading.Semaphore(self.slots)
+        self._threads: set[threading.Thread] = set()
         self._closing = threading.Event()
         self._folder = Path(tempfile.mkdtemp(prefix="llm-flock-"))
         try:
@@ -122,7 +127,21 @@ class Engine:
         Returns:
             the answer; the future fails with ModelError where there is none.
         """
-        return self._threads.submit(self._ask, dict(body), stop)
+        answer: Future[Told] = Future()
+        # Daemons: whatever the engine does, the process can end.
+        thread = threading.Thread(target=self._work, args=(answer, dict(body), stop), name="engine", daemon=True)
+        self._threads.add(thread)
+        thread.start()
+        return answer
+
+    def _work(self, answer: Future[Told], body: dict[str, Any], stop: threading.Event) -> None:
+        with self._places:
+            if answer.set_running_or_notify_cancel():
+                try:
+                    answer.set_result(self._ask(body, stop))
+                except Exception as error:  # noqa: BLE001 - nothing is swallowed: who waits for the answer gets it
+                    answer.set_exception(error)
+        self._threads.discard(threading.current_thread())
 
     def _ask(self, body: dict[str, Any], stop: threading.Event) -> Told:
         text: list[str] = []
@@ -156,7 +175,9 @@ class Engine:
     def close(self) -> None:
         """Stop at once, cutting short what is being answered; may be called again."""
         self._closing.set()
-        self._threads.shutdown(wait=True, cancel_futures=True)
+        end = time.monotonic() + CLOSE_S
+        for thread in tuple(self._threads):
+            thread.join(max(0.0, end - time.monotonic()))
         self._server = None  # the last reference: the engine's own threads end with it
         shutil.rmtree(self._folder, ignore_errors=True)
 
