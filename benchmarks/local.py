@@ -1,7 +1,8 @@
 """A model on board: whole missions on this machine's processor, without a network.
 
 python -m benchmarks local          missions of three and five robots, and how fast the engine is
-python -m benchmarks local-ten      a circle of ten that asks on events only: duration and memory, in an own process
+python -m benchmarks local-ten      a circle of ten that asks on events only, planned by geometry where the model cannot:
+                                    duration and memory, in an own process
 python -m benchmarks local-table    the same missions with stock weights, with the adapter, and with ideal stand-ins
 """
 
@@ -115,7 +116,8 @@ def ten() -> None:
 
 def _ten() -> None:
     began = time.perf_counter()
-    flown = fly(TRAINED, "circle", 10, range(1), decide="on-event")
+    # Plans of ten places are more than the packaged adapter has learnt: geometry stands in for them, and is counted.
+    flown = fly(TRAINED, "circle", 10, range(1), decide="on-event", fallback="geometry")
     seconds = time.perf_counter() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(json.dumps({"row": flown.row("circle", 10), "seconds": seconds, "peak_mib": peak}))
