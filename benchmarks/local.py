@@ -1,7 +1,7 @@
 """A model on board: whole missions on this machine's processor, without a network.
 
 python -m benchmarks local          missions of three and five robots, and how fast the engine is
-python -m benchmarks local-ten      a circle of ten that asks on events only, planned by geometry where the model cannot:
+python -m benchmarks local-ten      a circle of ten, asked on events only, planned by geometry where the model cannot:
                                     duration and memory, in an own process
 python -m benchmarks local-table    the same missions with stock weights, with the adapter, and with ideal stand-ins
 """
