@@ -5,14 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.auction import AuctionAssignment, gain
-from llm_flock.protocol.messages import LAST_STAMP, NO_OWNER, UNSAID, Message, Pedigree, Roll, Sighting
+from llm_flock.protocol.codec import encode
+from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.events import Received, RoundBegan
+from llm_flock.protocol.messages import LAST_STAMP, NO_OWNER, UNSAID, Message, Pedigree, Roll, Sighting, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.rollcall import (
     LARGEST,
@@ -240,3 +246,16 @@ def test_a_place_of_the_roll_is_not_handed_on_along_the_formation(version: int, 
 
 def test_an_entry_left_out_is_below_every_roll() -> None:
     assert not by_roll((UNSAID,), 0) and not by_roll(((VERSION, 0.0, 3),), None)
+
+
+def test_a_robot_keeps_what_it_hears_of_the_roll() -> None:
+    mission = Mission(shape="circle", n_robots=N, spacing=6.0)
+    agent = Agent(0, mission, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    agent.handle(RoundBegan(round=1, position=(48.0, 50.0), neighbors=1, sensed={1: (50.0, 50.0)}, observed=()))
+    heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
+    message = Message(sender=1, sequence=0, neighbors=1, mission=Stamp(0, mission.digest), roll=heard)
+    agent.handle(Received(encode(message)))
+    assert {robot: agent._talks.roll.known[robot] for robot in heard} == heard
+    elsewhere = msgspec.structs.replace(message, mission=Stamp(0, "0" * 16), roll={3: (0, (9.0, 9.0), ())})
+    agent.handle(Received(encode(elsewhere)))
+    assert 3 not in agent._talks.roll.known
