@@ -271,15 +271,9 @@ class Negotiation:
 
     # ---------------------------------------------------------------- messages
 
-    @property
-    def _waits_at(self) -> Point | None:
-        """Where this robot waits for others, or comes to wait [units; frame of the mission]; None where it does not."""
-        if self.plan is None or not self.roll.waiting:
-            return None
-        return landing(self.mission, self.plan, self._position)
-
     def broadcast(self) -> bytes:
         """The own standing as bytes, which are made anew only when there is something new to say."""
+        plan = self.plan if self.roll.waiting else None
         whole = Message(
             sender=self._robot,
             sequence=0,
@@ -293,7 +287,7 @@ class Negotiation:
             offer=self.claim.offer,
             roll=self.roll.say(
                 self._position,
-                waits_at=self._waits_at,
+                waits_at=None if plan is None else landing(self.mission, plan, self._position),
                 greeting=self._speech.greets,
                 settled=by_roll(self.claim.table, self.claim.slot),
                 spacing=self.mission.spacing,
