@@ -6,11 +6,16 @@ import pytest
 from one_flight import LINE, PLAN, Flight, make, says
 
 from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.assignment import Claim, Moment
+from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.consensus import PedigreeConsensus
 from llm_flock.protocol.events import (
     Arrived,
     AskStep,
     Decided,
     Effect,
+    Looked,
     MissionGiven,
     MoveTo,
     NegotiationEnded,
@@ -151,3 +156,39 @@ def test_along_a_path_in_a_moving_frame_the_robot_asks_once_and_keeps_its_place(
         flight.here = move.waypoint
         flight.agent.handle(Arrived())
     assert asked == 1
+
+
+class Counting:
+    """An auction that counts how often it is asked."""
+
+    name = "counting"
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def take(self, now: Moment) -> Claim:
+        return AuctionAssignment().take(now)
+
+    def update(self, claim: Claim, now: Moment) -> Claim:
+        self.asked += 1
+        return AuctionAssignment().update(claim, now)
+
+
+def test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new() -> None:
+    rule = Counting()
+    agent = Agent(0, LINE, PedigreeConsensus(), rule, shield_on=True, verify=False, time_out=2)
+    flight = Flight(agent)
+    flight.begin({1: PLAN.points[2]})
+    same = says(1, plan=PLAN)
+    for _ in range(6):
+        flight.tick(same)
+    settled = rule.asked
+    assert settled < 6
+    flight.tick(same)
+    assert rule.asked == settled
+    other = says(1, (0, 5, 0), plan=PLAN)
+    flight.tick(other)
+    assert rule.asked == settled + 1, "another message"
+    agent.handle(Looked(position=(30.0, 50.0), neighbors=1, sensed={1: PLAN.points[2]}, observed=()))
+    flight.tick(other)
+    assert rule.asked == settled + 2, "another position"

@@ -24,7 +24,7 @@ from llm_flock.protocol.events import Note
 from llm_flock.protocol.gathering import landing
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Message, Pedigree, Stamp
+from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Message, Pedigree, Sighting, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.remaking import Gaps, Remaking
@@ -95,6 +95,7 @@ class Negotiation:
         self._sensed: Mapping[int, Point] = {}
         self._told_of_bodies = False
         self._survey_due = False
+        self._settled: tuple[object, ...] = ()
 
     def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """What the sensors say.
@@ -214,7 +215,8 @@ class Negotiation:
 
     def _claims(self, claim: Claim) -> None:
         """Have a claim, and sign what is new in it."""
-        self.claim = claim
+        if claim != self.claim:
+            self.claim = claim
         if self._signing is not None:
             self._signing.ledger.attest(claim)
 
@@ -274,6 +276,21 @@ class Negotiation:
     def broadcast(self) -> bytes:
         """The own standing as bytes, which are made anew only when there is something new to say."""
         plan = self.plan if self.roll.waiting else None
+        roll = self.roll.say(
+            self._position,
+            waits_at=None if plan is None else landing(self.mission, plan, self._position),
+            greeting=self._speech.greets,
+            settled=by_roll(self.claim.table, self.claim.slot),
+            spacing=self.mission.spacing,
+        )
+        payload = self._speech.again(self.neighbors, self.stamp, self.plan, self.pedigree, self.claim)
+        if payload is None or roll is not None:
+            payload = self._say_anew(roll)
+        if self._signing is None:
+            return payload
+        return self._signing.say(payload, decode(payload, self.mission.n_robots, self.mission.dim))
+
+    def _say_anew(self, roll: dict[int, Sighting] | None) -> bytes:
         whole = Message(
             sender=self._robot,
             sequence=0,
@@ -285,18 +302,9 @@ class Negotiation:
             table=self.claim.table,
             table_digest=self._speech.digest(self.claim.table),
             offer=self.claim.offer,
-            roll=self.roll.say(
-                self._position,
-                waits_at=None if plan is None else landing(self.mission, plan, self._position),
-                greeting=self._speech.greets,
-                settled=by_roll(self.claim.table, self.claim.slot),
-                spacing=self.mission.spacing,
-            ),
+            roll=roll,
         )
-        payload = self._speech.say(whole, self.mission, self.liveness)
-        if self._signing is None:
-            return payload
-        return self._signing.say(payload, decode(payload, self.mission.n_robots, self.mission.dim))
+        return self._speech.say(whole, self.mission, self.liveness)
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
         """Keep the newest message of each sender for this tick; refuse what is not acceptable, and say so.
@@ -368,6 +376,10 @@ class Negotiation:
         self._beats = []
         heard = [self._inbox[sender] for sender in sorted(self._inbox)]
         self._inbox = {}
+        grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed, *heard)
+        if grounds == self._settled and not (self._survey_due or self.roll.called or self._signing):
+            return []  # rules that are asked the same again, right after they changed nothing, have the same to say
+        self._settled = ()
         own = Standing(
             plan=self.plan,
             pedigree=self.pedigree,
@@ -384,6 +396,8 @@ class Negotiation:
         self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not by_roll(m.table, m.slot)}
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
+        if not notes and self.claim is grounds[0] and self.claim.offer is None:
+            self._settled = grounds
         return notes
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:

@@ -95,13 +95,14 @@ class RollCall:
         return self._later and MANY < self._n <= LARGEST and self._waited <= PATIENCE
 
     @property
-    def _called(self) -> bool:
+    def called(self) -> bool:
+        """Whether a roll call is under way."""
         return self.waiting or (self._n > MANY and not self._later)
 
     def begin_round(self) -> None:
         """Another round has begun."""
         self._round += 1
-        if self._round == ROUNDS + 1 or not self._called:
+        if self._round == ROUNDS + 1 or not self.called:
             self._known, self._news = {}, {}
 
     def wait(self, *, there: bool) -> None:
@@ -114,9 +115,11 @@ class RollCall:
 
     def hear(self, said: Mapping[int, Sighting]) -> None:
         """Take in what a neighbour knows."""
-        if not self._called:
+        if not self.called:
             return
         known, later = self._known, self._later
+        if not later and said.keys() <= known.keys():
+            return  # the first call takes down everybody once: who knows all of them need not look inside
         new = {
             robot: seen
             for robot, seen in said.items()
@@ -131,7 +134,7 @@ class RollCall:
     def complete(self, plan: Plan) -> Roll | None:
         """Where everybody is, once for each plan, when a call is complete."""
         known, later = self._known, self._later
-        if not self._called or len(known) < self._n or self._taken == plan.digest:
+        if not self.called or len(known) < self._n or self._taken == plan.digest:
             return None
         if later and not all(mark for _, _, mark in known.values()):
             return None
@@ -153,10 +156,10 @@ class RollCall:
         """
         mine = self._known.get(self._robot)
         if self._later:
-            if not self._called or settled or waits_at is None:
+            if not self.called or settled or waits_at is None:
                 return None
             self._tell(mine, _rounded(waits_at), MOVED * spacing)
-        elif self._called:
+        elif self.called:
             self.hear({self._robot: (0, _rounded(position), ())})
         said, self._news = dict(self._known if greeting else self._news), {}
         return said or None

@@ -52,6 +52,11 @@ def mission_fields(text: str) -> dict[str, Any]:
     return fields
 
 
+def _known_by(message: Message) -> tuple[object, ...]:
+    """What a neighbour shows to know: by this is chosen what to tell it."""
+    return message.mission, message.plan_digest, message.table_digest
+
+
 class Speech:
     """What one robot has said and what it knows of its neighbours' knowledge."""
 
@@ -68,6 +73,8 @@ class Speech:
         self._said: Message | None = None
         self._sequence = 0
         self._payload = b""
+        self._standing: tuple[object, ...] = ()
+        self._news = True
 
     def begin_round(self, around: frozenset[int], neighbors: int) -> None:
         """Neighbours come and go between rounds: forget who was not heard in the last one.
@@ -83,6 +90,9 @@ class Speech:
 
     def hear(self, message: Message) -> None:
         """Remember what a neighbour has."""
+        before = self._peers.get(message.sender)
+        if before is None or any(map(operator.ne, _known_by(before), _known_by(message))):
+            self._news = True
         self._peers[message.sender] = message
         self._heard.add(message.sender)
 
@@ -90,6 +100,16 @@ class Speech:
     def greets(self) -> bool:
         """Whether the next broadcast is the first of a round."""
         return self._greeting
+
+    def again(self, *standing: object) -> bytes | None:
+        """The last bytes once more; None where something is new, or this robot stands otherwise than it did then.
+
+        Args:
+            standing: all that `whole` is made of but the roll; the same objects stand for the same.
+        """
+        same = len(standing) == len(self._standing) and all(map(operator.is_, standing, self._standing))
+        self._standing = standing
+        return self._payload if same and not (self._news or self._greeting) else None
 
     def say(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
         """The bytes to send; equal ones as long as there is nothing else to say.
@@ -109,7 +129,7 @@ class Speech:
         spell_plan = plan is not None and (
             meets or self._plan_said != plan.digest or any(m.plan_digest != plan.digest for m in peers)
         )
-        self._plan_said = None if plan is None else plan.digest
+        before, self._plan_said = self._plan_said, None if plan is None else plan.digest
         part, said = self._part(whole, meets=meets, greeting=greeting)
         message = replace(
             whole,
@@ -127,6 +147,8 @@ class Speech:
             self._said = message
             self._payload = encode(replace(message, sequence=self._sequence))
             self._sequence += 1
+        # A greeting, a roll, and what has just changed are not said again in the next tick.
+        self._news = greeting or whole.roll is not None or any(self._changed) or before != self._plan_said
         return self._payload
 
     def _agrees(self, heard: Message, whole: Message) -> bool:
