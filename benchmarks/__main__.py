@@ -18,7 +18,8 @@
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
 
-Each figure is the smallest and the median of several runs; the bar stands beside it.
+Each figure is the smallest and the median of several runs; the bar stands beside it. First comes how long a loop in plain
+Python takes: machines differ, and the same one differs by a factor of two from day to day if it is shared.
 """
 
 from __future__ import annotations
@@ -64,6 +65,18 @@ def report(name: str, bar: float, unit: str, measure: Callable[[], float], runs:
     measure()
     values = [measure() for _ in range(runs)]
     print(f"{name:58} min {min(values):6.3f}  median {statistics.median(values):6.3f} {unit}   bar {bar:g}", flush=True)
+
+
+def yardstick() -> None:
+    """A loop in plain Python, to tell how fast the machine is at the moment."""
+
+    def loop_s() -> float:
+        began, total = time.process_time(), 0
+        for i in range(2_000_000):
+            total += i * i
+        return time.process_time() - began
+
+    print(f"this machine: two million squares summed in {min(loop_s() for _ in range(5)):.3f} s of its processor")
 
 
 def overhead() -> None:
@@ -145,5 +158,6 @@ LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.t
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":
+    yardstick()
     for part in sys.argv[1:] or list(PARTS):
         (PARTS | LONG)[part]()

@@ -305,6 +305,11 @@ MUTANTS: Sequence[Mutant] = (
         "unit/test_projection.py::test_a_side_that_is_not_violated_is_never_eased",
     ),
     Mutant(
+        *("skipping", "Rules are asked whenever something is new", "where the robot is does not count"),
+        *(TALKS, "self.neighbors, self._position, self._sensed, *heard)", "self.neighbors, *heard)"),
+        f"{T_TALKS}::test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new",
+    ),
+    Mutant(
         *("age", "A sighting's age widens the margin", "the age is left out"),
         *(ASYNC, "speed * (other.age_s + period_s)", "speed * period_s"),
         "property/test_shield_async.py::test_age_and_error_widen_the_margin_and_too_much_of_them_is_standing_still",
