@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, SpinnerColumn, TextColumn
@@ -123,9 +124,9 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
         found = {"name": sweep.file.sweep.name, "trials": len(sweep.trials), "left": sum(left.values())}
         print(json.dumps({**found, "expected": asdict(total), "cells": cells}, allow_nan=False))
         return
-    table = Table(title=escape(sweep.file.sweep.name), title_justify="left")
+    table = Table(title=escape(sweep.file.sweep.name), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("cell", overflow="fold")
-    for name in ("trials left", "calls", "at most", "tokens in", "tokens out", "cost [USD]"):
+    for name in ("trials\nleft", "calls", "at most", "tokens\nin", "tokens\nout", "cost\n(USD)"):
         table.add_column(name, justify="right", no_wrap=True)
     for cell, count in left.items():
         table.add_row(escape(cell), *_figures(count, expected[cell].times(count)))
