@@ -117,8 +117,8 @@ MUTANTS: Sequence[Mutant] = (
     ),
     # ---------------------------------------------------------------- distinct places
     Mutant(
-        *("version", "A higher version wins", "entries are ranked without their version"),
-        *(AUCTION, "return (version, owner != NO_OWNER, bid, -owner)", "return (owner != NO_OWNER, bid, -owner)"),
+        *("version", "A higher version wins", "one with a lower bid does not"),
+        *(AUCTION, "if their[0] > my[0] or (", "if ("),
         f"{T_AUCTION}::test_merge_is_a_join",
     ),
     Mutant(
