@@ -165,6 +165,19 @@ def test_a_separation_that_rounding_made_too_small_is_no_violation() -> None:
     assert row(CELL, [good(0, min_separation=3 - 2e-6)]).violations == 1
 
 
+def test_robots_that_begin_too_near_are_told_apart_from_what_the_protocol_did() -> None:
+    near = {"start_violations": 2, "min_separation": 0.5}
+    found = row(
+        CELL, [good(0), good(1, **near, min_separation_after_start=3.1), good(2, min_separation_after_start=3.2)]
+    )
+    assert (found.min_separation, found.violations) == (0.5, 1)
+    assert (found.unsafe_starts, found.min_separation_after_start) == (1, 3.1)
+    assert "1 of 3 began with two robots too near each other; smallest separation once they had come apart: 3.1" in (
+        markdown([found])
+    )
+    assert "too near" not in markdown([row(CELL, [good(0)])])
+
+
 def test_a_team_in_place_from_the_start_has_a_ratio() -> None:
     assert row(CELL, [good(0, rounds_to_formed=1, lower_bound_rounds=0)]).ratio == 1.0
 

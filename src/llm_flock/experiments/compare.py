@@ -65,6 +65,8 @@ class Row:
         ratio: median of rounds_to_formed / lower_bound_rounds over the formed trials, a bound of 0 counted as 1.
         min_separation: smallest separation in any trial, along segments too [units]; None for teams of one.
         violations: trials in which two robots were nearer than safe_distance by more than 1e-6.
+        unsafe_starts: trials in which two robots were too near each other before they began.
+        min_separation_after_start: as min_separation, but these pairs counted only once they had come apart [units].
         calls: model calls per robot and trial: mean with Student's 95 % interval; None if all trials broke off.
         waypoints: waypoints flown in all trials, by who made them.
         failed_seeds: every trial that is not in `formed`.
@@ -82,6 +84,8 @@ class Row:
     ratio: float | None
     min_separation: float | None
     violations: int
+    unsafe_starts: int
+    min_separation_after_start: float | None
     calls: Estimate | None
     waypoints: dict[str, int]
     failed_seeds: tuple[int, ...]
@@ -183,6 +187,7 @@ def row(cell: Cell, outcomes: Sequence[Outcome]) -> Row:
     formed = [s for s in known if s.formed]
     flown = [(s.rounds_to_formed or 0, s.lower_bound_rounds or 0) for s in formed]
     separations = [s.min_separation for s in known if s.min_separation is not None]
+    later = [s.min_separation_after_start for s in known if s.min_separation_after_start is not None]
     limit = cell.config.mission.safe_distance - TOLERANCE
     errors: dict[str, str] = {}
     for outcome in outcomes:
@@ -200,6 +205,8 @@ def row(cell: Cell, outcomes: Sequence[Outcome]) -> Row:
         ratio=median([rounds / max(1, bound) for rounds, bound in flown]),
         min_separation=min(separations, default=None),
         violations=sum(separation < limit for separation in separations),
+        unsafe_starts=sum(s.start_violations > 0 for s in known),
+        min_separation_after_start=min(later, default=None),
         calls=mean_interval([s.model_calls / s.n_robots for s in known]),
         waypoints=dict(sorted(sum((Counter(s.waypoints) for s in known), Counter[str]()).items())),
         failed_seeds=tuple(o.seed for o in outcomes if not o.formed),

@@ -38,6 +38,8 @@ FIGURES = (
     "rounds",
     "procrustes_mean",
     "min_separation",
+    "start_violations",
+    "min_separation_after_start",
     "plans_in_use",
     "distinct_goals",
     "model_calls",
@@ -95,12 +97,17 @@ def _shares(counts: dict[str, int]) -> str:
 
 
 def _notes(row: Row) -> list[str]:
+    name = f"{row.protocol} {row.shape} {row.n_robots}"
+    lines: list[str] = []
+    if row.unsafe_starts:
+        later = _number(row.min_separation_after_start, ".6f")
+        lines += ["", f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"]
+        lines[-1] += f" smallest separation once they had come apart: {later}"
     if not row.failed_seeds:
-        return []
+        return lines
     seeds = ", ".join(map(str, row.failed_seeds[:SHOWN_SEEDS]))
     more = len(row.failed_seeds) - SHOWN_SEEDS
-    name = f"{row.protocol} {row.shape} {row.n_robots}"
-    lines = ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
+    lines += ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
     lines[-1] += f", and {more} more" if more > 0 else ""
     if row.broken:
         lines += ["", f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"]
