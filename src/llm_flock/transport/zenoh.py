@@ -4,7 +4,8 @@ Every process is a peer that listens on its own endpoint and connects to a few o
 tells it the rest, and all link up with all. So a seed that dies takes nobody with it. A lease of two seconds ends a
 link whose other side says nothing any more; a process that ends is noticed within milliseconds.
 
-zenoh calls back from threads of its own. `Link` hands everything over to the event loop, where payloads are opened.
+zenoh calls back from its own threads, straight from where the bytes came in: a thread in between for each subscription
+would be woken for each message. `Link` hands everything over to the event loop, where payloads are opened.
 """
 
 from __future__ import annotations
@@ -77,6 +78,13 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
         raise InputError("listen", values.get("listen/endpoints"), f"endpoints that can be opened ({error})") from None
 
 
+def _straight(take: Callable[[zenoh.Sample], None]) -> Any:
+    """A handler that is called in the thread in which a sample came in, and has to be quick."""
+    from zenoh.handlers import Callback
+
+    return Callback(take, indirect=False)
+
+
 @dataclass(slots=True)
 class LinkTraffic:
     """What one process has sent, each payload once, and what it refused to open."""
@@ -140,7 +148,7 @@ class Link:
             self._call(self._take, str(sample.key_expr), kind, number, sample.payload.to_bytes(), handler)
 
         key = f"{self._root}/{kind}/{'*' if number is None else number}"
-        self._kept.append(self._session.declare_subscriber(key, take))
+        self._kept.append(self._session.declare_subscriber(key, _straight(take)))
 
     def _call(self, function: Callable[..., None], *args: Any) -> None:
         """From a thread of zenoh's: have the loop call this; it is woken once for all that comes meanwhile."""
@@ -188,7 +196,7 @@ class Link:
                 self._call(handler, int(number), sample.kind == zenoh.SampleKind.PUT)
 
         key = f"{self._root}/alive/*"
-        self._kept.append(self._session.liveliness().declare_subscriber(key, take, history=True))
+        self._kept.append(self._session.liveliness().declare_subscriber(key, _straight(take), history=True))
 
     def close(self) -> None:
         """Leave the network."""

@@ -7,6 +7,7 @@ thread and no session. Whoever it started dies with it, and it dies with the lau
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 import os
@@ -30,6 +31,7 @@ def main() -> None:
     """Serve until the launcher closes the line."""
     end_with(os.getppid())
     children: dict[int, str] = {}
+    gc.freeze()  # a collection in a child would look through all that was imported, and copy every page of it
     _tell(ready=True)
     while True:
         readable, _, _ = select.select([sys.stdin.buffer], [], [], REAP_S)

@@ -14,6 +14,7 @@ from llm_flock.runtime.network.body import Pilotage
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.joining import load_keys, open_link
 from llm_flock.runtime.network.mind import Mind
+from llm_flock.runtime.network.pace import Beat, phase_s
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Beacon, Frame, Order, Report, pack, unpack
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
@@ -161,27 +162,33 @@ class Robot:
 
     async def _shine(self) -> None:
         """Tell who is near where the body is and where it will stop."""
+        network = self._config.network
+        beat = Beat(network.beacon_s, phase_s(self._robot, self._config.mission.n_robots, network.gossip_s))
         while True:
+            await beat.next()
             position, end = self.body.position, self.body.end
             if position is not None and end is not None:
                 beacon = Beacon(stamp=time.time(), position=position, end=end)
                 self._link.publish("beacon", self._robot, pack(beacon))
-            await asyncio.sleep(self._config.network.beacon_s)
 
     async def _control(self) -> None:
-        """Project the way anew in every control period."""
-        network = self._config.network
+        """Project the way anew in every control period, or with the next news where there was nothing to command."""
+        body = self.body
         while True:
-            now = time.time()
-            command = self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
+            now, command = time.time(), None
+            if body.is_free(now):
+                command = body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
             if command is None:
-                await asyncio.sleep(network.control_s / 4)
-                continue
-            self._link.publish("command", self._robot, pack(command))
-            await asyncio.sleep(network.control_s)
+                body.news.clear()
+                await body.news.wait()
+            else:
+                self._link.publish("command", self._robot, pack(command))
+                await asyncio.sleep(self._config.network.control_s)
 
     async def _report(self) -> None:
+        beat = Beat(REPORT_S, phase_s(self._robot, self._config.mission.n_robots, self._config.network.gossip_s))
         while True:
+            await beat.next()
             calls, self._calls = self._calls, []
             latencies_s, self._latencies_s = self._latencies_s, []
             fields = self.mind.report(known=self._known, calls=calls, latencies_s=latencies_s)
@@ -191,7 +198,6 @@ class Robot:
             size = traffic.bytes["say"] + traffic.bytes["beacon"]
             report = Report(stamp=time.time(), sent=sent, bytes=size, **fields)
             self._link.publish("report", self._robot, pack(report))
-            await asyncio.sleep(REPORT_S)
 
     async def _divide(self) -> None:
         """For tests: do not hear the other half of the ids for a while."""
