@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 ROOT = "llm-flock"
 MAX_SEALED_BYTES = 1 << 20
 """Nothing larger is opened [bytes]; what robots say to each other has a limit of its own, far below."""
+
+THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), app: (handover: tx))"
+"""zenoh's threads: one that receives and one for all else. With more, each message wakes two or three of them."""
 
 KEEP_ALIVES = 4
 """So many signs of life per lease."""
@@ -65,6 +69,7 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
     Raises:
         InputError: zenoh is not installed, or does not take the configuration (an endpoint that is in use, say).
     """
+    os.environ.setdefault("ZENOH_RUNTIME", THREADS)
     try:
         import zenoh
     except ImportError:
