@@ -40,7 +40,7 @@ async def publish(config: SwarmConfig, member: int) -> None:
     try:
         for _ in range(20):
             for robot in range(N):
-                link.publish("mission", robot, pack(Order(fields={"shape": "square"}, counter=2**31)))
+                link.publish("mission", robot, pack(Order(fields={"shape": "triangle"}, counter=2**31)))
             await asyncio.sleep(0.1)
     finally:
         link.close()
@@ -56,8 +56,9 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
         config, observer = swarm.config, swarm.observer
         while not formed(observer):  # noqa: ASYNC110 - nobody sets an event
             await asyncio.sleep(0.1)
-        assert (await command(config, tmp_path, None))[0] == 2
-        assert (await command(config, tmp_path, str(tmp_path / "others")))[0] == 2
+        for foreign in (None, str(tmp_path / "others")):
+            code, said = await command(config, tmp_path, foreign)
+            assert code == 2 and "nobody was there" in said, said
         await publish(config, WATCHER)
         await publish(config, OPERATOR)
         rejected = sum(report.rejected.get("no_order", 0) for report in observer.reports.values())
@@ -73,6 +74,6 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
     def again(observer: Observer) -> bool:
         return formed(observer) and observer.mission.shape == "line"
 
-    result = fly(swarm_config(N, keys=keys), give, until=again)
+    result = fly(swarm_config(N, keys=keys, max_s=180.0), give, until=again)
     assert result.formed and steps == ["refused", "taken"]
     assert result.min_separation > 3.0 - 1e-6
