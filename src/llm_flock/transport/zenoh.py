@@ -85,9 +85,9 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
 
 def _straight(take: Callable[[zenoh.Sample], None]) -> Any:
     """A handler that is called in the thread in which a sample came in, and has to be quick."""
-    from zenoh.handlers import Callback
+    import zenoh
 
-    return Callback(take, indirect=False)
+    return zenoh.handlers.Callback(take, indirect=False)
 
 
 @dataclass(slots=True)
