@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
 from llm_flock.protocol.codec import encode
@@ -10,7 +11,13 @@ from llm_flock.protocol.messages import Message
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
 from llm_flock.runtime.network.joining import open_link
 from llm_flock.runtime.network.swarm import launched
+from llm_flock.runtime.network.wire import Beacon, Saying, pack
 from llm_flock.trust.keys import make_keys
+
+
+def saying(message: Message) -> bytes:
+    beacon = Beacon(stamp=time.time(), position=(50.0, 50.0), end=(50.0, 50.0))
+    return pack(Saying(beacon=beacon, message=encode(message)))
 
 
 async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
@@ -21,10 +28,11 @@ async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
         member = open_link(swarm.config, 3, listen="tcp/127.0.0.1:0")
         try:
             stranger.listen("say", None, lambda _, payload: heard.append(payload))
+            said = saying(Message(sender=1, sequence=0, neighbors=0))
             for _ in range(20):
-                stranger.publish("say", 2, encode(Message(sender=2, sequence=0, neighbors=0)))
-                member.publish("say", 1, encode(Message(sender=1, sequence=0, neighbors=0)))
-                member.publish("say", 3, encode(Message(sender=1, sequence=0, neighbors=0)))
+                stranger.publish("say", 2, saying(Message(sender=2, sequence=0, neighbors=0)))
+                member.publish("say", 1, said)
+                member.publish("say", 3, said)
                 await asyncio.sleep(0.1)
             stopped = await swarm.run()
             result = swarm.result(stopped, None)

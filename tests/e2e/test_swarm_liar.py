@@ -27,7 +27,7 @@ from llm_flock.protocol.warrants import (
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.joining import load_keys, open_link
 from llm_flock.runtime.network.swarm import SwarmResult, launched
-from llm_flock.runtime.network.wire import Beacon, Frame, pack, unpack
+from llm_flock.runtime.network.wire import Beacon, Frame, Saying, pack, unpack
 from llm_flock.transport.seal import WORLD
 from llm_flock.trust.keys import make_keys
 
@@ -58,6 +58,7 @@ class Liar:
 
     def _hear(self, sender: int, payload: bytes) -> None:
         try:
+            payload = unpack(Saying, payload).message
             message = decode(unwrap(payload, N)[0], N, 2)
         except MessageError:
             return
@@ -109,11 +110,12 @@ class Liar:
 
     def speak(self) -> None:
         """Tell where the body is, which is true, and whatever is not."""
-        if self.here is not None:
-            beacon = Beacon(stamp=time.time(), position=self.here, end=self.here)
-            self.link.publish("beacon", LIAR, pack(beacon))
+        if self.here is None:
+            return
+        beacon = Beacon(stamp=time.time(), position=self.here, end=self.here)
+        self.link.publish("beacon", LIAR, pack(beacon))
         for lie in self.lies():
-            self.link.publish("say", LIAR, lie)
+            self.link.publish("say", LIAR, pack(Saying(beacon=beacon, message=lie)))
 
 
 async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:

@@ -20,6 +20,7 @@ from llm_flock.cli.options import SET_BY_SWARM, parse_flags, with_config_flags
 from llm_flock.errors import InputError
 from llm_flock.runtime.config import load_config_of
 from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.process import run
 
 EXIT_INTERRUPTED = 130
 EXIT_FAILED = 1
@@ -30,7 +31,7 @@ WITHOUT_OUT = SET_BY_SWARM | {"out"}
 
 def _live(work: Coroutine[Any, Any, None]) -> None:
     try:
-        asyncio.run(work)
+        run(work)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -41,7 +42,7 @@ def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[t
     if len(start) < 2:
         return math.inf
     few = len(start) <= ALL_PAIRS_UP_TO or bool(without)
-    one, two = np.triu_indices(len(start), 1) if few else _near_pairs(start, end)
+    one, two = _pairs(len(start)) if few else _near_pairs(start, end)
     if without:
         kept = np.array([pair not in without for pair in zip(one.tolist(), two.tolist(), strict=True)])
         one, two = one[kept], two[kept]
@@ -54,6 +55,13 @@ def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[t
     share = np.clip(-(offset * change).sum(axis=1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
     closest = offset + share[:, None] * change
     return math.sqrt(float((closest * closest).sum(axis=1).min()))
+
+
+@functools.lru_cache(maxsize=16)
+def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """All pairs of n, the lower one first; not to be written to."""
+    one, two = np.triu_indices(n, 1)
+    return one, two
 
 
 def _near_pairs(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -4,13 +4,15 @@ Every process is a peer that listens on its own endpoint and connects to a few o
 tells it the rest, and all link up with all. So a seed that dies takes nobody with it. A lease of two seconds ends a
 link whose other side says nothing any more; a process that ends is noticed within milliseconds.
 
-zenoh calls back from threads of its own. `Link` hands everything over to the event loop, where payloads are opened.
+zenoh calls back from its own threads, straight from where the bytes came in: a thread in between for each subscription
+would be woken for each message. `Link` hands everything over to the event loop, where payloads are opened.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import os
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 ROOT = "llm-flock"
 MAX_SEALED_BYTES = 1 << 20
 """Nothing larger is opened [bytes]; what robots say to each other has a limit of its own, far below."""
+
+THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), app: (handover: tx))"
+"""zenoh's threads: one that receives and one for all else. With more, each message wakes two or three of them."""
 
 KEEP_ALIVES = 4
 """So many signs of life per lease."""
@@ -64,6 +69,7 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
     Raises:
         InputError: zenoh is not installed, or does not take the configuration (an endpoint that is in use, say).
     """
+    os.environ.setdefault("ZENOH_RUNTIME", THREADS)
     try:
         import zenoh
     except ImportError:
@@ -75,6 +81,13 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise InputError("listen", values.get("listen/endpoints"), f"endpoints that can be opened ({error})") from None
+
+
+def _straight(take: Callable[[zenoh.Sample], None]) -> Any:
+    """A handler that is called in the thread in which a sample came in, and has to be quick."""
+    import zenoh
+
+    return zenoh.handlers.Callback(take, indirect=False)
 
 
 @dataclass(slots=True)
@@ -140,7 +153,7 @@ class Link:
             self._call(self._take, str(sample.key_expr), kind, number, sample.payload.to_bytes(), handler)
 
         key = f"{self._root}/{kind}/{'*' if number is None else number}"
-        self._kept.append(self._session.declare_subscriber(key, take))
+        self._kept.append(self._session.declare_subscriber(key, _straight(take)))
 
     def _call(self, function: Callable[..., None], *args: Any) -> None:
         """From a thread of zenoh's: have the loop call this; it is woken once for all that comes meanwhile."""
@@ -188,7 +201,7 @@ class Link:
                 self._call(handler, int(number), sample.kind == zenoh.SampleKind.PUT)
 
         key = f"{self._root}/alive/*"
-        self._kept.append(self._session.liveliness().declare_subscriber(key, take, history=True))
+        self._kept.append(self._session.liveliness().declare_subscriber(key, _straight(take), history=True))
 
     def close(self) -> None:
         """Leave the network."""

@@ -37,6 +37,7 @@ class Bodies:
         self.late = 0
         self.smallest = metrics.min_separation(self.positions)
         self._closest = self.smallest
+        self._standing: float | None = None
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._now = now
         self._ways: list[list[Point]] = [[] for _ in self.positions]
@@ -98,9 +99,13 @@ class Bodies:
 
     def closest(self) -> float:
         """Smallest distance of two bodies since this was asked last, along their segments too [units]."""
-        closest = min(self._closest, metrics.min_separation(self.positions))
-        self._closest = math.inf
-        return closest
+        closest, self._closest = self._closest, math.inf
+        if closest < math.inf:
+            self._standing = None
+            return closest
+        if self._standing is None:  # the first time that nobody has moved since
+            self._standing = metrics.min_separation(self.positions)
+        return self._standing
 
     def frame(self) -> tuple[Body, ...]:
         """Every body, by id."""

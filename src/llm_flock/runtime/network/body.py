@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Sequence
 
@@ -28,10 +29,15 @@ class Pilotage:
         period_s: control period [s].
         lag_s: longest way of a command to the body [s].
         shield_on: project every move on what is safe.
+
+    Attributes:
+        waypoint: where it is to fly; None where it is to stand still [units; world frame].
+        news: set with everything that another command may follow from.
     """
 
     def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
         self.waypoint: Point | None = None
+        self.news = asyncio.Event()
         self._mission = mission
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._shield_on = shield_on
@@ -49,9 +55,15 @@ class Pilotage:
         """Where it will stop [units; world frame]."""
         return None if self._body is None else self._body.end
 
+    def fly_to(self, waypoint: Point) -> None:
+        """Set out for a place [units; world frame]."""
+        self.waypoint = waypoint
+        self.news.set()
+
     def felt(self, body: Body) -> None:
         """What the own body says of itself."""
         self._body = body
+        self.news.set()
         self._number = max(self._number, body.command)
 
     @property
@@ -59,6 +71,13 @@ class Pilotage:
         """Whether the body stands at the waypoint."""
         body, target = self._body, self.waypoint
         return body is not None and target is not None and math.dist(body.position, target) <= STILL
+
+    def is_free(self, now: float) -> bool:
+        """Whether there is a waypoint to fly to, and no command under way to the body at this time [s]."""
+        body = self._body
+        if body is None or self.waypoint is None:
+            return False
+        return body.command >= self._number or now - self._given >= ANSWER_S
 
     def control(self, now: float, sightings: Sequence[Sighting], unseen_s: float) -> Command | None:
         """The next command; None where there is nothing to fly, nothing that is safe, or one under way.
@@ -69,9 +88,7 @@ class Pilotage:
             unseen_s: how long ago all others were out of sight [s].
         """
         body, waypoint = self._body, self.waypoint
-        if body is None or waypoint is None:
-            return None
-        if body.command < self._number and now - self._given < ANSWER_S:
+        if body is None or waypoint is None or not self.is_free(now):
             return None
         target = self._safe(body.end, waypoint, sightings, unseen_s)
         if math.dist(target, body.end) <= STILL:

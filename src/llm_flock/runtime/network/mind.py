@@ -49,6 +49,7 @@ from llm_flock.protocol.warrants import Order
 from llm_flock.runtime.network import wire
 from llm_flock.runtime.network.body import STILL, Pilotage
 from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.pace import Beat, phase_s
 from llm_flock.runtime.network.wire import Happened
 from llm_flock.transport.radio import Radio
 
@@ -158,11 +159,11 @@ class Mind:
 
     async def gossip(self) -> None:
         """Exchange messages, whatever else the robot is doing."""
-        due = time.monotonic()
+        gossip_s = self._config.network.gossip_s
+        beat = Beat(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
         while True:
+            await beat.next()
             self.exchange()
-            due = max(due + self._config.network.gossip_s, time.monotonic())
-            await asyncio.sleep(due - time.monotonic())
 
     def exchange(self) -> None:
         """Decide on what was heard since the last exchange; once a period count a heartbeat; then speak."""
@@ -265,7 +266,8 @@ class Mind:
         assert here is not None
         distance = math.dist(here, waypoint)
         if distance > STILL:
-            self._body.waypoint, self._going_for = waypoint, self._topic
+            self._going_for = self._topic
+            self._body.fly_to(waypoint)
             self._due = time.monotonic() + PATIENCE * distance / self._config.speed + STUCK_S
 
     async def _land(self) -> None:

@@ -6,7 +6,7 @@ thread and no session. Whoever it started dies with it, and it dies with the lau
 
 from __future__ import annotations
 
-import asyncio
+import gc
 import json
 import logging
 import os
@@ -18,18 +18,24 @@ from typing import Any
 
 from llm_flock.errors import FlockError
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.process import end_with
+from llm_flock.runtime.network.process import end_with, run
 from llm_flock.runtime.network.robot import run_robot
 from llm_flock.runtime.network.watch import run_watch
 from llm_flock.runtime.network.world import run_world
+from llm_flock.runtime.team import Thinkers
 
 REAP_S = 0.05
+
+ANY = {"mission": {"shape": "circle", "n_robots": 1}}
+"""Any swarm: with its model come the prompts and the price lists that each robot would read on its own."""
 
 
 def main() -> None:
     """Serve until the launcher closes the line."""
     end_with(os.getppid())
     children: dict[int, str] = {}
+    Thinkers(SwarmConfig.model_validate(ANY))
+    gc.freeze()  # a collection in a child would look through all that was imported, and copy every page of it
     _tell(ready=True)
     while True:
         readable, _, _ = select.select([sys.stdin.buffer], [], [], REAP_S)
@@ -72,11 +78,11 @@ def _child(order: dict[str, Any]) -> int:
     kind = order["kind"]
     try:
         if kind == "world":
-            asyncio.run(run_world(config, Path(order["ready"]).touch))
+            run(run_world(config, Path(order["ready"]).touch))
         elif kind == "robot":
-            asyncio.run(run_robot(config, order["id"]))
+            run(run_robot(config, order["id"]))
         else:
-            asyncio.run(run_watch(config, Path(order["record"])))
+            run(run_watch(config, Path(order["record"])))
     except FlockError as error:
         sys.stderr.write(f"error: {order['name']}: {error}\n")
         return 2

@@ -14,8 +14,9 @@ from llm_flock.runtime.network.body import Pilotage
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.joining import load_keys, open_link
 from llm_flock.runtime.network.mind import Mind
+from llm_flock.runtime.network.pace import Beat, phase_s
 from llm_flock.runtime.network.process import until_stopped
-from llm_flock.runtime.network.wire import Beacon, Frame, Order, Report, pack, unpack
+from llm_flock.runtime.network.wire import Beacon, Frame, Order, Report, Saying, pack, unpack
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
@@ -25,6 +26,9 @@ from llm_flock.transport.zenoh import Link
 
 REPORT_S = 0.2
 """Time between two reports to observers [s]."""
+
+ALREADY_TOLD = 0.9
+"""No beacon is due before so many of its periods after a message that has brought one."""
 
 
 class Robot:
@@ -44,6 +48,7 @@ class Robot:
         self.thinkers.listen(self._called)
         self._calls: list[dict[str, Any]] = []
         self._latencies_s: list[float] = []
+        self._shone = 0.0
         self._known: set[str] = {mission.digest}
         self._alive: set[int] = set()
         self._all_here = asyncio.Event()
@@ -87,27 +92,51 @@ class Robot:
 
     # ---------------------------------------------------------------- the network
 
-    def _say(self, payload: bytes) -> None:
-        self._link.publish("say", self._robot, payload)
+    def _say(self, message: bytes) -> None:
+        beacon = self._own_beacon()
+        assert beacon is not None, "a robot speaks when it knows where it is"
+        self._link.publish("say", self._robot, pack(Saying(beacon=beacon, message=message)))
+
+    def _own_beacon(self) -> Beacon | None:
+        position, end = self.body.position, self.body.end
+        if position is None or end is None:
+            return None
+        self._shone = time.monotonic()
+        return Beacon(stamp=time.time(), position=position, end=end)
 
     def _hear(self, sender: int, payload: bytes) -> None:
-        self.radio.deliver(sender, lambda: self.mind.receive(payload, sender), self._loop.call_later)
-
-    def _beacon(self, sender: int, payload: bytes) -> None:
-        dim = self._config.mission.dim
         try:
-            said = unpack(Beacon, payload)
-            if len(said.position) != dim or len(said.end) != dim:
-                raise MessageError("wrong_length", "a beacon of another dimension")
+            said = unpack(Saying, payload)
+            seen = self._placed(sender, said.beacon)
         except MessageError as error:
             self._link.traffic.refused[error.reason] += 1
             return
+
+        def hand_over() -> None:
+            self.radio.beacon(sender, seen)
+            self.mind.receive(said.message, sender)
+
+        self.radio.deliver(sender, hand_over, self._loop.call_later)
+
+    def _beacon(self, sender: int, payload: bytes) -> None:
+        try:
+            seen = self._placed(sender, unpack(Beacon, payload))
+        except MessageError as error:
+            self._link.traffic.refused[error.reason] += 1
+            return
+        self.radio.deliver(sender, lambda: self.radio.beacon(sender, seen), self._loop.call_later)
+
+    def _placed(self, sender: int, said: Beacon) -> Seen:
+        """Where a sender is, told to the radio."""
+        dim = self._config.mission.dim
+        if len(said.position) != dim or len(said.end) != dim:
+            raise MessageError("wrong_length", "a beacon of another dimension")
         now = time.time()
         self._latencies_s.append(now - said.stamp)
         # Who claims to be of the future would look younger than it is.
         seen = Seen(stamp=min(said.stamp, now), position=said.position, end=said.end)
         self.radio.place(sender, seen)
-        self.radio.deliver(sender, lambda: self.radio.beacon(sender, seen), self._loop.call_later)
+        return seen
 
     def _frame(self, sender: int, payload: bytes) -> None:
         if sender != WORLD:
@@ -160,28 +189,34 @@ class Robot:
             group.create_task(self.mind.live())
 
     async def _shine(self) -> None:
-        """Tell who is near where the body is and where it will stop."""
+        """Tell who is near where the body is and where it will stop, unless a message has just told it."""
+        network = self._config.network
+        phase = phase_s(self._robot, self._config.mission.n_robots, network.gossip_s)
+        beat = Beat(network.beacon_s, phase + 0.5 * network.beacon_s)
         while True:
-            position, end = self.body.position, self.body.end
-            if position is not None and end is not None:
-                beacon = Beacon(stamp=time.time(), position=position, end=end)
+            await beat.next()
+            told_s = time.monotonic() - self._shone
+            if told_s > ALREADY_TOLD * network.beacon_s and (beacon := self._own_beacon()) is not None:
                 self._link.publish("beacon", self._robot, pack(beacon))
-            await asyncio.sleep(self._config.network.beacon_s)
 
     async def _control(self) -> None:
-        """Project the way anew in every control period."""
-        network = self._config.network
+        """Project the way anew in every control period, or with the next news where there was nothing to command."""
+        body = self.body
         while True:
-            now = time.time()
-            command = self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
+            now, command = time.time(), None
+            if body.is_free(now):
+                command = body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
             if command is None:
-                await asyncio.sleep(network.control_s / 4)
-                continue
-            self._link.publish("command", self._robot, pack(command))
-            await asyncio.sleep(network.control_s)
+                body.news.clear()
+                await body.news.wait()
+            else:
+                self._link.publish("command", self._robot, pack(command))
+                await asyncio.sleep(self._config.network.control_s)
 
     async def _report(self) -> None:
+        beat = Beat(REPORT_S, phase_s(self._robot, self._config.mission.n_robots, self._config.network.gossip_s))
         while True:
+            await beat.next()
             calls, self._calls = self._calls, []
             latencies_s, self._latencies_s = self._latencies_s, []
             fields = self.mind.report(known=self._known, calls=calls, latencies_s=latencies_s)
@@ -191,7 +226,6 @@ class Robot:
             size = traffic.bytes["say"] + traffic.bytes["beacon"]
             report = Report(stamp=time.time(), sent=sent, bytes=size, **fields)
             self._link.publish("report", self._robot, pack(report))
-            await asyncio.sleep(REPORT_S)
 
     async def _divide(self) -> None:
         """For tests: do not hear the other half of the ids for a while."""

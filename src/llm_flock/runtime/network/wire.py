@@ -2,8 +2,8 @@
 
 | topic | from | to | holds |
 |---|---|---|---|
-| `say/ID` | robot | robots in radio range | a message of the protocol, as it is |
-| `beacon/ID` | robot | robots in radio range | `Beacon` |
+| `say/ID` | robot | robots in radio range | `Saying`: a message of the protocol, as it is, behind a beacon |
+| `beacon/ID` | robot | robots in radio range | `Beacon`, where no message has brought one for a while |
 | `frame/-1` | world | robots (their sensors), observers | `Frame` |
 | `command/ID` | robot | its body, in the world | `Command` |
 | `report/ID` | robot | observers | `Report` |
@@ -29,6 +29,13 @@ class Beacon(msgspec.Struct, array_like=True, frozen=True):
     stamp: float
     position: Point
     end: Point
+
+
+class Saying(msgspec.Struct, array_like=True, frozen=True):
+    """A message of the protocol, and where its sender is: one packet for both, since packets cost more than bytes."""
+
+    beacon: Beacon
+    message: bytes
 
 
 class Body(msgspec.Struct, array_like=True, frozen=True):
@@ -139,12 +146,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     shape: dict[str, Any] | None
 
 
-T = TypeVar("T", Beacon, Frame, Command, Order, Report)
+T = TypeVar("T", Beacon, Saying, Frame, Command, Order, Report)
 
 _ENCODER = msgspec.msgpack.Encoder()
 
 
-def pack(message: Beacon | Frame | Command | Order | Report) -> bytes:
+def pack(message: Beacon | Saying | Frame | Command | Order | Report) -> bytes:
     """The wire version, then MessagePack."""
     return bytes([WIRE_VERSION]) + _ENCODER.encode(message)
 
