@@ -95,7 +95,7 @@ class Engine:
         check_memory(self.weights, tokens)
         library: Any = import_module("xllamacpp")  # takes 100 MB: only those who use it load it
         params = library.CommonParams()
-        params.model.path = str(self.weights.model)
+        params.model.path = str(self.weights.loaded())
         if self.weights.adapter is not None:
             params.lora_adapters = [library.CommonAdapterLoraInfo(str(self.weights.adapter), 1.0)]
         params.n_parallel = self.slots
@@ -194,7 +194,7 @@ def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None
         InputError: for field `model`.
     """
     free = _free_bytes() if free is None else free
-    needed = sum(file.stat().st_size for file in weights.files)
+    needed = sum(file.stat().st_size for file in (weights.loaded(), *weights.files[1:]))
     needed += tokens * head_of(weights.model).cache_bytes + WORK_BYTES
     if free is not None and needed > free:
         allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
