@@ -124,6 +124,19 @@ def test_a_stopped_engine_leaves_nothing_behind():
     assert set(threading.enumerate()) <= before
 
 
+STOP_AT_ONCE = """
+from llm_flock.llm.local.engine import Engine
+from llm_flock.llm.local.weights import find_weights
+for _ in range(3):
+    Engine(find_weights("smollm2+none"), 256).close()
+"""
+
+
+def test_an_engine_can_be_stopped_as_soon_as_it_is_loaded():
+    """As by Ctrl-C while it loads; in a process of its own, which may hang."""
+    subprocess.run([sys.executable, "-c", STOP_AT_ONCE], timeout=60, check=True)
+
+
 def test_a_file_that_only_looks_like_a_model_is_refused(tmp_path):
     with pytest.raises(InputError, match="may be damaged"):
         Engine(Weights(write_model(tmp_path / "m.gguf")), 256)

@@ -107,15 +107,19 @@ class Engine:
         params.cache_ram_mib = params.n_ctx_checkpoints = 0
         params.enable_reasoning = 0
         params.fit_params = params.warmup = params.ui = params.endpoint_slots = False
+        params.endpoint_metrics = True
         params.verbosity = QUIET
         params.api_keys = [secrets.token_hex(16)]
         params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
         try:
-            return library.Server(params)
+            server = library.Server(params)
+            # Answered by the engine's own thread: it has begun to work. Stopped before that, it would never end.
+            server.handle_metrics()
         except RuntimeError:
             files = " and ".join(file.name for file in self.weights.files)
             allowed = f"what the engine can load: {files} may be damaged, of a kind it does not know, or too large"
             raise InputError("model", str(self.weights.model), allowed) from None
+        return server
 
     def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Told]:
         """Answer one chat request.
