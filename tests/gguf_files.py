@@ -45,14 +45,24 @@ def _value(value: Any) -> tuple[int, bytes]:
             return 9, struct.pack("<IQ", inner[0][0], len(inner)) + b"".join(data for _, data in inner)
 
 
-def gguf(about: Mapping[str, Any], tensors: Mapping[str, Sequence[int]], *, version: int = 3) -> bytes:
-    """The bytes of such a file."""
+def gguf(
+    about: Mapping[str, Any],
+    tensors: Mapping[str, Sequence[int]],
+    *,
+    version: int = 3,
+    places: Mapping[str, tuple[int, int]] | None = None,
+) -> bytes:
+    """The bytes of such a file; `places` are the format and the first byte of each tensor."""
     out = b"GGUF" + struct.pack("<IQQ", version, len(tensors), len(about))
     for name, value in about.items():
         kind, data = _value(value)
         out += _text(name) + struct.pack("<I", kind) + data
     for name, size in tensors.items():
-        out += _text(name) + struct.pack(f"<I{len(size)}Q", len(size), *size) + struct.pack("<IQ", 0, 0)
+        out += (
+            _text(name)
+            + struct.pack(f"<I{len(size)}Q", len(size), *size)
+            + struct.pack("<IQ", *(places or {}).get(name, (0, 0)))
+        )
     return out
 
 

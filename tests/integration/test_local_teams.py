@@ -22,6 +22,7 @@ from llm_flock.runtime.network.swarm import run_swarm
 from llm_flock.runtime.team import Thinkers
 
 pytest.importorskip("xllamacpp")
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 STOCK = "local:smollm2+none"
 
@@ -93,5 +94,5 @@ def test_files_are_looked_into_before_anything_is_asked(tmp_path: Path) -> None:
         Thinkers(build_config(model=f"local:{tmp_path}/none.gguf"))
     thinkers = Thinkers(build_config(model="0=local:smollm2+none,1-9=simulated:ideal"))
     assert not ENGINES.running and thinkers.simulated
-    assert thinkers.weights == find_weights("smollm2+none").digests()
+    assert thinkers.weights == find_weights("smollm2+none").versions()
     asyncio.run(thinkers.close())

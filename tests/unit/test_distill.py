@@ -104,14 +104,26 @@ def test_a_batch_computes_the_common_beginning_once_and_learns_answers_only() ->
 def test_an_epoch_has_every_row_once_and_keeps_to_the_budget() -> None:
     rng = np.random.default_rng(0)
     rows = [Row((1, 2, int(rng.integers(3)), *range(int(rng.integers(1, 9)))), (5, 6)) for _ in range(300)]
-    batches = plan_epoch(rows, 60, np.random.default_rng(1))
+    steps = plan_epoch(rows, 60, np.random.default_rng(1))
+    assert all(len(step) == 1 for step in steps)
+    batches = [batch for step in steps for batch in step]
     assert sorted(i for batch in batches for i in batch) == list(range(300))
-    assert batches != plan_epoch(rows, 60, np.random.default_rng(2))
+    assert steps != plan_epoch(rows, 60, np.random.default_rng(2))
     for batch in batches:
         made = make_batch([rows[i] for i in batch])
         assert len(made.prefix) + made.tokens.size <= 60
     assert np.mean([len(batch) for batch in batches]) > 4
-    assert plan_epoch(rows[:2], 1, rng) in ([[0], [1]], [[1], [0]]), "a row that is too long goes alone"
+    assert plan_epoch(rows[:2], 1, rng) in ([[[0]], [[1]]], [[[1]], [[0]]]), "a row that is too long goes alone"
+
+
+def test_a_step_has_batches_of_different_kinds() -> None:
+    kinds = [0] * 150 + [9] * 150
+    rows = [Row((1, kind, i), (5, 6)) for i, kind in enumerate(kinds)]
+    steps = plan_epoch(rows, 60, np.random.default_rng(1), together=2)
+    assert sorted(i for step in steps for batch in step for i in batch) == list(range(300))
+    assert {len(step) for step in steps} <= {1, 2}
+    mixed = sum({kinds[i] for batch in step for i in batch} == {0, 9} for step in steps)
+    assert mixed > 0.8 * len(steps)
 
 
 MISSION = build_mission(shape="line", n_robots=2)

@@ -98,22 +98,26 @@ def make_batch(rows: Sequence[Row]) -> Batch:
     return Batch(rows[0].prompt[:shared], tokens, labels)
 
 
-def plan_epoch(rows: Sequence[Row], budget: int, rng: np.random.Generator) -> list[list[int]]:
-    """Every row once, as numbers in batches of similar rows.
+def plan_epoch(rows: Sequence[Row], budget: int, rng: np.random.Generator, together: int = 1) -> list[list[list[int]]]:
+    """Every row once, as numbers in batches of similar rows; some batches, of different kinds, make one step.
 
     Args:
         rows: all examples.
         budget: about so many tokens a batch, those of the shared beginning counted once.
         rng: the order.
+        together: batches of a step, at most.
     """
     order: list[int] = rng.permutation(len(rows)).tolist()
     typical = max(1, int(np.mean([len(row.prompt) + len(row.answer) for row in rows])))
     pool = max(1, POOL * budget // typical)
-    batches: list[list[int]] = []
+    steps: list[list[list[int]]] = []
     for begin in range(0, len(order), pool):
         chosen = sorted(order[begin : begin + pool], key=lambda i: rows[i].prompt[:ALIKE])
-        batches += _cut([rows[i] for i in chosen], chosen, budget)
-    return [batches[i] for i in rng.permutation(len(batches))]
+        batches = _cut([rows[i] for i in chosen], chosen, budget)
+        # Sorted as they are, batches far apart differ in kind: a step learns from all kinds, and forgets none.
+        stride = -(-len(batches) // together)
+        steps += [batches[i::stride] for i in range(stride)]
+    return [steps[i] for i in rng.permutation(len(steps))]
 
 
 def _cut(rows: Sequence[Row], numbers: Sequence[int], budget: int) -> list[list[int]]:

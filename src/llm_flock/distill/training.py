@@ -31,7 +31,8 @@ class Course:
         rate: learning rate of AdamW until the descent.
         descent: share of the steps, the last ones, over which the rate falls to nothing.
         warm_up: steps over which it rises.
-        tokens: a batch holds about so many.
+        tokens: the batches of a step hold about so many.
+        together: batches of a step, of different kinds of questions; each kind counts as much as the others.
         keep_s: time between two checkpoints [s].
         seed: order of the examples, and the factors at the beginning.
     """
@@ -41,6 +42,7 @@ class Course:
     descent: float = 0.3
     warm_up: int = 20
     tokens: int = 600
+    together: int = 2
     keep_s: float = 120.0
     seed: int = 0
 
@@ -101,25 +103,29 @@ def train(
     if resume:
         step, examples = _restore(torch, student, optimizer, folder)
     epoch = 0
-    queue: list[list[int]] = []
+    queue: list[list[list[int]]] = []
     began, kept = time.monotonic(), time.monotonic()
     first, progress = step, Progress(step=step, steps=course.steps, loss=0.0, examples=examples, rate=0.0, left_s=0.0)
     while step < course.steps:
         if not queue:
             # Which epoch it is follows from the step: a training that is gone on with draws new orders.
-            queue = plan_epoch(rows, course.tokens, np.random.default_rng([course.seed, first, epoch]))
+            rng = np.random.default_rng([course.seed, first, epoch])
+            queue = plan_epoch(rows, course.tokens // course.together, rng, course.together)
             epoch += 1
         chosen = queue.pop()
         rate = course.rate_at(step)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        loss = student.loss(make_batch([rows[i] for i in chosen]))
-        loss.backward()
+        loss = 0.0
+        for batch in chosen:
+            share = student.loss(make_batch([rows[i] for i in batch])) / len(chosen)
+            share.backward()
+            loss += float(share.detach())
         torch.nn.utils.clip_grad_norm_(student.parameters, 1.0)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
-        step, examples = step + 1, examples + len(chosen)
-        losses = [*losses[-49:], float(loss.detach())]
+        step, examples = step + 1, examples + sum(map(len, chosen))
+        losses = [*losses[-49:], loss]
         now = time.monotonic()
         progress = Progress(
             step=step,

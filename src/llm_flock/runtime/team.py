@@ -161,9 +161,9 @@ class Thinkers:
 
     @property
     def weights(self) -> Mapping[str, str]:
-        """Digest of each file that models on board are made of, by its name."""
+        """Digest of each file that models on board are made of or read from, by its name."""
         names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "local"]
-        return {file: digest for name in names for file, digest in find_weights(name.model).digests().items()}
+        return {file: digest for name in names for file, digest in find_weights(name.model).versions().items()}
 
     @property
     def exhausted(self) -> bool:

@@ -95,7 +95,7 @@ class Engine:
         check_memory(self.weights, tokens)
         library: Any = import_module("xllamacpp")  # takes 100 MB: only those who use it load it
         params = library.CommonParams()
-        params.model.path = str(self.weights.model)
+        params.model.path = str(self.weights.loaded())
         if self.weights.adapter is not None:
             params.lora_adapters = [library.CommonAdapterLoraInfo(str(self.weights.adapter), 1.0)]
         params.n_parallel = self.slots
@@ -107,15 +107,19 @@ class Engine:
         params.cache_ram_mib = params.n_ctx_checkpoints = 0
         params.enable_reasoning = 0
         params.fit_params = params.warmup = params.ui = params.endpoint_slots = False
+        params.endpoint_metrics = True
         params.verbosity = QUIET
         params.api_keys = [secrets.token_hex(16)]
         params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
         try:
-            return library.Server(params)
+            server = library.Server(params)
+            # Answered by the engine's own thread: it has begun to work. Stopped before that, it would never end.
+            server.handle_metrics()
         except RuntimeError:
             files = " and ".join(file.name for file in self.weights.files)
             allowed = f"what the engine can load: {files} may be damaged, of a kind it does not know, or too large"
             raise InputError("model", str(self.weights.model), allowed) from None
+        return server
 
     def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Told]:
         """Answer one chat request.
@@ -194,7 +198,7 @@ def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None
         InputError: for field `model`.
     """
     free = _free_bytes() if free is None else free
-    needed = sum(file.stat().st_size for file in weights.files)
+    needed = sum(file.stat().st_size for file in (weights.loaded(), *weights.files[1:]))
     needed += tokens * head_of(weights.model).cache_bytes + WORK_BYTES
     if free is not None and needed > free:
         allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"

@@ -1,4 +1,4 @@
-"""The head of a GGUF file: what it says of itself, and the sizes of its tensors, without any of their numbers.
+"""The head of a GGUF file: what it says of itself, and where its tensors are, without any of their numbers.
 
 Format: version 2 and 3 as llama.cpp writes them, little-endian.
 """
@@ -17,8 +17,24 @@ from llm_flock.errors import InputError
 _SCALARS = {0: "B", 1: "b", 2: "H", 3: "h", 4: "I", 5: "i", 6: "f", 7: "?", 10: "Q", 11: "q", 12: "d"}
 _STRING, _ARRAY = 8, 9
 _MAX_DIMS = 4
+_ALIGNMENT = 32
+"""Tensors begin at multiples of so many bytes unless the file says otherwise."""
+
 _CACHE_BYTES = 2
 """Bytes of a number in the cache of keys and values (half precision)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the numbers of a tensor are, and how they are written.
+
+    Attributes:
+        format: llama.cpp's number of it.
+        begin: first byte, counted from where the tensors begin.
+    """
+
+    format: int
+    begin: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,10 +44,21 @@ class Head:
     Attributes:
         about: what the file says of itself; lists are left out.
         tensors: size of each tensor by its name, fastest axis first.
+        places: where each tensor is, by its name; in the order of the file, as `tensors`.
+        list_begin: first byte of the list of tensors.
+        list_end: first byte behind it.
     """
 
     about: Mapping[str, Any]
     tensors: Mapping[str, tuple[int, ...]]
+    places: Mapping[str, Place]
+    list_begin: int
+    list_end: int
+
+    @property
+    def alignment(self) -> int:
+        """Tensors, and the first of them in the file, begin at multiples of so many bytes."""
+        return self.about.get("general.alignment") or _ALIGNMENT
 
     @property
     def is_adapter(self) -> bool:
@@ -91,14 +118,16 @@ class _Reader:
             value = self._value(self._one("I"))
             if value is not None:
                 about[name] = value
+        begin = self._at
         tensors: dict[str, tuple[int, ...]] = {}
+        places: dict[str, Place] = {}
         for _ in range(n_tensors):
             name, dims = self._text(), self._one("I")
             if dims > _MAX_DIMS:
                 raise ValueError
             tensors[name] = tuple(self._one("Q") for _ in range(dims))
-            self._take(struct.calcsize("<IQ"))  # its format, and where it begins
-        return Head(about=about, tensors=tensors)
+            places[name] = Place(self._one("I"), self._one("Q"))
+        return Head(about=about, tensors=tensors, places=places, list_begin=begin, list_end=self._at)
 
     def _value(self, kind: int) -> Any:
         """One value; of a list only its end is looked for."""

