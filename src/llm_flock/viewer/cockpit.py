@@ -103,6 +103,8 @@ class Form:
         for name, box in boxes.items():
             box.props("dense outlined options-dense" if name in ("protocol", "start") else "dense outlined")
             box.mark(f"field-{name}")
+        for wide in (boxes["model"], self._on):
+            wide.classes("flock-wide")
         self._pace.props("dense outlined").mark("field-pace")
 
     def _take(self, fields: dict[str, Any]) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 from llm_flock.record.schema import SILENT, LlmEntry
 from llm_flock.viewer.reel import Reel
+
+MOST_PLACES = 12
+"""Places of a plan that are listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,12 +92,40 @@ def verdict(entry: LlmEntry) -> str:
         return f"no answer: {entry.error}"
     if entry.rejected is not None:
         return f"refused: {entry.rejected}"
-    return f"used: {entry.parsed}"
+    return f"used: {understood(entry.parsed or {})}"
+
+
+def understood(parsed: Mapping[str, Any]) -> str:
+    """What was understood of an answer: where to go, or which plan and which place of it, in words and numbers."""
+    words: list[str] = []
+    for name, value in parsed.items():
+        match name, value:
+            case "waypoint", list():
+                words.append(f"next waypoint {_place(value)}")
+            case "path", list():
+                words.append("path " + " → ".join(_place(at) for at in value))
+            case "plan", list():
+                places = [_place(at) for at in value]
+                more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
+                words.append(f"a plan of {len(places)} places: {' '.join(places[:MOST_PLACES])}{more}")
+            case "slot", int():
+                words.append(f"own place {value}")
+            case "slot", None:
+                words.append("no own place")
+            case _:
+                words.append(f"{name} {value}")
+    return "; ".join(words)
+
+
+def _place(at: object) -> str:
+    if isinstance(at, list) and all(isinstance(part, int | float) for part in cast("list[object]", at)):
+        return f"({', '.join(f'{round(part, 2):g}' for part in cast('list[float]', at))})"
+    return str(at)
 
 
 def price(entry: LlmEntry) -> str:
     """Tokens, time and money of a call."""
     cached = f" ({entry.usage.cached} cached)" if entry.usage.cached else ""
-    cost = "" if entry.cost_usd is None else f" · ${entry.cost_usd:.4f}"
+    cost = f" · ${entry.cost_usd:.4f}" if entry.cost_usd else ""
     faults = f" · {', '.join(entry.faults)}" if entry.faults else ""
     return f"{entry.usage.input} tokens in{cached}, {entry.usage.output} out · {entry.latency_s:.2f} s{cost}{faults}"

@@ -1,8 +1,10 @@
 // The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles; zoom and pan.
-import { cells, links } from "./geometry.js";
-import { FONT, Paper, dash, look, theme } from "./paper.js";
+import { cells, links } from "llm-flock-viewer/geometry.js";
+import { FONT, Paper, dash, look, theme } from "llm-flock-viewer/paper.js";
 
 const TRAIL = 24; // rounds
+const EDGE = 10; // pixels around the arena
+const RULER = 22; // pixels below it, for the length to compare with
 const MANY = 250; // robots from which on letters and rims are left out
 
 export class Arena {
@@ -152,8 +154,8 @@ export class Arena {
       this.scale = this.view.scale;
       return;
     }
-    this.center = [(left + right) / 2, (bottom + top) / 2];
-    this.scale = Math.min((width - 24) / (right - left), (height - 24) / (top - bottom));
+    this.scale = Math.min((width - 2 * EDGE) / (right - left), (height - 2 * EDGE - RULER) / (top - bottom));
+    this.center = [(left + right) / 2, (bottom + top) / 2 - RULER / 2 / this.scale];
   }
 
   pixel([x, y]) {
@@ -356,7 +358,7 @@ export class Arena {
     pen.textBaseline = "middle";
     frame.x.forEach((at, robot) => {
       const [x, y] = this.pixel(at);
-      const { fill, ink, name, rim } = look(this.reel, frame.p[robot]);
+      const { fill, ink, rim } = look(this.reel, frame.p[robot]);
       pen.beginPath();
       pen.arc(x, y, this.radius, 0, 2 * Math.PI);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
@@ -374,6 +376,17 @@ export class Arena {
       pen.font = `600 ${size}px ${FONT}`;
       pen.fillStyle = dead.has(robot) ? theme().paper : asleep.has(robot) ? theme().paper : ink;
       pen.fillText(dead.has(robot) ? "×" : String(robot), x, y + 0.5);
+    });
+    this.labels(frame);
+  }
+
+  /** Letters of plans and influence, above all disks: none hides another robot's. */
+  labels(frame) {
+    const { pen } = this.paper;
+    frame.x.forEach((at, robot) => {
+      if (frame.x.length > MANY && !this.selected.includes(robot)) return;
+      const [x, y] = this.pixel(at);
+      const { name } = look(this.reel, frame.p[robot]);
       const label = [this.layers.plans && name, this.layers.influence && frame.i[robot].toFixed(2)]
         .filter(Boolean).join(" ");
       if (!label) return;
