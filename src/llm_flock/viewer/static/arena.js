@@ -218,6 +218,7 @@ export class Arena {
     if (this.layers.trails) this.trails(frame);
     if (this.layers.goals) this.goals(frame);
     if (this.layers.safety) this.safety(frame, about);
+    this.labels(frame);
     this.robots(frame);
     this.ruler();
   }
@@ -377,12 +378,13 @@ export class Arena {
       pen.fillStyle = dead.has(robot) ? theme().paper : asleep.has(robot) ? theme().paper : ink;
       pen.fillText(dead.has(robot) ? "×" : String(robot), x, y + 0.5);
     });
-    this.labels(frame);
   }
 
-  /** Letters of plans and influence, above all disks: none hides another robot's. */
+  /** Letters of plans and influence, below all disks: where robots stand close, their numbers are read first. */
   labels(frame) {
     const { pen } = this.paper;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
     frame.x.forEach((at, robot) => {
       if (frame.x.length > MANY && !this.selected.includes(robot)) return;
       const [x, y] = this.pixel(at);
