@@ -135,6 +135,20 @@ def test_a_record_is_replayed(replay: str, browser: Browser, width: int, dark: b
         page.wait_for_function(f"document.body.classList.contains('body--dark') === {str(not dark).lower()}")
 
 
+def test_the_run_is_drawn_before_the_viewer_is_there_and_stays_at_its_round(tmp_path: Path, browser: Browser) -> None:
+    make_record(tmp_path / "one" / "run.mcap", n=6, rounds=12)
+    with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
+        page.locator("#flock-sketch .flock-arena canvas[data-round='0']").wait_for()
+        assert page.locator("#app").count() == 0, "nothing but the first look is there yet"
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("ArrowRight")
+        page.locator("#flock-sketch .flock-arena canvas[data-round='2']").wait_for()
+        ready(page)
+        expect(page.locator(".flock-where")).to_have_text("round 2 of 12")
+        expect(page.locator("#flock-sketch")).to_have_count(0)
+        assert shown_round(page) == 2
+
+
 def test_the_time_line_is_scrubbed_and_its_marks_are_clicked(replay: str, browser: Browser) -> None:
     with page_at(browser, replay) as page:
         ready(page)

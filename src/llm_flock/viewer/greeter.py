@@ -81,6 +81,7 @@ class Greeter:
         self._told: Told | None = None
         self._can_tell = threading.Event()
         self._stop = threading.Event()
+        self._open = threading.Event()
         self._guests: list[threading.Thread] = []
         self._thread = threading.Thread(target=self._greet, daemon=True)
         self._thread.start()
@@ -102,8 +103,10 @@ class Greeter:
     def stop(self) -> None:
         """Leave the door to the viewer. Who has been let in is still answered; who comes now waits for the viewer."""
         self._stop.set()
-        self._can_tell.set()
         self._thread.join()
+        # Only now: a page that is told that the viewer is there comes back at once, and must not find the greeter.
+        self._open.set()
+        self._can_tell.set()
         for guest in self._guests:
             guest.join(LEAVE_S)
 
@@ -129,7 +132,7 @@ class Greeter:
 
     def _answer(self, asked: _Asked | None) -> tuple[str, str, bytes]:
         if asked is not None and asked.path == OPEN:
-            self._stop.wait()
+            self._open.wait()
             return "200 OK", "text/plain", b""
         if asked is not None and asked.page:
             page = self._page if asked.path == "/" and self._page is not None and self._own(asked) else PAGE

@@ -51,6 +51,7 @@ class Stage:
         self._arenas: list[Drawing] = []
         self._options: list[int] = []
         self._stale = False
+        self._told: dict[str, Any] | None = None
 
     def build(self) -> None:
         """The whole page below its header."""
@@ -147,6 +148,7 @@ class Stage:
 
     def _moved(self, event: events.GenericEventArguments) -> None:
         told: dict[str, Any] = event.args
+        again, self._told = told == self._told, told
         cursor = self.cursor
         cursor.round, cursor.last, cursor.open = int(told["round"]), int(told["last"]), bool(told["open"])
         self._where.set_text(f"round {cursor.round} of {cursor.last}")
@@ -160,7 +162,7 @@ class Stage:
         self._offer()
         # Nobody reads at ten rounds a second: while the cursor runs, the words follow more slowly than the picture.
         self._stale = bool(told["playing"] or told["following"])
-        if not self._stale:
+        if not self._stale and not again:  # said twice, lest it be lost: what somebody reads is not renewed for that
             self._refresh()
 
     def _refresh_stale(self) -> None:

@@ -29,5 +29,6 @@ export function sketch() {
 /** Remember the round over a new loading of the page. */
 export function keep() {
   const time = clock("main");
-  if (time.round && !time.following) sessionStorage.setItem(KEPT, String(time.round));
+  const round = Math.floor(time.cursor);
+  if (round && !time.following) sessionStorage.setItem(KEPT, String(round));
 }
