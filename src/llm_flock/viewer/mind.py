@@ -99,28 +99,31 @@ def understood(parsed: Mapping[str, Any]) -> str:
     """What was understood of an answer: where to go, or which plan and which place of it, in words and numbers."""
     words: list[str] = []
     for name, value in parsed.items():
-        match name, value:
-            case "waypoint", list():
-                words.append(f"next waypoint {_place(value)}")
-            case "path", list():
-                words.append("path " + " → ".join(_place(at) for at in value))
-            case "plan", list():
-                places = [_place(at) for at in value]
-                more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
-                words.append(f"a plan of {len(places)} places: {' '.join(places[:MOST_PLACES])}{more}")
-            case "slot", int():
-                words.append(f"own place {value}")
-            case "slot", None:
-                words.append("no own place")
-            case _:
-                words.append(f"{name} {value}")
+        rows = cast("list[object]", value) if isinstance(value, list) else None
+        if name == "waypoint" and rows is not None:
+            words.append(f"next waypoint {_place(rows)}")
+        elif name == "path" and rows is not None:
+            words.append("path " + " → ".join(_place(at) for at in rows))
+        elif name == "plan" and rows is not None:
+            more = f" and {len(rows) - MOST_PLACES} more" if len(rows) > MOST_PLACES else ""
+            places = " ".join(_place(at) for at in rows[:MOST_PLACES])
+            words.append(f"a plan of {len(rows)} places: {places}{more}")
+        elif name == "slot":
+            words.append("no own place" if value is None else f"own place {value}")
+        else:
+            words.append(f"{name} {value}")
     return "; ".join(words)
 
 
 def _place(at: object) -> str:
-    if isinstance(at, list) and all(isinstance(part, int | float) for part in cast("list[object]", at)):
-        return f"({', '.join(f'{round(part, 2):g}' for part in cast('list[float]', at))})"
-    return str(at)
+    """A point as people write it; anything else as it is: a record is a file from anywhere."""
+    if not isinstance(at, list):
+        return str(at)
+    parts = cast("list[object]", at)
+    numbers = [part for part in parts if isinstance(part, int | float)]
+    if len(numbers) != len(parts):
+        return str(parts)
+    return f"({', '.join(f'{round(part, 2):g}' for part in numbers)})"
 
 
 def price(entry: LlmEntry) -> str:

@@ -395,9 +395,10 @@ export class Arena {
       pen.font = `600 11px ${FONT}`;
       pen.lineWidth = 3;
       pen.strokeStyle = theme().paper;
-      pen.strokeText(label, x, y - this.radius - 8);
+      const above = y - this.radius - (this.selected.includes(robot) ? 15 : 8); // clear of the ring
+      pen.strokeText(label, x, above);
       pen.fillStyle = theme().ink;
-      pen.fillText(label, x, y - this.radius - 8);
+      pen.fillText(label, x, above);
     });
   }
 
