@@ -1,6 +1,6 @@
-"""What a viewer costs: first paint after the command, scrubbing, and the memory of a tab that watches a live run.
+"""What a viewer costs: first paint, scrubbing, playing, and the memory of a tab that watches a live run.
 
-    python benchmarks/viewer.py [paint] [scrub] [live --seconds 600]
+    python benchmarks/viewer.py [paint] [scrub] [frames] [live --seconds 600]
 
 Needs the `view` and `dev` extras and a Chromium. Records are made up (`tests/sample_records.py`); no model is asked.
 """
@@ -27,6 +27,11 @@ from llm_flock.record.writer import RecordWriter
 
 STARTS = 5
 JUMPS = 60
+LOOKS = 20
+"""At the heap of a tab, over the time of a live run."""
+
+STEADY = 0.25
+"""A heap that grows by less is steady [MB a minute]."""
 
 
 @contextmanager
@@ -45,33 +50,66 @@ def viewer(*arguments: str) -> Iterator[tuple[str, float]]:
 def opened(browser: Browser, url: str) -> Page:
     page = browser.new_page(viewport={"width": 1280, "height": 720})
     page.goto(url, timeout=60_000)
-    page.locator(".flock-arena canvas[data-round]").wait_for(timeout=60_000)
+    page.locator("#app .flock-arena canvas[data-round]").wait_for(timeout=60_000)
     return page
+
+
+SEEN = """
+const tell = (what) => window.seen(what, performance.timeOrigin + performance.now());
+new PerformanceObserver((list) => {
+    for (const entry of list.getEntriesByName("first-contentful-paint")) {
+        window.seen("paint", performance.timeOrigin + entry.startTime);
+    }
+}).observe({ type: "paint", buffered: true });
+const wanted = {
+    arena: ".flock-arena canvas[data-round]",
+    page: "#app .flock-arena canvas[data-round]",
+    words: "#app .flock-side .flock-hint",
+};
+const look = () => {
+    for (const [what, where] of Object.entries(wanted)) {
+        if (!document.querySelector(where)) continue;
+        delete wanted[what];
+        // What was drawn in one frame is on the screen with the next one.
+        requestAnimationFrame(() => tell(what));
+    }
+    if (Object.keys(wanted).length) requestAnimationFrame(look);
+};
+requestAnimationFrame(look);
+"""
+"""Tells when something is first seen, in every page that is loaded."""
+
+PAINTS = {
+    "paint": "first paint (the page's frame)",
+    "arena": "arena of the record drawn",
+    "page": "whole page built, arena drawn by it",
+    "words": "words from the server beside it",
+}
 
 
 def paint(browser: Browser, folder: Path) -> None:
     record = make_record(folder / "paint" / "run.mcap", n=10, rounds=60)
-    first: list[float] = []
-    arena: list[float] = []
+    after: dict[str, list[float]] = {what: [] for what in PAINTS}
+    printed: list[float] = []
     for _ in range(STARTS):
+        # The browser is there before the command, as a user's is; it is the viewer that is timed.
+        page = browser.new_page(viewport={"width": 1280, "height": 720})
+        seen: dict[str, float] = {}
+        page.expose_function("seen", lambda what, at, seen=seen: seen.setdefault(what, at))
+        page.add_init_script(SEEN)
         with viewer(str(record)) as (url, began):
-            page = browser.new_page(viewport={"width": 1280, "height": 720})
-            painted: list[float] = []
-            page.expose_function("painted", lambda at, painted=painted: painted.append(at))
-            page.add_init_script(
-                """new PerformanceObserver((list) => {
-                    for (const entry of list.getEntriesByName("first-contentful-paint")) {
-                        window.painted(performance.timeOrigin + entry.startTime);
-                    }
-                }).observe({ type: "paint", buffered: true });"""
-            )
+            printed.append(time.time() - began)
             page.goto(url, timeout=60_000)
-            page.locator(".flock-arena canvas[data-round]").wait_for(timeout=60_000)
-            arena.append(time.time() - began)
-            first.append(painted[0] / 1000 - began)
-            page.close()
-    print(f"first paint after the command: median {statistics.median(first):.2f} s, worst {max(first):.2f} s")
-    print(f"arena drawn after the command: median {statistics.median(arena):.2f} s, worst {max(arena):.2f} s")
+            page.locator("#app .flock-side .flock-hint").first.wait_for(timeout=60_000)
+            page.wait_for_timeout(300)  # what was seen is told
+            for what, times in after.items():
+                times.append(seen[what] / 1000 - began)
+        page.close()
+    print("after the command, 10 robots, 60 rounds:")
+    for what, times in (
+        {"its address printed": printed} | {PAINTS[what]: times for what, times in after.items()}
+    ).items():
+        print(f"  {what}: median {statistics.median(times):.2f} s, worst {max(times):.2f} s of {STARTS}")
 
 
 def scrub(browser: Browser, folder: Path) -> None:
@@ -82,7 +120,7 @@ def scrub(browser: Browser, folder: Path) -> None:
         took = page.evaluate(
             """async (jumps) => {
                 const clock = flockClock("main");
-                const arena = document.querySelector(".flock-arena canvas");
+                const arena = document.querySelector("#app .flock-arena canvas");
                 const took = [];
                 for (let k = 0; k < jumps; k += 1) {
                     const round = (k * 617) % 1001;  // far from one another: nothing is at hand at first
@@ -112,15 +150,15 @@ def frames(browser: Browser, folder: Path, n: int) -> None:
             """async () => {
                 const clock = flockClock("main");
                 clock.seek(0); clock.speed = 8; clock.toggle();
-                const before = Number(document.querySelector(".flock-arena canvas").dataset.drawn);
+                const before = Number(document.querySelector("#app .flock-arena canvas").dataset.drawn);
                 const began = performance.now();
                 await new Promise((done) => setTimeout(done, 5000));
-                const after = Number(document.querySelector(".flock-arena canvas").dataset.drawn);
+                const after = Number(document.querySelector("#app .flock-arena canvas").dataset.drawn);
                 return (after - before) / (performance.now() - began) * 1000;
             }"""
         )
         page.close()
-    print(f"{n} robots: {drawn:.0f} pictures a second while it plays")
+    print(f"{n} robots: {drawn:.0f} pictures a second while it plays at 8 rounds a second")
 
 
 def live(browser: Browser, folder: Path, seconds: float, rate: float) -> None:
@@ -134,21 +172,29 @@ def live(browser: Browser, folder: Path, seconds: float, rate: float) -> None:
             page = opened(browser, url)
             tab = page.context.new_cdp_session(page)
             began, told, number = time.monotonic(), 0.0, 1
-            sizes: list[float] = []
+            sizes: list[tuple[float, float]] = []
             while (now := time.monotonic() - began) < seconds:
                 while number < now * rate:
                     number += 1
                     fake.write_round(writer, number)
                 if now >= told:
-                    told += seconds / 10
+                    told += seconds / LOOKS
                     tab.send("HeapProfiler.collectGarbage")
-                    sizes.append(tab.send("Runtime.getHeapUsage")["usedSize"] / 1e6)
-                    print(f"  {now:5.0f} s, round {number}: heap {sizes[-1]:.1f} MB", flush=True)
+                    sizes.append((now, tab.send("Runtime.getHeapUsage")["usedSize"] / 1e6))
+                    print(f"  {now:5.0f} s, round {number}: heap {sizes[-1][1]:.1f} MB", flush=True)
                 time.sleep(0.05)
-            shown = int(page.locator(".flock-arena canvas").get_attribute("data-round") or -1)
+            shown = int(page.locator("#app .flock-arena canvas").get_attribute("data-round") or -1)
             page.close()
-    print(f"live, 20 robots, {rate:g} rounds/s for {seconds:g} s: heap {sizes[1]:.1f} -> {sizes[-1]:.1f} MB;")
-    print(f"  at the end the arena was {number - shown} rounds behind the record")
+    print(f"live, 20 robots, {rate:g} rounds/s for {seconds:g} s: heap {sizes[1][1]:.1f} -> {sizes[-1][1]:.1f} MB;")
+    print(f"  {growth(sizes)}; at the end the arena was {number - shown} rounds behind the record")
+
+
+def growth(sizes: list[tuple[float, float]]) -> str:
+    """Whether a heap is steady: how fast it grew in the first half of the time and in the second."""
+    halves = sizes[1 : len(sizes) // 2 + 1], sizes[len(sizes) // 2 :]
+    one, two = (60 * statistics.linear_regression(*zip(*half, strict=True)).slope for half in halves)
+    steady = "steady" if abs(two) < STEADY else "not steady (yet)"
+    return f"{one:+.2f} MB a minute in the first half, {two:+.2f} in the second: {steady}"
 
 
 def main() -> None:

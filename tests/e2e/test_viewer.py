@@ -77,7 +77,7 @@ def page_at(browser: Browser, url: str, *, width: int = 1280, height: int = 720,
 
 
 def shown_round(page: Page, arena: int = 0) -> int:
-    return int(page.locator(".flock-arena canvas").nth(arena).get_attribute("data-round") or -1)
+    return int(page.locator("#app .flock-arena canvas").nth(arena).get_attribute("data-round") or -1)
 
 
 def until(true: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
@@ -88,13 +88,13 @@ def until(true: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
 
 
 def ready(page: Page) -> None:
-    page.locator(".flock-arena canvas[data-round]").first.wait_for()
+    page.locator("#app .flock-arena canvas[data-round]").first.wait_for()
     # The words beside the time line come from the server: it knows of the page from then on.
     expect(page.locator(".flock-where")).to_contain_text("of")
 
 
 def choose(page: Page, robot: int) -> None:
-    arena = page.locator(".flock-arena canvas").first
+    arena = page.locator("#app .flock-arena canvas").first
     arena.focus()
     for _ in range(robot + 1):
         page.keyboard.press("]")
@@ -135,6 +135,20 @@ def test_a_record_is_replayed(replay: str, browser: Browser, width: int, dark: b
         page.wait_for_function(f"document.body.classList.contains('body--dark') === {str(not dark).lower()}")
 
 
+def test_the_run_is_drawn_before_the_viewer_is_there_and_stays_at_its_round(tmp_path: Path, browser: Browser) -> None:
+    make_record(tmp_path / "one" / "run.mcap", n=6, rounds=12)
+    with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
+        page.locator("#flock-sketch .flock-arena canvas[data-round='0']").wait_for()
+        assert page.locator("#app").count() == 0, "nothing but the first look is there yet"
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("ArrowRight")
+        page.locator("#flock-sketch .flock-arena canvas[data-round='2']").wait_for()
+        ready(page)
+        expect(page.locator(".flock-where")).to_have_text("round 2 of 12")
+        expect(page.locator("#flock-sketch")).to_have_count(0)
+        assert shown_round(page) == 2
+
+
 def test_the_time_line_is_scrubbed_and_its_marks_are_clicked(replay: str, browser: Browser) -> None:
     with page_at(browser, replay) as page:
         ready(page)
@@ -163,7 +177,7 @@ def test_a_conversation_is_read_and_two_robots_are_compared(replay: str, browser
         choose(page, 2)
         mind = page.locator(".flock-mind").first
         expect(mind).to_contain_text("Position: [1.0, 2.0]")
-        expect(mind).to_contain_text("used: {'waypoint': [1.0, 2.0]}")
+        expect(mind).to_contain_text("used: next waypoint (1, 2)")
         expect(mind).to_contain_text("300 tokens in, 20 out · 0.25 s")
         mind.get_by_text("Prompt (2 messages)").click()
         expect(mind).to_contain_text("You are a robot.")
@@ -217,7 +231,7 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
         ready(page)
         page.keyboard.press("ArrowRight")
         for robot in range(3):
-            page.locator(".flock-arena canvas").first.focus()
+            page.locator("#app .flock-arena canvas").first.focus()
             page.keyboard.press("]")
             mind = page.locator(".flock-mind").first
             expect(mind).to_contain_text(f"Robot {robot} ·")
@@ -304,7 +318,7 @@ def test_two_protocols_fly_side_by_side(tmp_path: Path, browser: Browser) -> Non
         page.get_by_label("Rounds a second").fill("20")
         page.get_by_role("button", name="Paper against flock").click()
         ready(page)
-        expect(page.locator(".flock-arena")).to_have_count(2)
+        expect(page.locator("#app .flock-arena")).to_have_count(2)
         expect(page.locator(".flock-state")).to_contain_text("formed", timeout=20_000)
         page.keyboard.press("End")
         until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {6}, "both end")

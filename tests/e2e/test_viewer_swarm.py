@@ -54,7 +54,7 @@ def test_a_swarm_is_watched_and_given_another_mission(tmp_path: Path) -> None:
             said: list[str] = []
             page.on("console", lambda message: said.append(message.text))
             page.goto(url)
-            page.locator(".flock-arena canvas[data-round]").wait_for(timeout=60_000)
+            page.locator("#app .flock-arena canvas[data-round]").wait_for(timeout=60_000)
             expect(page.locator(".flock-state")).to_have_text("live")
             expect(page.get_by_text("simulated language models")).to_be_visible()
             page.wait_for_function("flockClock('main').reels[0].plans.length > 0", timeout=60_000)

@@ -1,16 +1,32 @@
-"""Somebody is at the door from the first moment, and hands it over."""
+"""Somebody is at the door from the first moment, shows the run that was asked for, and hands the door over."""
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
+from functools import partial
+from pathlib import Path
 
+import pytest
+from sample_records import make_record
+
+from llm_flock.viewer.gallery import Gallery, play
 from llm_flock.viewer.greeter import PAGE
-from llm_flock.viewer.server import listen
+from llm_flock.viewer.server import Address, listen
+from llm_flock.viewer.sketch import sketch_page
+from llm_flock.viewer.told import told
+
+ACCEPT = "Accept: text/html,*/*"
 
 
-def ask(port: int, text: str) -> bytes:
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as guest:
+def ask(address: Address, path: str, *heads: str, host: str | None = None) -> bytes:
+    own = f"127.0.0.1:{address.port}" if host is None else host
+    return say(address, "\r\n".join((f"GET {path} HTTP/1.1", f"Host: {own}", *heads, "", "")))
+
+
+def say(address: Address, text: str) -> bytes:
+    with socket.create_connection(("127.0.0.1", address.port), timeout=10) as guest:
         guest.sendall(text.encode())
         answer = b""
         while part := guest.recv(65536):
@@ -20,27 +36,96 @@ def ask(port: int, text: str) -> bytes:
 
 def test_a_browser_sees_a_page_and_then_waits_for_the_viewer() -> None:
     address = listen("127.0.0.1", 0, None)
-    assert ask(address.port, "GET /data/1/about HTTP/1.1\r\nAccept: */*\r\n\r\n").startswith(b"HTTP/1.1 503 ")
-    assert ask(address.port, "nonsense").startswith(b"HTTP/1.1 503 ")
-    answer = ask(address.port, "GET / HTTP/1.1\r\nAccept: text/html,*/*\r\n\r\n")
+    assert ask(address, "/data/1/about").startswith(b"HTTP/1.1 503 ")
+    assert say(address, "nonsense").startswith(b"HTTP/1.1 503 ")
+    assert say(address, "POST / HTTP/1.1\r\nAccept: text/html\r\n\r\n").startswith(b"HTTP/1.1 503 ")
+    answer = ask(address, "/", ACCEPT)
     assert answer.startswith(b"HTTP/1.1 200 OK\r\n") and answer.endswith(PAGE)
     assert b"default-src 'none'" in answer
-    second: list[bytes] = []
-    waiting = threading.Thread(target=lambda: second.append(ask(address.port, "GET / HTTP/1.1\r\n\r\n")))
+    opened: list[bytes] = []
+    waiting = threading.Thread(target=lambda: opened.append(ask(address, "/data/open")))
     waiting.start()
     waiting.join(0.3)
-    assert waiting.is_alive()
+    assert waiting.is_alive(), "a page is not told to load itself anew before there is somebody to answer"
     address.greeter.stop()
+    waiting.join(10)
+    assert opened[0].startswith(b"HTTP/1.1 200 OK\r\n")
+    late: list[bytes] = []
+    waiting = threading.Thread(target=lambda: late.append(ask(address, "/", ACCEPT)))
+    waiting.start()
     guest, _ = address.sock.accept()
     with guest:
         assert guest.recv(1000).startswith(b"GET /")
         guest.sendall(b"the viewer")
     waiting.join(10)
-    assert second == [b"the viewer"]
+    assert late == [b"the viewer"]
     address.sock.close()
 
 
-def test_it_leaves_when_nobody_came() -> None:
+def test_it_leaves_when_nobody_came_and_when_somebody_says_nothing() -> None:
     address = listen("127.0.0.1", 0, None)
-    address.greeter.stop()
+    with socket.create_connection(("127.0.0.1", address.port)):
+        address.greeter.stop()
     address.sock.close()
+
+
+def body(answer: bytes) -> object:
+    head, _, text = answer.partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 200 OK\r\n"), answer
+    return json.loads(text)
+
+
+def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
+    record = make_record(tmp_path / "run.mcap", n=4, rounds=3)
+    address = listen("127.0.0.1", 0, None)
+    page = sketch_page("1", "</script><b>")
+    assert b"</script><b>" not in page
+    address.greeter.show(page, address.hosts)
+    try:
+        assert ask(address, "/", ACCEPT).endswith(page)
+        assert ask(address, "/cockpit", ACCEPT).endswith(PAGE)
+        early: list[bytes] = []
+        waiting = threading.Thread(target=lambda: early.append(ask(address, "/data/1/about")))
+        waiting.start()
+        waiting.join(0.3)
+        assert waiting.is_alive(), "what is not known yet is waited for"
+        gallery = Gallery()
+        play(record, gallery.add("one", record, live=False), live=False)
+        address.greeter.tell(partial(told, gallery))
+        waiting.join(10)
+        about = body(early[0])
+        assert isinstance(about, dict) and about["robots"] == 4 and about["live"] is False
+        news = body(ask(address, "/data/1/news?rounds=0&plans=0&missions=0"))
+        assert isinstance(news, dict) and news["last"] == 3 and len(news["figures"]["procrustes_mean"]) == 4
+        frames = body(ask(address, "/data/1/frames?first=1&count=2"))
+        assert isinstance(frames, list) and [frame["r"] for frame in frames] == [1, 2]
+        assert isinstance(body(ask(address, "/data/1/frames?first=x&count=-3")), list)
+        for nothing in ("/data/2/about", "/data/1/secret", "/data/../run.mcap", "/run.mcap"):
+            assert ask(address, nothing).startswith(b"HTTP/1.1 503 "), nothing
+    finally:
+        address.greeter.stop()
+        address.sock.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "heads"),
+    [
+        ("elsewhere.example", ()),
+        ("", ()),
+        (None, ("Origin: http://elsewhere.example",)),
+        (None, ("Origin: null",)),
+    ],
+)
+def test_no_other_sites_page_is_shown_the_run(tmp_path: Path, host: str | None, heads: tuple[str, ...]) -> None:
+    record = make_record(tmp_path / "run.mcap", n=4, rounds=3)
+    address = listen("127.0.0.1", 0, None)
+    gallery = Gallery()
+    play(record, gallery.add("one", record), live=False)
+    address.greeter.show(sketch_page("1", "one"), address.hosts)
+    address.greeter.tell(partial(told, gallery))
+    try:
+        assert ask(address, "/", ACCEPT, *heads, host=host).endswith(PAGE)
+        assert ask(address, "/data/1/about", *heads, host=host).startswith(b"HTTP/1.1 503 ")
+    finally:
+        address.greeter.stop()
+        address.sock.close()

@@ -12,7 +12,7 @@ from llm_flock.record.schema import BodySample, FlightEvent, ProtocolEvent, Roun
 from llm_flock.record.tail import RecordTail
 from llm_flock.record.writer import RecordWriter
 from llm_flock.viewer.gallery import Gallery, feed, play
-from llm_flock.viewer.mind import claims, pedigree, verdict
+from llm_flock.viewer.mind import claims, pedigree, understood, verdict
 from llm_flock.viewer.named import newest_in, records_in, title_of
 from llm_flock.viewer.reel import Reel
 
@@ -115,9 +115,20 @@ def test_claims_are_those_in_radio_range_the_own_first(tmp_path: Path) -> None:
 
 
 def test_a_verdict_says_what_became_of_an_answer() -> None:
-    assert verdict(llm_entry(1, 0)) == "used: {'waypoint': [1.0, 2.0]}"
+    assert verdict(llm_entry(1, 0)) == "used: next waypoint (1, 2)"
     assert verdict(llm_entry(1, 0, parsed=None, rejected="too far")) == "refused: too far"
     assert verdict(llm_entry(1, 0, parsed=None, text=None, error="timeout: 3 s")) == "no answer: timeout: 3 s"
+
+
+def test_what_was_understood_is_said_in_words() -> None:
+    assert understood({"waypoint": [1.004, 2.5], "path": [[1.004, 2.5], [3, -4.0]]}) == (
+        "next waypoint (1, 2.5); path (1, 2.5) → (3, -4)"
+    )
+    assert understood({"plan": [[0.0, 1.0], [2.0, 3.0]], "slot": 1}) == "a plan of 2 places: (0, 1) (2, 3); own place 1"
+    many = understood({"plan": [[0.0, float(k)] for k in range(40)], "slot": None})
+    assert many.startswith("a plan of 40 places: (0, 0) ") and many.endswith(" (0, 11) and 28 more; no own place")
+    # A record is a file from anywhere: what is not as it should be is shown as it is.
+    assert understood({"waypoint": "<b>", "other": [1, "x"], "path": ["y"]}) == "waypoint <b>; other [1, 'x']; path y"
 
 
 def test_a_live_reel_shows_no_half_round(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BufferedReader
@@ -14,12 +13,11 @@ from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
 from mcap.records import Channel, Footer, Message
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from llm_flock.errors import RecordError
+from llm_flock.record.raw import RawMessage, WholeReads, entry_of
 from llm_flock.record.schema import (
     CHANNELS,
-    FORMAT_VERSION,
     ROUND_NS,
     BodySample,
     Entry,
@@ -36,25 +34,6 @@ from llm_flock.record.schema import (
 )
 
 E = TypeVar("E", bound=Entry)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RawMessage:
-    """One message as it stands in the file.
-
-    Attributes:
-        topic: its channel.
-        round: the round at which it was logged.
-        data: its JSON.
-    """
-
-    topic: str
-    round: int
-    data: bytes
-
-    def decoded(self) -> dict[str, Any]:
-        """The message as plain values."""
-        return json.loads(self.data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,26 +151,6 @@ def read_record(path: Path) -> RunRecord:
     )
 
 
-def entry_of(path: Path, model: type[E], message: RawMessage) -> E:
-    """A message as what it stands for.
-
-    Raises:
-        RecordError: it is not valid, or of a newer format.
-    """
-    if model is RunInfo:
-        version = message.decoded().get("format_version")
-        if version != FORMAT_VERSION:
-            raise RecordError(f"{path}: format version {version!r}; this release reads version {FORMAT_VERSION}")
-    try:
-        return model.model_validate_json(message.data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise RecordError(
-            f"{path}: {message.topic} of round {message.round} is not valid ({where}: {first['msg']})"
-        ) from None
-
-
 def _messages(path: Path, file: BufferedReader, size: int) -> Iterator[RawMessage]:
     if size == 0:
         raise RecordError(f"{path}: empty file")
@@ -211,21 +170,3 @@ def _messages(path: Path, file: BufferedReader, size: int) -> Iterator[RawMessag
         return  # a killed run broke off within this record; what came before is whole
     except (McapError, KeyError, UnicodeDecodeError) as error:
         raise RecordError(f"{path}: not a readable MCAP file ({error})") from error
-
-
-class WholeReads:
-    """Bytes of a file that may break off anywhere: half a record is the end, not a short record."""
-
-    def __init__(self, file: BufferedReader) -> None:
-        self._file = file
-
-    def read(self, length: int) -> bytes:
-        """Exactly `length` bytes.
-
-        Raises:
-            EndOfFile: there are fewer left.
-        """
-        data = self._file.read(length)
-        if len(data) < length:
-            raise EndOfFile
-        return data

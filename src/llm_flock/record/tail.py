@@ -10,7 +10,7 @@ from mcap.records import Channel, Footer, Message
 from mcap.stream_reader import StreamReader
 
 from llm_flock.errors import RecordError
-from llm_flock.record.reader import RawMessage, WholeReads, entry_of
+from llm_flock.record.raw import RawMessage, WholeReads, entry_of
 from llm_flock.record.schema import CHANNELS, ROUND_NS, Entry
 
 

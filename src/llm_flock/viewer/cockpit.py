@@ -91,9 +91,9 @@ class Form:
             boxes["n_robots"] = ui.number("Robots", value=10, precision=0)
             boxes["center"] = ui.input("Centre", value="50, 50")
             boxes["spacing"] = ui.number("Spacing [units]", value=10)
+            boxes["protocol"] = ui.select(list(PROTOCOLS), label="Protocol", value="flock")
             models = list(dict.fromkeys((*self.cockpit.models, *MODELS)))
             boxes["model"] = ui.input("Model", value="simulated:distorted@0.3,overshoot@0.3", autocomplete=models)
-            boxes["protocol"] = ui.select(list(PROTOCOLS), label="Protocol", value="flock")
             boxes["seed"] = ui.number("Seed", value=0, precision=0)
             boxes["rounds"] = ui.number("Rounds at most", value=200, precision=0)
             boxes["loss"] = ui.number("Messages lost [share]", value=0, step=0.05)
@@ -103,6 +103,8 @@ class Form:
         for name, box in boxes.items():
             box.props("dense outlined options-dense" if name in ("protocol", "start") else "dense outlined")
             box.mark(f"field-{name}")
+        for wide in (boxes["model"], self._on):
+            wide.classes("flock-wide")
         self._pace.props("dense outlined").mark("field-pace")
 
     def _take(self, fields: dict[str, Any]) -> None:

@@ -62,8 +62,9 @@ def view(
 
     Without a record, the page opens with the form that starts runs.
     """
-    from llm_flock.viewer.named import RECORD_NAME, newest_in, records_in
+    from llm_flock.viewer.named import FIRST_KEY, RECORD_NAME, newest_in, records_in, title_of
     from llm_flock.viewer.server import listen, open_browser
+    from llm_flock.viewer.sketch import sketch_page
 
     found = list(records or [])
     if live:
@@ -77,6 +78,9 @@ def view(
 
         watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
     address = listen(host, port, token)
+    if len(found) == 1 and watched is None and address.token is None:
+        # The one run that the page will show is drawn at once; with a token, nothing is shown to anybody without it.
+        address.greeter.show(sketch_page(FIRST_KEY, title_of(found[0])), address.hosts)
     typer.echo(address.url)
     typer.echo("Ctrl-C ends the viewer", err=True)
     if browser:

@@ -23,6 +23,7 @@ from llm_flock.record.schema import (
     Summary,
 )
 from llm_flock.record.tail import RecordTail
+from llm_flock.viewer.named import FIRST_KEY
 from llm_flock.viewer.reel import Reel
 
 logger = logging.getLogger(__name__)
@@ -39,16 +40,17 @@ class Gallery:
         self.paths: dict[str, Path] = {}
         self._lock = threading.Lock()
 
-    def add(self, title: str, path: Path | None = None) -> Reel:
+    def add(self, title: str, path: Path | None = None, *, live: bool = True) -> Reel:
         """Room for one more run.
 
         Args:
             title: what people read.
             path: its record, if it has one; only such a run can be exported.
+            live: whether it goes on while it is watched.
         """
         with self._lock:
-            key = str(len(self.reels) + 1)
-            self.reels[key] = Reel(key, title)
+            key = str(int(FIRST_KEY) + len(self.reels))
+            self.reels[key] = Reel(key, title, live=live)
             if path is not None:
                 self.paths[key] = path
             return self.reels[key]

@@ -3,35 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from llm_flock.record.schema import LlmEntry, ProtocolEvent
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lane:
-    """One line of marks.
-
-    Attributes:
-        name: what it holds, in a word.
-        mark: shape of its marks, so that they are told apart without colour.
-        about: what it holds, in a sentence.
-    """
-
-    name: str
-    mark: str
-    about: str
-
-
-LANES: tuple[Lane, ...] = (
-    Lane(name="plans", mark="circle", about="A robot proposed a plan or took over another's"),
-    Lane(name="swaps", mark="diamond", about="A robot claimed another place than before"),
-    Lane(name="retries", mark="triangle", about="A model's answer was refused and the model asked again"),
-    Lane(name="fallbacks", mark="square", about="No answer was of use: geometry, or no plan at all, took its place"),
-    Lane(name="shield", mark="cross", about="A way was bent, held or given up for safety"),
-    Lane(name="faults", mark="bolt", about="A robot died or joined, a call failed, a message was refused"),
-    Lane(name="missions", mark="flag", about="A robot heard of another mission"),
-)
 
 _OF_KIND = {
     "proposed": "plans",

@@ -44,7 +44,8 @@ def _conversation(reel: Reel, robot: int, number: int) -> None:
 
 def _call(entry: LlmEntry) -> None:
     with ui.element("section").classes("flock-call"):
-        ui.label(f"{entry.kind} · try {entry.attempt + 1} · {entry.model}").classes("flock-call-title")
+        ui.label(f"{entry.kind} · try {entry.attempt + 1}").classes("flock-call-title")
+        ui.label(entry.model.replace(",", ", ")).classes("flock-hint")
         prompt = ui.expansion(f"Prompt ({len(entry.messages)} messages)").props("dense").classes("flock-prompt")
 
         def unfold(entry: LlmEntry = entry) -> None:

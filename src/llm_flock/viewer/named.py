@@ -8,6 +8,8 @@ from pathlib import Path
 from llm_flock.errors import InputError
 
 RECORD_NAME = "run.mcap"
+FIRST_KEY = "1"
+"""Under which a viewer shows the first of its runs; others are counted on."""
 
 
 def records_in(paths: Iterable[Path]) -> list[Path]:

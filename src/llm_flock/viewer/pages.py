@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import HTTPException
@@ -14,13 +13,12 @@ from nicegui import ui
 from llm_flock.viewer.exports import export_menu
 from llm_flock.viewer.gallery import Gallery
 from llm_flock.viewer.reel import Reel
+from llm_flock.viewer.sketch import css, sketch
 from llm_flock.viewer.stage import Stage
 
 if TYPE_CHECKING:
     from llm_flock.viewer.connect import Swarm
     from llm_flock.viewer.launch import Cockpit
-
-CSS = Path(__file__).parent / "static" / "viewer.css"
 
 SHELL = """
 <style>
@@ -31,15 +29,20 @@ body:has(#app > *) #flock-shell {{ display: none; }}
 </style>
 <div id="flock-shell">LLM-Flock <span style="font-weight: 600; font-size: 14px">{title} …</span></div>
 """
-"""What is painted first, while the page's scripts are loaded."""
+"""What is painted first of a page without a run, while its scripts are loaded."""
 
 
 @contextmanager
-def framed(title: str) -> Generator[None]:
-    """The header of a page, with room for buttons that belong to the page."""
-    ui.add_css(CSS.read_text(encoding="utf-8"))
+def framed(title: str, first: str | None = None) -> Generator[None]:
+    """The header of a page, with room for buttons that belong to the page.
+
+    Args:
+        title: what people read.
+        first: what is painted while the page's scripts are loaded; the title where None.
+    """
+    ui.add_css(css())
     ui.page_title(f"{title} · LLM-Flock")
-    ui.add_body_html(SHELL.format(title=escape(title)))
+    ui.add_body_html(SHELL.format(title=escape(title)) if first is None else first)
     dark = ui.dark_mode(None)
     with ui.element("header").classes("flock-header"):
         ui.link("LLM-Flock", "/").classes("flock-brand")
@@ -92,11 +95,12 @@ class Pages:
             ui.link("Cockpit", "/cockpit")
         with ui.element("main").classes("flock-page"), ui.element("section").classes("flock-card"):
             ui.label("Runs").classes("flock-subtitle")
+            if not self.gallery.reels:
+                ui.label("None yet: the cockpit starts them.").classes("flock-hint")
             with ui.element("div").classes("flock-runs"):
                 for reel in self.gallery.reels.values():
-                    with ui.row():
-                        ui.link(reel.title, f"/run/{reel.key}")
-                        ui.label(reel.in_words).classes("flock-hint")
+                    ui.link(reel.title, f"/run/{reel.key}")
+                    ui.label(reel.in_words.replace(",", ", ")).classes("flock-hint")
 
     def run(self, key: str) -> None:
         """One run."""
@@ -122,7 +126,8 @@ class Pages:
         return reel
 
     def _stage(self, reels: Sequence[Reel]) -> None:
-        with framed(" and ".join(reel.title for reel in reels)):
+        first = sketch([(reel.key, reel.title) for reel in reels])
+        with framed(" and ".join(reel.title for reel in reels), first):
             ui.link("Runs", "/runs")
             ui.link("Cockpit", "/cockpit")
             if len(reels) == 1:

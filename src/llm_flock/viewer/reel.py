@@ -48,11 +48,13 @@ class Reel:
     Args:
         key: names the run in addresses of pages.
         title: what people read.
+        live: whether the run goes on while it is watched; of another one, no more is open than its reading.
     """
 
-    def __init__(self, key: str, title: str) -> None:
+    def __init__(self, key: str, title: str, *, live: bool = True) -> None:
         self.key = key
         self.title = title
+        self.live = live
         self.open = True
         self.failure: str | None = None
         self.info: RunInfo | None = None
@@ -193,6 +195,7 @@ class Reel:
         return {
             "key": self.key,
             "title": self.title,
+            "live": self.live,
             "simulated": self.simulated,
             "robots": self.n_robots,
             "safe_distance": fields["safe_distance"],

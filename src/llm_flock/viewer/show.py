@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from llm_flock.viewer.gallery import Gallery, play
 from llm_flock.viewer.named import title_of
 from llm_flock.viewer.reel import Reel
 from llm_flock.viewer.server import Address, serve
+from llm_flock.viewer.told import told
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -52,13 +54,15 @@ def show(address: Address, shown: Shown) -> None:
         InputError: a model cannot be asked, or NiceGUI is missing.
     """
     gallery = Gallery()
-    found = [(path, gallery.add(title_of(path), path)) for path in shown.records]
+    found = [(path, gallery.add(title_of(path), path, live=shown.live)) for path in shown.records]
+    threading.Thread(target=_read, args=(found,), kwargs={"live": shown.live}, daemon=True).start()
+    address.greeter.tell(partial(told, gallery))
 
     def build(app: FastAPI) -> Callable[[], None]:
         from llm_flock.viewer.data import routes
         from llm_flock.viewer.pages import Pages
 
-        work: list[Callable[[], None]] = [lambda: _read(found, live=shown.live)]
+        work: list[Callable[[], None]] = []
         swarm = None
         if shown.swarm is not None:
             from llm_flock.viewer.connect import Swarm

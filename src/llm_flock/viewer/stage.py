@@ -9,10 +9,11 @@ from typing import Any
 
 from nicegui import events, ui
 
-from llm_flock.viewer import widgets
+from llm_flock.viewer import parts
 from llm_flock.viewer.happenings import in_words
 from llm_flock.viewer.mindview import show_mind
 from llm_flock.viewer.reel import Reel
+from llm_flock.viewer.widgets import Drawing
 
 SPEEDS = {0.5: "0.5 / s", 1: "1 / s", 2: "2 / s", 4: "4 / s", 10: "10 / s", 30: "30 / s"}
 """Rounds a second."""
@@ -47,9 +48,10 @@ class Stage:
         self.reels = reels
         self._steer = steer
         self.cursor = Cursor()
-        self._arenas: list[widgets.Drawing] = []
+        self._arenas: list[Drawing] = []
         self._options: list[int] = []
         self._stale = False
+        self._told: dict[str, Any] | None = None
 
     def build(self) -> None:
         """The whole page below its header."""
@@ -62,14 +64,15 @@ class Stage:
                         with ui.element("figure").classes("flock-arena"):
                             if len(keys) > 1:
                                 ui.label(reel.title).classes("flock-caption")
-                            drawing = widgets.arena(reel.key, reel.title).mark(f"arena-{reel.key}")
+                            drawing = Drawing(parts.arena(reel.key, reel.title)).mark(f"arena-{reel.key}")
                             drawing.on("select", lambda event, k=number: self._picked(k, event))
                             self._arenas.append(drawing)
+                    self._zoom()
             with ui.element("aside").classes("flock-side").props('aria-label="Mind, plots and events"'):
                 self._side(keys)
             with ui.element("section").classes("flock-time").props('aria-label="Time"'):
                 self._transport()
-                line = widgets.timeline(keys)
+                line = Drawing(parts.timeline(keys))
                 line.on("cursor", self._moved)
             ui.timer(REFRESH_S, self._refresh_stale)
 
@@ -77,18 +80,20 @@ class Stage:
 
     def _layers(self) -> None:
         with ui.row().classes("flock-layers"):
-            for name, words, on in widgets.LAYERS:
+            for name, words, on in parts.LAYERS:
                 box = ui.checkbox(words, value=on).props("dense size=sm")
                 box.on_value_change(lambda event, name=name: self._tell_all("layer", name, bool(event.value)))
-            with ui.row().classes("flock-zoom"):
-                for icon, words, act in (
-                    ("add", "Zoom in", ("zoom", 1.25)),
-                    ("remove", "Zoom out", ("zoom", 0.8)),
-                    ("fit_screen", "Show all", ("fit",)),
-                ):
-                    ui.button(icon=icon, on_click=partial(self._tell_all, *act)).props(
-                        f'flat dense size=sm aria-label="{words}"'
-                    ).tooltip(words)
+
+    def _zoom(self) -> None:
+        with ui.row().classes("flock-zoom"):
+            for icon, words, act in (
+                ("add", "Zoom in", ("zoom", 1.25)),
+                ("remove", "Zoom out", ("zoom", 0.8)),
+                ("fit_screen", "Show all", ("fit",)),
+            ):
+                ui.button(icon=icon, on_click=partial(self._tell_all, *act)).props(
+                    f'flat dense size=sm aria-label="{words}"'
+                ).tooltip(words)
 
     def _side(self, keys: Sequence[str]) -> None:
         with ui.tabs().props("dense align=left no-caps").classes("flock-tabs") as self._tabs:
@@ -107,7 +112,7 @@ class Stage:
                         box.on_value_change(self._chosen)
                 self._words = ui.element("div").classes("flock-minds").mark("minds")
             with ui.tab_panel(plots).classes("flock-panel flock-plots"):
-                widgets.plots(keys)
+                Drawing(parts.plots(keys))
             with ui.tab_panel(happened).classes("flock-panel"):
                 self._events = ui.element("div").mark("events")
             if self._steer is not None and steered is not None:
@@ -143,12 +148,13 @@ class Stage:
 
     def _moved(self, event: events.GenericEventArguments) -> None:
         told: dict[str, Any] = event.args
+        again, self._told = told == self._told, told
         cursor = self.cursor
         cursor.round, cursor.last, cursor.open = int(told["round"]), int(told["last"]), bool(told["open"])
         self._where.set_text(f"round {cursor.round} of {cursor.last}")
         self._play.props(f"icon={'pause' if told['playing'] or told['following'] else 'play_arrow'}")
         state = str(told["failure"]) or (
-            "live" if told["following"] else "still running" if cursor.open else _end(self.reels[0])
+            "live" if told["following"] else _still(self.reels) if cursor.open else _end(self.reels[0])
         )
         self._state.set_text(state)
         self._state.props(f"color={'negative' if told['failure'] else 'positive' if told['following'] else 'grey-8'}")
@@ -156,7 +162,7 @@ class Stage:
         self._offer()
         # Nobody reads at ten rounds a second: while the cursor runs, the words follow more slowly than the picture.
         self._stale = bool(told["playing"] or told["following"])
-        if not self._stale:
+        if not self._stale and not again:  # said twice, lest it be lost: what somebody reads is not renewed for that
             self._refresh()
 
     def _refresh_stale(self) -> None:
@@ -226,6 +232,10 @@ class Stage:
                         ui.label(in_words(event, reel.plan_name)).classes("flock-what")
                 if len(happened) > MOST_EVENTS:
                     ui.label(f"and {len(happened) - MOST_EVENTS} more").classes("flock-hint")
+
+
+def _still(reels: Sequence[Reel]) -> str:
+    return "still running" if any(reel.live for reel in reels) else "reading …"
 
 
 def _end(reel: Reel) -> str:

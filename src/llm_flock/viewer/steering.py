@@ -28,7 +28,7 @@ class Controls:
         """All controls."""
         mission = self.flights[0].config.mission
         self._said = ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
-        with ui.row().classes("flock-choose"):
+        with ui.row().classes("flock-choose flock-acts"):
             pace = ui.number("Rounds / s", value=self.flights[0].pace, min=0.1, max=100).props("dense outlined")
             pace.on_value_change(lambda event: self._pace(event.value))
             pause = ui.button("Pause", icon="pause").props("no-caps outline dense").mark("pause-flight")
@@ -59,7 +59,7 @@ class Controls:
 
         ui.button("Give the mission", icon="flag", on_click=change).props("no-caps outline").mark("give-mission")
         ui.label("Faults").classes("flock-subtitle")
-        with ui.row().classes("flock-choose"):
+        with ui.row().classes("flock-choose flock-acts"):
             robot = ui.select(list(range(mission.n_robots)), label="Robot", value=0)
             robot.props("dense outlined options-dense").mark("fault-robot")
             ui.button(

@@ -1,8 +1,10 @@
 // The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles; zoom and pan.
-import { cells, links } from "./geometry.js";
-import { FONT, Paper, dash, look, theme } from "./paper.js";
+import { cells, links } from "llm-flock-viewer/geometry.js";
+import { FONT, Paper, dash, look, theme } from "llm-flock-viewer/paper.js";
 
 const TRAIL = 24; // rounds
+const EDGE = 10; // pixels around the arena
+const RULER = 22; // pixels below it, for the length to compare with
 const MANY = 250; // robots from which on letters and rims are left out
 
 export class Arena {
@@ -152,8 +154,8 @@ export class Arena {
       this.scale = this.view.scale;
       return;
     }
-    this.center = [(left + right) / 2, (bottom + top) / 2];
-    this.scale = Math.min((width - 24) / (right - left), (height - 24) / (top - bottom));
+    this.scale = Math.min((width - 2 * EDGE) / (right - left), (height - 2 * EDGE - RULER) / (top - bottom));
+    this.center = [(left + right) / 2, (bottom + top) / 2 - RULER / 2 / this.scale];
   }
 
   pixel([x, y]) {
@@ -216,6 +218,7 @@ export class Arena {
     if (this.layers.trails) this.trails(frame);
     if (this.layers.goals) this.goals(frame);
     if (this.layers.safety) this.safety(frame, about);
+    this.labels(frame);
     this.robots(frame);
     this.ruler();
   }
@@ -356,7 +359,7 @@ export class Arena {
     pen.textBaseline = "middle";
     frame.x.forEach((at, robot) => {
       const [x, y] = this.pixel(at);
-      const { fill, ink, name, rim } = look(this.reel, frame.p[robot]);
+      const { fill, ink, rim } = look(this.reel, frame.p[robot]);
       pen.beginPath();
       pen.arc(x, y, this.radius, 0, 2 * Math.PI);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
@@ -374,15 +377,28 @@ export class Arena {
       pen.font = `600 ${size}px ${FONT}`;
       pen.fillStyle = dead.has(robot) ? theme().paper : asleep.has(robot) ? theme().paper : ink;
       pen.fillText(dead.has(robot) ? "×" : String(robot), x, y + 0.5);
+    });
+  }
+
+  /** Letters of plans and influence, below all disks: where robots stand close, their numbers are read first. */
+  labels(frame) {
+    const { pen } = this.paper;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    frame.x.forEach((at, robot) => {
+      if (frame.x.length > MANY && !this.selected.includes(robot)) return;
+      const [x, y] = this.pixel(at);
+      const { name } = look(this.reel, frame.p[robot]);
       const label = [this.layers.plans && name, this.layers.influence && frame.i[robot].toFixed(2)]
         .filter(Boolean).join(" ");
       if (!label) return;
       pen.font = `600 11px ${FONT}`;
       pen.lineWidth = 3;
       pen.strokeStyle = theme().paper;
-      pen.strokeText(label, x, y - this.radius - 8);
+      const above = y - this.radius - (this.selected.includes(robot) ? 15 : 8); // clear of the ring
+      pen.strokeText(label, x, above);
       pen.fillStyle = theme().ink;
-      pen.fillText(label, x, y - this.radius - 8);
+      pen.fillText(label, x, above);
     });
   }
 

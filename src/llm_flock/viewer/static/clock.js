@@ -19,7 +19,7 @@ export class Clock {
   }
 
   grown(reel) {
-    if (reel.open && reel.fresh) {
+    if (reel.open && reel.fresh && reel.about && reel.about.live) {
       // A live run is followed from its first appearance on, until somebody takes the cursor.
       this.following = true;
       reel.fresh = false;
@@ -96,7 +96,7 @@ export class Clock {
 
   live() {
     this.playing = false;
-    this.following = true;
+    this.following = this.reels.some((reel) => reel.open);
     this.cursor = this.last;
     this.changed();
   }

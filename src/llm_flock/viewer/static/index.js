@@ -1,9 +1,9 @@
 // The drawn parts of the viewer. Everything that comes from a run is drawn or set as text, never as markup.
-import { Clock } from "./clock.js";
-import { Reel } from "./reel.js";
-import { Arena } from "./arena.js";
-import { Timeline } from "./timeline.js";
-import { Plots } from "./plots.js";
+import { Clock } from "llm-flock-viewer/clock.js";
+import { Reel } from "llm-flock-viewer/reel.js";
+import { Arena } from "llm-flock-viewer/arena.js";
+import { Timeline } from "llm-flock-viewer/timeline.js";
+import { Plots } from "llm-flock-viewer/plots.js";
 
 const KINDS = { arena: Arena, timeline: Timeline, plots: Plots };
 const clocks = new Map();

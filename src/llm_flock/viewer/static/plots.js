@@ -1,5 +1,5 @@
 // Small plots over rounds, linked to the cursor. Several runs are told apart by the stroke as well as by the colour.
-import { FONT, Paper, theme } from "./paper.js";
+import { FONT, Paper, theme } from "llm-flock-viewer/paper.js";
 
 const LEFT = 52;
 const RIGHT = 12;

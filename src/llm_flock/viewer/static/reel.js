@@ -2,6 +2,7 @@
 
 const KEPT = 60000; // robots times rounds that are kept; older ones are fetched again
 const LIVE_MS = 100;
+const FIRST_MS = 20; // until there is anything to show
 
 export class Reel {
   constructor(key) {
@@ -48,7 +49,7 @@ export class Reel {
         await new Promise((done) => setTimeout(done, 1000));
       }
       if (!this.open) return;
-      await new Promise((done) => setTimeout(done, Math.max(10, LIVE_MS - (performance.now() - began))));
+      await new Promise((done) => setTimeout(done, Math.max(10, (this.about ? LIVE_MS : FIRST_MS) - (performance.now() - began))));
     }
   }
 

@@ -1,5 +1,5 @@
 // Rounds from left to right: marks of what happened, the cursor, and what is not flown yet.
-import { FONT, Paper, theme } from "./paper.js";
+import { FONT, Paper, theme } from "llm-flock-viewer/paper.js";
 
 const LEFT = 64;
 const RIGHT = 14;
