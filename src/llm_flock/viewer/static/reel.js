@@ -1,6 +1,6 @@
 // One run in the page: its figures whole, its robots round by round, fetched as they are needed.
 
-const KEPT = 60000; // robots times rounds that are kept; older ones are fetched again
+const KEPT = 40000; // robots times rounds that are kept; older ones are fetched again
 const LIVE_MS = 100;
 const FIRST_MS = 20; // until there is anything to show
 
