@@ -10,9 +10,10 @@ from sample_records import FakeRun, llm_entry, make_record
 from llm_flock.errors import InputError
 from llm_flock.record.schema import BodySample, FlightEvent, ProtocolEvent, RoundEnd
 from llm_flock.record.tail import RecordTail
+from llm_flock.record.words import understood, verdict
 from llm_flock.record.writer import RecordWriter
 from llm_flock.viewer.gallery import Gallery, feed, play
-from llm_flock.viewer.mind import claims, pedigree, understood, verdict
+from llm_flock.viewer.mind import claims, pedigree
 from llm_flock.viewer.named import newest_in, records_in, title_of
 from llm_flock.viewer.reel import Reel
 

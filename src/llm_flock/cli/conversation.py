@@ -10,6 +10,7 @@ from rich.text import Text
 from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import LlmEntry
+from llm_flock.record.words import verdict
 
 
 def show_overview(record: RunRecord) -> None:
@@ -63,10 +64,9 @@ def _show(console: Console, entry: LlmEntry) -> None:
         console.print(
             Panel(Text(entry.text), title=Text(f"{title} · answer"), title_align="left", border_style="green")
         )
-    outcome = f"used: {entry.parsed}" if entry.parsed is not None else f"not used: {entry.rejected or entry.error}"
     console.print(
         Text(
-            f"{outcome} · {entry.usage.input} tokens in, {entry.usage.output} out · {entry.latency_s:.3f} s"
+            f"{verdict(entry)} · {entry.usage.input} tokens in, {entry.usage.output} out · {entry.latency_s:.3f} s"
             + (f" · faults: {', '.join(entry.faults)}" if entry.faults else "")
         )
     )

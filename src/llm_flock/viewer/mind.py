@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
 from llm_flock.record.schema import SILENT, LlmEntry
 from llm_flock.viewer.reel import Reel
-
-MOST_PLACES = 12
-"""Places of a plan that are listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,46 +80,6 @@ def claims(reel: Reel, robot: int, number: int) -> Sequence[Claim]:
         if other == robot or state.phases[other] not in SILENT
     ]
     return sorted((c for c in found if c.distance <= reach), key=lambda c: (c.robot != robot, c.distance))
-
-
-def verdict(entry: LlmEntry) -> str:
-    """What became of an answer, in a sentence."""
-    if entry.error is not None:
-        return f"no answer: {entry.error}"
-    if entry.rejected is not None:
-        return f"refused: {entry.rejected}"
-    return f"used: {understood(entry.parsed or {})}"
-
-
-def understood(parsed: Mapping[str, Any]) -> str:
-    """What was understood of an answer: where to go, or which plan and which place of it, in words and numbers."""
-    words: list[str] = []
-    for name, value in parsed.items():
-        rows = cast("list[object]", value) if isinstance(value, list) else None
-        if name == "waypoint" and rows is not None:
-            words.append(f"next waypoint {_place(rows)}")
-        elif name == "path" and rows is not None:
-            words.append("path " + " → ".join(_place(at) for at in rows))
-        elif name == "plan" and rows is not None:
-            more = f" and {len(rows) - MOST_PLACES} more" if len(rows) > MOST_PLACES else ""
-            places = " ".join(_place(at) for at in rows[:MOST_PLACES])
-            words.append(f"a plan of {len(rows)} places: {places}{more}")
-        elif name == "slot":
-            words.append("no own place" if value is None else f"own place {value}")
-        else:
-            words.append(f"{name} {value}")
-    return "; ".join(words)
-
-
-def _place(at: object) -> str:
-    """A point as people write it; anything else as it is: a record is a file from anywhere."""
-    if not isinstance(at, list):
-        return str(at)
-    parts = cast("list[object]", at)
-    numbers = [part for part in parts if isinstance(part, int | float)]
-    if len(numbers) != len(parts):
-        return str(parts)
-    return f"({', '.join(f'{round(part, 2):g}' for part in numbers)})"
 
 
 def price(entry: LlmEntry) -> str:

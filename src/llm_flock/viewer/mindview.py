@@ -5,7 +5,8 @@ from __future__ import annotations
 from nicegui import ui
 
 from llm_flock.record.schema import LlmEntry
-from llm_flock.viewer.mind import claims, pedigree, price, verdict
+from llm_flock.record.words import verdict
+from llm_flock.viewer.mind import claims, pedigree, price
 from llm_flock.viewer.reel import Reel
 
 MOST_CLAIMS = 30
