@@ -310,6 +310,11 @@ MUTANTS: Sequence[Mutant] = (
         f"{T_TALKS}::test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new",
     ),
     Mutant(
+        *("repeating", "What is new is said", "a change is not said a second time"),
+        *("protocol/speech.py", "whole.roll is not None or any(self._changed) or", "whole.roll is not None or"),
+        f"{T_SPEECH}::test_what_was_said_is_repeated_only_while_nothing_is_new",
+    ),
+    Mutant(
         *("age", "A sighting's age widens the margin", "the age is left out"),
         *(ASYNC, "speed * (other.age_s + period_s)", "speed * period_s"),
         "property/test_shield_async.py::test_age_and_error_widen_the_margin_and_too_much_of_them_is_standing_still",

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from crew import Crew, connected_places
+from msgspec.structs import replace
 
 from llm_flock.mission import SAFETY_FIELDS, Mission
 from llm_flock.protocol.codec import decode
@@ -105,6 +106,44 @@ def test_who_agrees_needs_no_greeting_in_a_large_team_and_a_newcomer_does() -> N
     talker.speech.hear(standing(LARGE, sender=1))
     talker.begin(frozenset({1}), neighbors=2)
     assert talker.say(standing(LARGE)).plan is not None, "the radio counts somebody whom no sensor sees"
+
+
+def test_what_was_said_is_repeated_only_while_nothing_is_new() -> None:
+    """One thing after the other is new, each is said, and then the same bytes do again."""
+    talker = Talker(LARGE, frozenset({1}))
+    claims, changed = table_of(LARGE), table_of(LARGE, s3=(0, -1.0, 0))
+
+    def settle(whole: Message, claim: object) -> int:
+        """Exchanges until the bytes repeat themselves."""
+        for count in range(6):
+            if talker.speech.again(claim) is not None:
+                return count
+            talker.say(whole)
+        raise AssertionError("the bytes are made anew in every exchange")
+
+    whole = standing(LARGE, table=claims)
+    assert settle(whole, claims) == 2, "a greeting, and what follows it"
+    assert talker.speech.again(claims) == talker.speech.again(claims)
+    talker.begin()
+    assert settle(whole, claims) == 2, "another round"
+    whole = standing(LARGE, table=changed)
+    assert settle(whole, changed) == 3, "a change is said twice, and then no more"
+    talker.speech.hear(standing(LARGE, sender=1, table=changed))
+    assert settle(whole, changed) == 1, "a neighbour"
+    talker.speech.hear(standing(LARGE, sender=1, table=changed, slot=2))
+    assert settle(whole, changed) == 0, "a neighbour that knows no more and no less than before"
+    talker.speech.hear(standing(LARGE, sender=1, plan=plan_of(LARGE, 1.0), table=changed))
+    assert settle(whole, changed) == 1, "a neighbour on another plan"
+    assert talker.speech.again(claims) is None, "another claim"
+
+
+def test_a_roll_is_said_once() -> None:
+    talker = Talker()
+    talker.say(standing())
+    talker.say(standing())
+    assert talker.speech.again() is not None
+    talker.say(replace(standing(), roll={0: (0, (1.0, 2.0), ())}))
+    assert talker.speech.again() is None
 
 
 def test_in_a_small_team_every_round_begins_with_a_greeting() -> None:

@@ -122,6 +122,7 @@ def test_a_verdict_says_what_became_of_an_answer() -> None:
 
 
 def test_what_was_understood_is_said_in_words() -> None:
+    assert understood({"waypoint": [10**400, 1]}) == f"next waypoint [{10**400}, 1]"
     assert understood({"waypoint": [1.004, 2.5], "path": [[1.004, 2.5], [3, -4.0]]}) == (
         "next waypoint (1, 2.5); path (1, 2.5) → (3, -4)"
     )

@@ -48,4 +48,7 @@ def _place(at: object) -> str:
     numbers = [part for part in parts if isinstance(part, int | float)]
     if len(numbers) != len(parts):
         return str(parts)
-    return f"({', '.join(f'{round(part, 2):g}' for part in numbers)})"
+    try:
+        return f"({', '.join(f'{round(part, 2):g}' for part in numbers)})"
+    except OverflowError:  # a whole number of hundreds of digits
+        return str(parts)

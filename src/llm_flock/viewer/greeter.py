@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import select
 import socket
 import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from urllib.parse import parse_qsl
+
+logger = logging.getLogger(__name__)
 
 LOOK_S = 0.05
 READ_S = 0.5
@@ -139,7 +142,11 @@ class Greeter:
             return "200 OK", "text/html; charset=utf-8", page
         if asked is not None and self._page is not None and self._own(asked):
             self._can_tell.wait()
-            body = None if self._told is None else self._told(asked.path, asked.query)
+            try:
+                body = None if self._told is None else self._told(asked.path, asked.query)
+            except Exception:  # a record is a file from anywhere; the viewer says what is wrong with it
+                logger.warning("the first look at the record failed", exc_info=True)
+                body = None
             if body is not None:
                 return "200 OK", "application/json", body
         return "503 Service Unavailable\r\nRetry-After: 1", "text/plain", b"the viewer is starting"

@@ -116,9 +116,10 @@ class Engine:
             # Answered by the engine's own thread: it has begun to work. Stopped before that, it would never end.
             server.handle_metrics()
         except RuntimeError:
-            files = " and ".join(file.name for file in self.weights.files)
+            loaded = self.weights.loaded()
+            files = " and ".join(str(file) for file in (loaded, *self.weights.files[1:]))
             allowed = f"what the engine can load: {files} may be damaged, of a kind it does not know, or too large"
-            raise InputError("model", str(self.weights.model), allowed) from None
+            raise InputError("model", str(loaded), allowed) from None
         return server
 
     def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Told]:

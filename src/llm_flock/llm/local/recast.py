@@ -1,7 +1,7 @@
 """The same weights in a format that a processor reads faster, made once and kept in the user's cache.
 
 Q4_1 (ggml: blocks of 32 numbers, `scale * q + least` with q of four bits) is compact and slow to compute with: as Q8_0
-(`scale * q` with q of eight bits) the same matrices are worked through about twice as fast. The numbers stay what they
+(`scale * q` with q of eight bits) questions are read about 1.7 times as fast. The numbers stay what they
 were up to half a 127th of the largest of their block, which is a small part of what four bits lost before.
 """
 
@@ -37,7 +37,7 @@ BLOCK_BYTES: Mapping[int, int] = {F32: 4 * BLOCK, Q4_1: 2 + 2 + BLOCK // 2, Q8_0
 def cache_folder() -> Path:
     """Where this user's programs keep what they can make again (XDG base directories)."""
     given = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(given) if given else Path.home() / ".cache") / "llm-flock"
+    return (Path(given) if given.startswith("/") else Path.home() / ".cache") / "llm-flock"
 
 
 def can_recast(head: Head) -> bool:
@@ -59,9 +59,9 @@ def recast(source: Path, head: Head, digest: str) -> Path:
     places, size = _new_places(head)
     try:
         target = cache_folder() / f"{source.stem}-as-Q8_0-{digest[:16]}.gguf"
-        if not target.is_file() or target.stat().st_size != size:
+        if not os.access(target, os.R_OK) or target.stat().st_size != size:
             _write(source, head, places, target)
-    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
+    except (OSError, RuntimeError, ValueError) as error:  # there is no home, or the file ends too early
         logger.warning("%s is read as it is, slowly: its faster form cannot be kept (%s)", source.name, error)
         return source
     return target
@@ -105,6 +105,8 @@ def _write(source: Path, head: Head, places: Mapping[str, Place], target: Path) 
     try:
         with os.fdopen(handle, "wb") as file:
             file.writelines(_parts(np.memmap(source, np.uint8, "r"), head, places))
+            file.flush()
+            os.fsync(file.fileno())  # its name and size are trusted from now on
         Path(name).replace(target)
     except BaseException:
         Path(name).unlink(missing_ok=True)

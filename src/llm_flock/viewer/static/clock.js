@@ -5,6 +5,7 @@ export class Clock {
     this.cursor = 0; // rounds, with a part of the next one while playing
     this.playing = false;
     this.following = false;
+    this.held = false; // somebody has taken the cursor
     this.speed = 4; // rounds a second
     this.reels = [];
     this.listeners = new Set();
@@ -19,14 +20,19 @@ export class Clock {
   }
 
   grown(reel) {
-    if (reel.open && reel.fresh && reel.about && reel.about.live) {
+    if (reel.fresh && this.grows(reel)) {
       // A live run is followed from its first appearance on, until somebody takes the cursor.
-      this.following = true;
+      this.following = !this.held;
       reel.fresh = false;
     }
     if (this.following) this.cursor = this.last;
     if (!this.reels.some((one) => one.open)) this.following = false;
     this.changed();
+  }
+
+  /** Whether a run goes on; a record that is still being read is open, and does not. */
+  grows(reel) {
+    return reel.open && reel.about && reel.about.live;
   }
 
   get last() {
@@ -66,14 +72,14 @@ export class Clock {
     this.before = now;
     if (this.cursor >= this.last) {
       this.cursor = this.last;
-      const live = this.reels.some((reel) => reel.open);
-      this.playing = false;
-      this.following = live;
+      this.following = this.reels.some(this.grows);
+      this.playing = !this.following && this.reels.some((reel) => reel.open); // it is still being read
     }
   }
 
   seek(round) {
     this.following = false;
+    this.held = true;
     this.cursor = Math.max(0, Math.min(this.last, round));
     this.changed();
   }
@@ -86,6 +92,7 @@ export class Clock {
   toggle() {
     if (this.playing || this.following) {
       this.playing = this.following = false;
+      this.held = true;
     } else {
       if (this.cursor >= this.last && !this.reels.some((reel) => reel.open)) this.cursor = 0;
       this.playing = true;
@@ -96,7 +103,8 @@ export class Clock {
 
   live() {
     this.playing = false;
-    this.following = this.reels.some((reel) => reel.open);
+    this.following = this.reels.some(this.grows);
+    this.held = false;
     this.cursor = this.last;
     this.changed();
   }

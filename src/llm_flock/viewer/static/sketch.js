@@ -9,6 +9,7 @@ export function sketch() {
   if (matchMedia("(prefers-color-scheme: dark)").matches) document.body.classList.add("body--dark");
   const time = clock("main");
   time.cursor = Number(sessionStorage.getItem(KEPT) || 0);
+  time.held = time.cursor > 0;
   sessionStorage.removeItem(KEPT);
   const places = cover.querySelectorAll(".flock-part");
   const parts = JSON.parse(cover.querySelector("script").textContent)
