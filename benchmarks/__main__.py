@@ -18,9 +18,8 @@
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
 
-Each figure is the smallest and the median of several runs; the bar stands beside it. First comes how long
-a loop and a large table take in plain Python: machines differ, and a shared one differs by a factor of three from day to
-day.
+Each figure is the smallest and the median of several runs; the bar stands beside it. First comes how long a loop and a
+large table take in plain Python: machines differ, and a shared one differs by a factor of three from day to day.
 """
 
 from __future__ import annotations
