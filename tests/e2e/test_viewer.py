@@ -149,6 +149,24 @@ def test_the_run_is_drawn_before_the_viewer_is_there_and_stays_at_its_round(tmp_
         assert shown_round(page) == 2
 
 
+def test_a_live_run_stays_at_the_round_that_was_chosen_before_the_viewer_was_there(
+    tmp_path: Path, browser: Browser
+) -> None:
+    fake = FakeRun(n=4, rounds=30)
+    (tmp_path / "runs" / "new").mkdir(parents=True)
+    with RecordWriter(tmp_path / "runs" / "new" / "run.mcap") as writer:
+        fake.rounds = 5
+        fake.write(writer, finish=False)
+        with viewer(tmp_path, "--live") as url, page_at(browser, url) as page:
+            page.locator("#flock-sketch .flock-arena canvas[data-round='5']").wait_for()
+            page.keyboard.press("ArrowLeft")
+            page.locator("#flock-sketch .flock-arena canvas[data-round='4']").wait_for()
+            ready(page)
+            expect(page.locator(".flock-where")).to_have_text("round 4 of 5")
+            page.keyboard.press("End")
+            expect(page.locator(".flock-state")).to_have_text("live")
+
+
 def test_the_time_line_is_scrubbed_and_its_marks_are_clicked(replay: str, browser: Browser) -> None:
     with page_at(browser, replay) as page:
         ready(page)
