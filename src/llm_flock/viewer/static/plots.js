@@ -44,10 +44,10 @@ export class Plots {
     const span = Math.max(1, this.clock.last);
     const x = (round) => LEFT + (round / span) * (width - LEFT - RIGHT);
     const series = chart.series.flatMap((one, s) =>
-      this.reels.map((reel, r) => ({ ...one, values: reel.figures[one.figure] || [], stroke: s + r, reel })));
+      this.reels.map((reel, r) => ({ ...one, values: reel.figures[one.figure]?.values || [], stroke: s + r, reel })));
     const edge = chart.edge && this.reels[0].about ? this.reels[0].about[chart.edge] : null;
     let high = edge || 0;
-    for (const one of series) for (const value of one.values) if (value !== null && value > high) high = value;
+    for (const one of series) for (const value of one.values) if (value > high) high = value;
     if (chart.edge && edge) high = Math.min(high, 6 * edge);
     high = high > 0 ? high * 1.08 : 1;
     const y = (value) => y0 - (Math.min(value, high) / high) * (y0 - y1);
@@ -88,7 +88,7 @@ export class Plots {
     let down = false;
     let before = -Infinity;
     one.values.forEach((value, round) => {
-      if (value === null) {
+      if (Number.isNaN(value)) {
         down = false;
         return;
       }
@@ -114,7 +114,7 @@ export class Plots {
     pen.textAlign = "right";
     for (const one of [...series].reverse()) {
       const value = one.values[Math.min(round, one.values.length - 1)];
-      const text = `${one.name ? `${one.name} ` : ""}${value === null || value === undefined ? "–" : short(value)}`;
+      const text = `${one.name ? `${one.name} ` : ""}${value === undefined || Number.isNaN(value) ? "–" : short(value)}`;
       pen.fillStyle = inks[one.stroke % 3];
       pen.fillText(text, right, top + 10);
       const wide = pen.measureText(text).width;

@@ -4,6 +4,28 @@ const KEPT = 40000; // robots times rounds that are kept; older ones are fetched
 const LIVE_MS = 100;
 const FIRST_MS = 20; // until there is anything to show
 
+/** One figure of every round, packed: a run may go on for hours. What is not known is NaN. */
+class Column {
+  constructor() {
+    this.room = new Float64Array(256);
+    this.values = this.room.subarray(0, 0);
+  }
+
+  push(values) {
+    const before = this.values.length;
+    const after = before + values.length;
+    if (after > this.room.length) {
+      const room = new Float64Array(Math.max(2 * this.room.length, after));
+      room.set(this.values);
+      this.room = room;
+    }
+    values.forEach((value, k) => {
+      this.room[before + k] = value === null ? NaN : value;
+    });
+    this.values = this.room.subarray(0, after);
+  }
+}
+
 export class Reel {
   constructor(key) {
     this.key = key;
@@ -60,7 +82,7 @@ export class Reel {
   take(news) {
     this.plans.push(...news.plans);
     this.missions.push(...news.missions);
-    for (const [name, values] of Object.entries(news.figures)) (this.figures[name] ||= []).push(...values);
+    for (const [name, values] of Object.entries(news.figures)) (this.figures[name] ||= new Column()).push(values);
     for (const [round, counts] of Object.entries(news.marks)) this.marks.set(Number(round), counts);
     const grew = news.last > this.last || news.open !== this.open || news.failure !== this.failure;
     this.last = news.last;
