@@ -60,7 +60,7 @@ def fly(
     *,
     lasts_s: float = 0.0,
     absent: int = 0,
-    robots: int | None = None,
+    wanted: int | None = None,
 ) -> Flight:
     """One mission; `meanwhile` begins when the robots do, and it lasts so long, and until so many have formed."""
     n = config.mission.n_robots
@@ -72,7 +72,7 @@ def fly(
 
             def done(observer: Observer) -> bool:
                 began = observer.began_s
-                formed = observer.formed_s is not None and robots in (None, len(observer.robots))
+                formed = observer.formed_s is not None and wanted in (None, len(observer.robots))
                 return task.done() and formed and time.time() > (began or 0.0) + lasts_s
 
             stopped = await swarm.run(done)
@@ -216,7 +216,7 @@ FAULTS: dict[str, tuple[int, dict[str, Any], dict[str, Any]]] = {
 def faults() -> None:
     """Every fault, five runs each."""
     for name, (robots, options, happens) in FAULTS.items():
-        flights = [_fly_with(seed, options, robots=robots, **happens) for seed in range(FAULT_RUNS)]
+        flights = [_fly_with(seed, options, wanted=robots, **happens) for seed in range(FAULT_RUNS)]
         for seed, flight in enumerate(flights):
             print(f"  seed {seed}: {flight.result.mission_s} s; {_line(flight)}", flush=True)
         assert all(flight.result.n_robots == robots for flight in flights)

@@ -24,10 +24,9 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
-from llm_flock.protocol.negotiation import REMEMBERED_PLANS
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer
-from llm_flock.protocol.speech import mission_text
+from llm_flock.protocol.speech import REMEMBERED_PLANS, mission_text
 
 
 def kinds(effects: list[Effect]) -> list[str]:

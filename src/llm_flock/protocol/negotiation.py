@@ -37,9 +37,6 @@ from llm_flock.protocol.warrants import Context, Notary, Order, Proofs, unwrap
 NOTHING = frozenset[int]()
 NO_PROOFS = Proofs()
 
-REMEMBERED_PLANS = 1024
-"""So many plans are known by their digest."""
-
 
 class Negotiation:
     """What one robot follows and claims, and how that changes with what it hears.
@@ -87,7 +84,6 @@ class Negotiation:
         self._inbox: dict[int, Message] = {}
         self._unplaced: set[int] = set()
         self._beats: list[NDArray[np.int64]] = []
-        self._plans: dict[str, Plan] = {}
         self._no_plan: NoAnswer | None = None
         self._proposals = 0
         self._own_slot: int | None = None
@@ -129,7 +125,8 @@ class Negotiation:
         self._judge.mission = mission
         self.plan = self.pedigree = self._no_plan = self._own_slot = None
         self.claim = Claim(slot=None)
-        self._inbox, self._plans = {}, {}
+        self._inbox = {}
+        self._speech.forget_plans()
         self._remaking.reset()
         self.roll.begin()
         if self._signing is not None:
@@ -345,7 +342,7 @@ class Negotiation:
             if self._judge.is_new(plan):
                 notes.append(Note("rejected_message", {"reason": "unverified_plan", "detail": objection}))
             return notes
-        plan = self._named(message)
+        plan = self._speech.named(message, self.plan)
         known = self._inbox.get(message.sender)
         if known is None or message.sequence >= known.sequence:
             if plan is not None:
@@ -353,18 +350,6 @@ class Negotiation:
             self._inbox[message.sender] = message
             self._proofs[message.sender] = proofs
         return notes
-
-    def _named(self, message: Message) -> Plan | None:
-        """The plan that a message names; None if it names none, or one that was never said in full here."""
-        plan, digest = message.plan, message.plan_digest
-        if plan is None:
-            own = self.plan
-            named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
-            return named if named is not None and len(named) == message.places else None
-        if len(self._plans) >= REMEMBERED_PLANS:
-            self._plans.clear()  # whoever floods the radio with plans may cost time, but not memory
-        self._plans[plan.digest] = plan
-        return plan
 
     def _reject(self, error: MessageError) -> Note:
         self.rejected[error.reason] += 1

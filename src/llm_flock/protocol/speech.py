@@ -22,10 +22,14 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.codec import encode
 from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import UNSAID, Message, Table, table_digest
+from llm_flock.protocol.plan import Plan
 
 SMALL = 64
 """Plans and tables of up to so many places are spelled out once a round whoever is near, and tables in every exchange
 in which a digest differs."""
+
+REMEMBERED_PLANS = 1024
+"""So many plans are known by their digest."""
 
 MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
 """What is said of a mission; all else is a robot's own, and no message changes it."""
@@ -75,6 +79,7 @@ class Speech:
         self._payload = b""
         self._standing: tuple[object, ...] = ()
         self._news = True
+        self._plans: dict[str, Plan] = {}
 
     def begin_round(self, around: frozenset[int], neighbors: int) -> None:
         """Neighbours come and go between rounds: forget who was not heard in the last one.
@@ -95,6 +100,26 @@ class Speech:
             self._news = True
         self._peers[message.sender] = message
         self._heard.add(message.sender)
+
+    def named(self, message: Message, own: Plan | None) -> Plan | None:
+        """The plan that a message names; None if it names none, or one that was never said in full here.
+
+        Args:
+            message: what was heard.
+            own: the plan that is followed.
+        """
+        plan, digest = message.plan, message.plan_digest
+        if plan is None:
+            named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
+            return named if named is not None and len(named) == message.places else None
+        if len(self._plans) >= REMEMBERED_PLANS:
+            self._plans.clear()  # whoever floods the radio with plans may cost time, but not memory
+        self._plans[plan.digest] = plan
+        return plan
+
+    def forget_plans(self) -> None:
+        """Another mission has come: no plan of before is heard of any more."""
+        self._plans = {}
 
     @property
     def greets(self) -> bool:
