@@ -87,6 +87,16 @@ def until(true: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
         time.sleep(0.05)
 
 
+@contextmanager
+def run_that_goes_on(folder: Path) -> Iterator[tuple[FakeRun, RecordWriter]]:
+    """A record of five rounds so far, under `runs`."""
+    fake = FakeRun(n=4, rounds=5)
+    (folder / "runs" / "new").mkdir(parents=True)
+    with RecordWriter(folder / "runs" / "new" / "run.mcap") as writer:
+        fake.write(writer, finish=False)
+        yield fake, writer
+
+
 def ready(page: Page) -> None:
     page.locator("#app .flock-arena canvas[data-round]").first.wait_for()
     # The words beside the time line come from the server: it knows of the page from then on.
@@ -152,19 +162,14 @@ def test_the_run_is_drawn_before_the_viewer_is_there_and_stays_at_its_round(tmp_
 def test_a_live_run_stays_at_the_round_that_was_chosen_before_the_viewer_was_there(
     tmp_path: Path, browser: Browser
 ) -> None:
-    fake = FakeRun(n=4, rounds=30)
-    (tmp_path / "runs" / "new").mkdir(parents=True)
-    with RecordWriter(tmp_path / "runs" / "new" / "run.mcap") as writer:
-        fake.rounds = 5
-        fake.write(writer, finish=False)
-        with viewer(tmp_path, "--live") as url, page_at(browser, url) as page:
-            page.locator("#flock-sketch .flock-arena canvas[data-round='5']").wait_for()
-            page.keyboard.press("ArrowLeft")
-            page.locator("#flock-sketch .flock-arena canvas[data-round='4']").wait_for()
-            ready(page)
-            expect(page.locator(".flock-where")).to_have_text("round 4 of 5")
-            page.keyboard.press("End")
-            expect(page.locator(".flock-state")).to_have_text("live")
+    with run_that_goes_on(tmp_path), viewer(tmp_path, "--live") as url, page_at(browser, url) as page:
+        page.locator("#flock-sketch .flock-arena canvas[data-round='5']").wait_for()
+        page.keyboard.press("ArrowLeft")
+        page.locator("#flock-sketch .flock-arena canvas[data-round='4']").wait_for()
+        ready(page)
+        expect(page.locator(".flock-where")).to_have_text("round 4 of 5")
+        page.keyboard.press("End")
+        expect(page.locator(".flock-state")).to_have_text("live")
 
 
 def test_the_time_line_is_scrubbed_and_its_marks_are_clicked(replay: str, browser: Browser) -> None:
@@ -267,28 +272,27 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
 
 
 def test_a_record_is_followed_while_it_is_written(tmp_path: Path, browser: Browser) -> None:
-    fake = FakeRun(n=4, rounds=30)
-    (tmp_path / "runs" / "new").mkdir(parents=True)
-    with RecordWriter(tmp_path / "runs" / "new" / "run.mcap") as writer:
-        fake.rounds = 5
-        fake.write(writer, finish=False)
-        with viewer(tmp_path, "--live") as url, page_at(browser, url) as page:
-            ready(page)
-            expect(page.locator(".flock-where")).to_have_text("round 5 of 5")
-            expect(page.locator(".flock-state")).to_have_text("live")
-            for number in range(6, 15):
-                fake.write_round(writer, number)
-            expect(page.locator(".flock-where")).to_have_text("round 14 of 14")
-            until(lambda: shown_round(page) == 14, "the arena follows")
-            page.keyboard.press("ArrowLeft")
-            expect(page.locator(".flock-state")).to_have_text("still running")
-            fake.write_round(writer, 15)
-            expect(page.locator(".flock-where")).to_have_text("round 13 of 15")
-            page.keyboard.press("End")
-            expect(page.locator(".flock-where")).to_have_text("round 15 of 15")
-            writer.summary({"formed": False, "stopped": "rounds"})
-            writer.close()
-            expect(page.locator(".flock-state")).to_have_text("not formed (rounds)")
+    with (
+        run_that_goes_on(tmp_path) as (fake, writer),
+        viewer(tmp_path, "--live") as url,
+        page_at(browser, url) as page,
+    ):
+        ready(page)
+        expect(page.locator(".flock-where")).to_have_text("round 5 of 5")
+        expect(page.locator(".flock-state")).to_have_text("live")
+        for number in range(6, 15):
+            fake.write_round(writer, number)
+        expect(page.locator(".flock-where")).to_have_text("round 14 of 14")
+        until(lambda: shown_round(page) == 14, "the arena follows")
+        page.keyboard.press("ArrowLeft")
+        expect(page.locator(".flock-state")).to_have_text("still running")
+        fake.write_round(writer, 15)
+        expect(page.locator(".flock-where")).to_have_text("round 13 of 15")
+        page.keyboard.press("End")
+        expect(page.locator(".flock-where")).to_have_text("round 15 of 15")
+        writer.summary({"formed": False, "stopped": "rounds"})
+        writer.close()
+        expect(page.locator(".flock-state")).to_have_text("not formed (rounds)")
 
 
 def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) -> None:
