@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from benchmarks.mutants import COPIED, MUTANTS, ROOT, Mutant, mutated, source
+from benchmarks.mutants import COPIED, ROOT, mutated, source
+from benchmarks.mutations import MUTANTS, Mutant
 
 IDS = [mutant.name for mutant in MUTANTS]
 

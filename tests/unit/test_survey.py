@@ -79,6 +79,41 @@ def test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is(
         assert flight.agent.claim.table is not None and flight.agent.claim.table[1] == told[1]
 
 
+def test_who_is_known_to_live_blocks_no_place() -> None:
+    """Its counter goes on, so it will move off; two that wait beside a place would else keep it from each other."""
+    told: Table = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    flight = Flight(make())
+    beside = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
+    owners: list[int] = []
+    for beat in (7, 7, 8):
+        flight.round(says(1, (0, beat, 1), plan=PLAN, table=told), sensed=beside)
+        table = flight.agent.claim.table
+        assert table is not None
+        owners.append(table[1][2])
+    assert owners == [BLOCKED, BLOCKED, NO_OWNER], "a counter that stands still may be that of the dead"
+
+
+def test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free() -> None:
+    """Nobody else may be near enough, and in the others' tables the place is blocked for ever."""
+    near = Mission(shape="line", n_robots=3, comm_range=15)
+    told: Table = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    flight = Flight(make(mission=near), here=(40.0, 90.0))
+    for _ in range(10):
+        flight.begin()
+        flight.tick(says(1, mission=near, plan=PLAN, table=told))
+        effects = flight.agent.handle(NegotiationEnded())
+        if not isinstance(effects[-1], AskStep):
+            break
+        toward = StepAnswer(waypoint=effects[-1].question.goal)
+        move = flight.agent.handle(Decided(toward))[-1]
+        assert isinstance(move, MoveTo)
+        flight.here = move.waypoint
+        flight.agent.handle(Arrived())
+        if flight.agent.claim.slot is not None:
+            break
+    assert flight.agent.claim.slot == 1
+
+
 def test_places_out_of_sight_are_left_as_others_say() -> None:
     """The robot sees a body where it stands, and nothing of a place that is farther away than it senses."""
     near = Mission(shape="line", n_robots=3, comm_range=15)

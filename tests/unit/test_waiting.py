@@ -7,6 +7,7 @@ import pytest
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.survey import sight
 from llm_flock.protocol.waiting import CLEARANCE, waiting_place
 
 MISSION = Mission(shape="line", n_robots=4, places=3)
@@ -24,6 +25,17 @@ def test_a_robot_on_a_place_moves_off_it_and_no_farther_than_it_must(here: tuple
     assert min(math.dist(place, x) for x in PLAN.points) >= CLEARANCE * MISSION.safe_distance
     assert min(math.dist(place, x) for x in others) >= MISSION.safe_distance
     assert math.dist(place, here) <= 12.0
+
+
+def test_who_waits_for_a_blocked_place_keeps_in_sight_of_the_nearest_one() -> None:
+    mission = MISSION.change(comm_range=15)
+    far, clear = (10.0, 90.0), CLEARANCE * mission.safe_distance
+    place = waiting_place(mission, far, PLAN, [], [0, 2])
+    assert clear <= math.dist(place, PLAN.points[0]) <= sight(mission)
+    assert waiting_place(mission, place, PLAN, [], [0, 2]) == place
+    seen = (50.0, 50.0 + sight(mission))
+    assert waiting_place(mission, seen, PLAN, [], [1]) == seen
+    assert waiting_place(mission, seen, PLAN, [seen], [1]) != seen
 
 
 def test_walls_and_obstacles_are_kept_clear_of() -> None:

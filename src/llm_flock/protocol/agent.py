@@ -40,7 +40,7 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.judge import Judge
 from llm_flock.protocol.liveness import TIME_OUT, Liveness
 from llm_flock.protocol.lookout import Lookout
-from llm_flock.protocol.messages import Pedigree, Stamp
+from llm_flock.protocol.messages import BLOCKED, Pedigree, Stamp
 from llm_flock.protocol.negotiation import Negotiation
 from llm_flock.protocol.pilot import Pilot, Scene
 from llm_flock.protocol.plan import Plan
@@ -305,7 +305,8 @@ class Agent:
         elif slot is None:
             # A place of its own has nobody to wait at; with a formation that travels a spare travels along.
             others = [scene.seen(x) for x in scene.sensed.values()]
-            target = waiting_place(self.mission, scene.here, plan, others)
+            blocked = [a for a, (_, _, owner) in enumerate(self.claim.table or ()) if owner == BLOCKED]
+            target = waiting_place(self.mission, scene.here, plan, others, blocked)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
             target, notes = self._lookout.where_to(scene.here, plan, slot)

@@ -52,6 +52,7 @@ class Liveness:
         self._time_out = patience(time_out, n_robots)
         self._beats = np.zeros(n_robots, dtype=np.int64)
         self._advanced = np.full(n_robots, -1, dtype=np.int64)
+        self._counted_on = np.zeros(n_robots, dtype=np.bool_)
         self._beats[robot] = BODY
         self._round = 0
         self._mute_for: dict[int, int] = {}
@@ -67,6 +68,14 @@ class Liveness:
     def alive(self) -> int:
         """How many robots are taken for alive, this one included."""
         return len(self._beats) - len(self.silent) - len(self.strangers)
+
+    @property
+    def living(self) -> frozenset[int]:
+        """Robots whose counter went on since they were first heard of, and which are not silent.
+
+        A counter alone is no sign of life: late joiners hear those of the dead as well.
+        """
+        return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
     def begin_round(self, round_number: int, near: frozenset[int]) -> None:
         """Count a heartbeat of one's own, and see whose counter has stood still for too long.
@@ -96,6 +105,7 @@ class Liveness:
         mine = int(highest[self._robot])
         newer = highest > self._beats
         newer[self._robot] = False
+        self._counted_on |= newer & (self._beats > BODY)
         self._beats[newer] = highest[newer]
         self._advanced[newer] = np.where(self._beats[newer] == BODY, self._long_ago, self._round)
         if mine > self._beats[self._robot]:

@@ -224,7 +224,8 @@ class Negotiation:
         if self._survey_due:  # heartbeats and bodies are news once a round
             silent = self.liveness.silent
             if self.bodies or self._told_of_bodies:
-                blocked, clear = surveyed(self.mission, self.plan, self._position, self._sensed, self.bodies)
+                living = self.liveness.living
+                blocked, clear = surveyed(self.mission, self.plan, self._position, self._sensed, self.bodies, living)
         silent = silent if heard else NOTHING  # who hears nobody is the one that is lost
         heard = [m for m in heard if m.plan is self.plan or m.plan == self.plan]
         granted, order = None, None

@@ -26,13 +26,23 @@ def bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collection[int
     return tuple(sensed[j] for j in sorted(silent) if j in sensed)
 
 
+def sight(mission: Mission) -> float:
+    """How far away a place may be so that every body is sensed that could block it [units]."""
+    return mission.sensing - max(blocked_within(mission), 0.0)
+
+
 def surveyed(
-    mission: Mission, plan: Plan, position: Point, sensed: Mapping[int, Point], still: Sequence[Point]
+    mission: Mission,
+    plan: Plan,
+    position: Point,
+    sensed: Mapping[int, Point],
+    still: Sequence[Point],
+    living: Collection[int],
 ) -> tuple[frozenset[int], frozenset[int]]:
     """Places that a body without a mind keeps anybody from taking, and places that surely have none.
 
     Whose body it is that stands on a place may be known to others only: such a place counts as neither. Nor does one
-    that is too far away to be seen with all that could block it.
+    that is too far away to be seen with all that could block it. Who is known to live will move off by itself.
 
     Args:
         mission: the mission in force.
@@ -40,12 +50,12 @@ def surveyed(
         position: where the robot looks from [units; frame of the mission].
         sensed: positions of the robots within sensing range, by id [units; frame of the mission].
         still: those of them that have no mind (`bodies`).
+        living: robots that surely have one (`Liveness.living`).
     """
     too_near = blocked_within(mission)
-    seen = mission.sensing - max(too_near, 0.0)
-    places = [a for a, place in enumerate(plan.points) if math.dist(position, place) <= seen]
+    places = [a for a, place in enumerate(plan.points) if math.dist(position, place) <= sight(mission)]
 
     def under(those: Collection[Point]) -> frozenset[int]:
         return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in those))
 
-    return under(still), frozenset(places) - under(sensed.values())
+    return under(still), frozenset(places) - under([x for j, x in sensed.items() if j not in living])

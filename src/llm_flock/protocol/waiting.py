@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.survey import sight
 
 CLEARANCE = 2.0
 """Safe distances that a waiting robot keeps from every place of the plan: another robot can pass in between."""
@@ -17,19 +18,26 @@ ANGLES = 24
 RINGS = 40
 
 
-def waiting_place(mission: Mission, position: Point, plan: Plan, others: Sequence[Point]) -> Point:
+def waiting_place(
+    mission: Mission, position: Point, plan: Plan, others: Sequence[Point], blocked: Collection[int] = ()
+) -> Point:
     """The nearest point to `position` that is clear of all places, of other robots, of walls and of obstacles.
+
+    Where places are blocked, which nobody else may be near enough to see come free, it is in sight of the nearest one.
 
     Args:
         mission: limits, arena and obstacles.
         position: own believed position [units].
         plan: the plan in which all places are taken.
         others: positions of the robots that are sensed [units].
+        blocked: places that nobody may take, as a body stands on them.
 
     Returns:
-        `position` itself where that is clear, or where nothing near is.
+        `position` itself where that will do, or where nothing near is clear.
     """
     clear = CLEARANCE * mission.safe_distance
+    watched = min((plan.points[a] for a in blocked), key=lambda place: math.dist(position, place), default=position)
+    near_enough = max(sight(mission), 2.0 * clear)
     low, high = mission.arena
 
     def fits(point: Point) -> bool:
@@ -40,7 +48,9 @@ def waiting_place(mission: Mission, position: Point, plan: Plan, others: Sequenc
             and clearance(point, mission.obstacles) >= mission.body_radius
         )
 
-    return next((point for point in _rings(position, mission.safe_distance) if fits(point)), position)
+    if fits(position) and math.dist(position, watched) <= near_enough:
+        return position
+    return next((point for point in _rings(watched, mission.safe_distance) if fits(point)), position)
 
 
 def _rings(center: Point, step: float) -> Iterator[Point]:
