@@ -1,9 +1,9 @@
 """The auction: tables that merge, bids, exchanges, and what keeps two robots from one slot."""
 
 import math
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment

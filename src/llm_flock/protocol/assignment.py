@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
+
 from llm_flock.arrays import Point
 from llm_flock.protocol.messages import Entry, Message, Offer, Roll, Table
 from llm_flock.protocol.plan import Plan
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Claim:
+class Claim(msgspec.Struct, frozen=True, kw_only=True):
     """A robot's place in its present plan.
 
     Attributes:
@@ -31,8 +32,7 @@ class Claim:
     bound: int = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
+class Moment(msgspec.Struct, frozen=True, kw_only=True):
     """What a robot knows when it claims a place of the plan it follows.
 
     Attributes:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
 from typing import TypeAlias
 
 import numpy as np
+from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment

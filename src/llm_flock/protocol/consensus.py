@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
+import msgspec
+
 from llm_flock.protocol.messages import Message, Pedigree
 from llm_flock.protocol.plan import Plan
 
@@ -13,8 +15,7 @@ PlanKey: TypeAlias = tuple[int, str, int, int, int, int, int, str]
 TieBreak: TypeAlias = Literal["lowest", "highest"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Standing:
+class Standing(msgspec.Struct, frozen=True, kw_only=True):
     """What a robot brings into the comparison: its plan with origin and class, and its own influence times N."""
 
     plan: Plan | None

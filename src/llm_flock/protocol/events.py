@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, TypeAlias
+
+import msgspec
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -41,8 +42,7 @@ class Origin(StrEnum):
 # Events: what happens to the robot.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoundBegan:
+class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
     """A new motion round, with what the sensors say.
 
     Attributes:
@@ -60,8 +60,7 @@ class RoundBegan:
     observed: tuple[Point, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Looked:
+class Looked(msgspec.Struct, frozen=True, kw_only=True):
     """What the sensors say between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
 
     position: Point
@@ -70,8 +69,7 @@ class Looked:
     observed: tuple[Point, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PeriodBegan:
+class PeriodBegan(msgspec.Struct, frozen=True):
     """A new heartbeat period, after a look, of a robot whose heart beats by its clock and not by its rounds.
 
     `period` counts from 1.
@@ -80,8 +78,7 @@ class PeriodBegan:
     period: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissionGiven:
+class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
     """The operator gives this robot another mission; the others hear of it from this robot.
 
     Attributes:
@@ -93,20 +90,17 @@ class MissionGiven:
     order: Order | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Planned:
+class Planned(msgspec.Struct, frozen=True):
     """The planner answered the plan question."""
 
     answer: PlanAnswer | NoAnswer
 
 
-@dataclass(frozen=True, slots=True)
-class TickBegan:
+class TickBegan(msgspec.Struct, frozen=True):
     """Time to broadcast."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(msgspec.Struct, frozen=True):
     """Bytes came in over the radio, from anybody.
 
     Attributes:
@@ -118,30 +112,25 @@ class Received:
     sender: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class TickEnded:
+class TickEnded(msgspec.Struct, frozen=True):
     """All messages of this tick are in: decide on them together (snapshot semantics)."""
 
 
-@dataclass(frozen=True, slots=True)
-class NegotiationEnded:
+class NegotiationEnded(msgspec.Struct, frozen=True):
     """No more exchanges before the move."""
 
 
-@dataclass(frozen=True, slots=True)
-class Decided:
+class Decided(msgspec.Struct, frozen=True):
     """The planner answered the step question."""
 
     answer: StepAnswer | NoAnswer
 
 
-@dataclass(frozen=True, slots=True)
-class Arrived:
+class Arrived(msgspec.Struct, frozen=True):
     """The body finished the move, or does so while the planner is asked for the next one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stopped:
+class Stopped(msgspec.Struct, frozen=True):
     """The mission is over."""
 
 
@@ -163,29 +152,25 @@ Event: TypeAlias = (
 # Effects: what the robot wants done.
 
 
-@dataclass(frozen=True, slots=True)
-class AskPlan:
+class AskPlan(msgspec.Struct, frozen=True):
     """Ask the planner for a formation."""
 
     question: PlanQuestion
 
 
-@dataclass(frozen=True, slots=True)
-class AskStep:
+class AskStep(msgspec.Struct, frozen=True):
     """Ask the planner for a waypoint."""
 
     question: StepQuestion
 
 
-@dataclass(frozen=True, slots=True)
-class Broadcast:
+class Broadcast(msgspec.Struct, frozen=True):
     """Send these bytes to whoever is in radio range."""
 
     payload: bytes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MoveTo:
+class MoveTo(msgspec.Struct, frozen=True, kw_only=True):
     """Fly to `waypoint`; `proposed` is what the planner asked for, where it answered."""
 
     waypoint: Point
@@ -193,12 +178,11 @@ class MoveTo:
     origin: Origin
 
 
-@dataclass(frozen=True, slots=True)
-class Note:
+class Note(msgspec.Struct, frozen=True):
     """Something worth recording: `kind` is a stable word, `detail` plain values."""
 
     kind: str
-    detail: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    detail: Mapping[str, Any] = msgspec.field(default_factory=dict[str, Any])
 
 
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import Self
+
+import msgspec
+from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
@@ -46,8 +48,7 @@ class Reason(StrEnum):
     UNFIT = "unfit"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Foresight:
+class Foresight(msgspec.Struct, frozen=True, kw_only=True):
     """The last question, and what is left of its answer.
 
     Attributes:

@@ -8,7 +8,6 @@ only where a neighbour may lack it (`llm_flock.protocol.speech`). Positions are 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import msgspec
@@ -43,16 +42,14 @@ UNSAID: Entry = (0, 0.0, NO_OWNER)
 """The lowest entry: merging it changes nothing, so it stands for the slots that a message leaves out."""
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Stamp:
+class Stamp(msgspec.Struct, frozen=True, order=True):
     """Which mission: the counter of its changes, then its content; of two missions the higher stamp is in force."""
 
     counter: int
     digest: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pedigree:
+class Pedigree(msgspec.Struct, frozen=True, kw_only=True):
     """Where a plan comes from: fixed when it is proposed, carried along unchanged.
 
     Attributes:
@@ -72,8 +69,7 @@ class Pedigree:
     sequence: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Offer:
+class Offer(msgspec.Struct, frozen=True, kw_only=True):
     """An exchange of places, offered to one neighbour.
 
     Attributes:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
@@ -15,8 +17,7 @@ from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.safety import Safety
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class Scene(msgspec.Struct, frozen=True, kw_only=True):
     """What a robot sees in a round.
 
     Attributes:

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+
+import msgspec
+from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 
@@ -33,8 +35,7 @@ LAP, LAP_AT_OBSTACLES = 6, 40
 """Rounds on one side before the other is tried, in the open and where there are obstacles."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
+class Progress(msgspec.Struct, frozen=True, kw_only=True):
     """How a robot has fared on the way to its goal.
 
     Attributes:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from scipy.optimize import nnls
 
@@ -18,8 +18,7 @@ BISECTIONS = 60
 RELAXATIONS = 24
 
 
-@dataclass(frozen=True, slots=True)
-class HalfSpace:
+class HalfSpace(msgspec.Struct, frozen=True):
     """Displacements u with normal . u <= room; `normal` is a unit vector.
 
     Attributes:

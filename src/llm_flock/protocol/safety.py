@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
@@ -18,8 +19,7 @@ CLOSE = 1e-6
 """Pairs that keep the safe distance to within this count as apart [units]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+class Flight(msgspec.Struct, frozen=True, kw_only=True):
     """What is flown instead of a wish, who made it, and what the record is told."""
 
     waypoint: Point

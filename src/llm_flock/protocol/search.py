@@ -11,10 +11,11 @@ longer wait. A slot that has been looked at so often is a gap: the team may simp
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.messages import NO_OWNER, Table
@@ -43,8 +44,7 @@ ARRIVED = 0.5
 """A point of the tour counts as visited within this share of the spacing."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Search:
+class Search(msgspec.Struct, frozen=True, kw_only=True):
     """How far a robot's search is.
 
     Attributes:
