@@ -305,8 +305,13 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("skipping", "Rules are asked whenever something is new", "where the robot is does not count"),
-        *(TALKS, "self.neighbors, self._position, self._sensed, *heard)", "self.neighbors, *heard)"),
+        *(TALKS, "self.neighbors, self._position, self._sensed)", "self.neighbors)"),
         f"{T_TALKS}::test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new",
+    ),
+    Mutant(
+        *("unheard", "Rules hear all that is said of other tables", "a table is known once its digest is"),
+        *(TALKS, "message.table_digest == own or message.table == before.table", "True"),
+        f"{T_TALKS}::test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own",
     ),
     Mutant(
         *("repeating", "What is new is said", "a change is not said a second time"),

@@ -97,6 +97,7 @@ def says(
     counter: int = 0,
     plan: Plan | None = None,
     table: Table | None = None,
+    table_digest: str | None = None,
     text: str | None = None,
     named_only: bool = False,
     places: int = 0,
@@ -113,6 +114,7 @@ def says(
         places=places or (0 if plan is None else len(plan)),
         pedigree=None if plan is None else origin,
         table=table,
+        table_digest=table_digest,
         beats=beats,
     )
     return encode(said)

@@ -24,6 +24,7 @@ from llm_flock.protocol.events import (
     TickBegan,
     TickEnded,
 )
+from llm_flock.protocol.messages import UNSAID, Table, table_digest
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer
 from llm_flock.protocol.speech import REMEMBERED_PLANS, mission_text
@@ -184,10 +185,37 @@ def test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something
     settled = rule.asked
     assert settled < 6
     flight.tick(same)
-    assert rule.asked == settled
-    other = says(1, (0, 5, 0), plan=PLAN)
+    flight.tick(says(1, (0, 5, 0), plan=PLAN))
+    assert rule.asked == settled, "heartbeats are no matter of rules"
+    other = says(1, plan=PLAN, places=3, table=(UNSAID, UNSAID, (0, -1.0, 1)))
     flight.tick(other)
-    assert rule.asked == settled + 1, "another message"
+    assert rule.asked == settled + 1, "another claim"
+    flight.tick(other)
+    settled = rule.asked
     agent.handle(Looked(position=(30.0, 50.0), neighbors=1, sensed={1: PLAN.points[2]}, observed=()))
     flight.tick(other)
-    assert rule.asked == settled + 2, "another position"
+    assert rule.asked == settled + 1, "another position"
+
+
+def test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own() -> None:
+    rule = Counting()
+    agent = Agent(0, LINE, PedigreeConsensus(), rule, shield_on=True, verify=False, time_out=2)
+    flight = Flight(agent)
+    flight.begin()
+
+    def hear(whole: Table, slots: set[int]) -> int:
+        part = tuple(entry if a in slots else UNSAID for a, entry in enumerate(whole))
+        flight.tick(says(1, plan=PLAN, table=part, table_digest=table_digest(whole)))
+        return rule.asked
+
+    table: Table = ((0, -0.0, 0), (0, -5.0, 2), (0, 0.0, 1))
+    for _ in range(2):
+        hear(table, {0, 1, 2})
+    assert agent.claim.table == table
+    asked = hear(table, {0, 1, 2})
+    assert hear(table, {2}) == hear(table, set()) == asked
+    more: Table = ((0, -0.0, 0), (3, -5.0, 1), (0, 0.0, 1))
+    assert hear(more, {2}) == asked + 1
+    assert hear(more, {2}) == asked + 1
+    assert hear(more, {1, 2}) == asked + 2
+    assert agent.claim.table == more

@@ -23,7 +23,7 @@ from llm_flock.arrays import Point
 from llm_flock.protocol.assignment import Claim, Moment
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
 from llm_flock.protocol.rollcall import assigned, by_roll
-from llm_flock.protocol.ways import way_length
+from llm_flock.protocol.ways import way_lengths
 
 BID_DECIMALS = 9
 
@@ -212,13 +212,13 @@ def gain(now: Moment, there: Point, mine: int, theirs: int, *, straight: bool = 
     The ways lead along the formation, or are `straight`.
     """
 
-    def cost(here: Point, slot: int) -> float:
+    def ways(here: Point) -> list[float]:
         if straight:
-            return math.dist(here, now.plan.points[slot]) ** 2
-        return way_length(here, now.plan, slot, now.spacing) ** 2
+            return [math.dist(here, now.plan.points[a]) for a in (mine, theirs)]
+        return way_lengths(here, now.plan, (mine, theirs), now.spacing)
 
-    here = now.position
-    return cost(here, mine) + cost(there, theirs) - cost(here, theirs) - cost(there, mine)
+    (keep, take), (their_take, their_keep) = ways(now.position), ways(there)
+    return keep**2 + their_keep**2 - take**2 - their_take**2
 
 
 def _worth(claim: Claim, now: Moment, peer: int, slot: int) -> float:

@@ -88,12 +88,12 @@ def max_payload_bytes(n_robots: int) -> int:
     return 4096 + 256 * n_robots
 
 
-def encode(message: Message) -> bytes:
-    """The message as bytes: the wire version, then MessagePack."""
+def encode(message: Message, sequence: int | None = None) -> bytes:
+    """The message as bytes, with its own sequence number or another: the wire version, then MessagePack."""
     origin, offer = message.pedigree, message.offer
     wire = _WireMessage(
         sender=message.sender,
-        sequence=message.sequence,
+        sequence=message.sequence if sequence is None else sequence,
         neighbors=message.neighbors,
         mission=message.mission.counter,
         mission_digest=bytes.fromhex(message.mission.digest),

@@ -101,7 +101,9 @@ class Liveness:
         """
         if not heard:
             return
-        highest = np.max(heard, axis=0)
+        highest = heard[0]
+        for beats in heard[1:]:
+            highest = np.maximum(highest, beats)
         mine = int(highest[self._robot])
         newer = highest > self._beats
         newer[self._robot] = False

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 
 import numpy as np
 from msgspec.structs import replace
@@ -36,6 +37,9 @@ from llm_flock.protocol.warrants import Context, Notary, Order, Proofs, unwrap
 
 NOTHING = frozenset[int]()
 NO_PROOFS = Proofs()
+
+_TOLD = attrgetter("sender", "neighbors", "plan", "pedigree", "plan_class", "slot", "table_digest", "offer")
+"""What rules look at in a message, but for the table."""
 
 
 class Negotiation:
@@ -92,6 +96,7 @@ class Negotiation:
         self._told_of_bodies = False
         self._survey_due = False
         self._settled: tuple[object, ...] = ()
+        self._settled_with: list[Message] = []
 
     def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """What the sensors say.
@@ -273,20 +278,23 @@ class Negotiation:
 
     def broadcast(self) -> bytes:
         """The own standing as bytes, which are made anew only when there is something new to say."""
-        plan = self.plan if self.roll.waiting else None
-        roll = self.roll.say(
-            self._position,
-            waits_at=None if plan is None else landing(self.mission, plan, self._position),
-            greeting=self._speech.greets,
-            settled=by_roll(self.claim.table, self.claim.slot),
-            spacing=self.mission.spacing,
-        )
+        roll = self._roll_said() if self.roll.called else None
         payload = self._speech.again(self.neighbors, self.stamp, self.plan, self.pedigree, self.claim)
         if payload is None or roll is not None:
             payload = self._say_anew(roll)
         if self._signing is None:
             return payload
         return self._signing.say(payload, decode(payload, self.mission.n_robots, self.mission.dim))
+
+    def _roll_said(self) -> dict[int, Sighting] | None:
+        plan = self.plan if self.roll.waiting else None
+        return self.roll.say(
+            self._position,
+            waits_at=None if plan is None else landing(self.mission, plan, self._position),
+            greeting=self._speech.greets,
+            settled=by_roll(self.claim.table, self.claim.slot),
+            spacing=self.mission.spacing,
+        )
 
     def _say_anew(self, roll: dict[int, Sighting] | None) -> bytes:
         whole = Message(
@@ -362,9 +370,10 @@ class Negotiation:
         self._beats = []
         heard = [self._inbox[sender] for sender in sorted(self._inbox)]
         self._inbox = {}
-        grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed, *heard)
-        if grounds == self._settled and not (self._survey_due or self.roll.called or self._signing):
-            return []  # rules that are asked the same again, right after they changed nothing, have the same to say
+        grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed)
+        news = self._survey_due or self.roll.called or self._signing or grounds != self._settled
+        if not news and self._says_nothing_new(heard):
+            return []  # rules that are asked the same again, right after they changed nothing, say the same
         self._settled = ()
         own = Standing(
             plan=self.plan,
@@ -383,8 +392,19 @@ class Negotiation:
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         if not notes and self.claim is grounds[0] and self.claim.offer is None:
-            self._settled = grounds
+            self._settled, self._settled_with = grounds, heard
         return notes
+
+    def _says_nothing_new(self, heard: list[Message]) -> bool:
+        """Whether rules learn nothing that they were not told the last time: who is heard stands as it did then.
+
+        Of a table they learn nothing either if it is the own one, however much of it is spelled out.
+        """
+        own = self._speech.digest(self.claim.table)
+        return list(map(_TOLD, heard)) == list(map(_TOLD, self._settled_with)) and all(
+            message.table_digest == own or message.table == before.table
+            for message, before in zip(heard, self._settled_with, strict=True)
+        )
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
         """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""

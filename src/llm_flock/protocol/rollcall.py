@@ -74,6 +74,15 @@ class RollCall:
         self._round = 0
         self._waited = 0
         self._taken: str | None = None
+        self._look_at_the_round()
+
+    def _look_at_the_round(self) -> None:
+        """Which roll is called; asked for with every message, so it is worked out when it may change."""
+        self._later = self._round > ROUNDS
+        self.waiting = self._later and MANY < self._n <= LARGEST and self._waited <= PATIENCE
+        """Whether those who are not known yet are waited for."""
+        self.called = self.waiting or (self._n > MANY and not self._later)
+        """Whether a roll call is under way."""
 
     @property
     def known(self) -> Mapping[int, Sighting]:
@@ -85,23 +94,10 @@ class RollCall:
         """Where the others are that are known [units; frame of the mission]."""
         return [where for robot, (_, where, _) in self._known.items() if robot != self._robot]
 
-    @property
-    def _later(self) -> bool:
-        return self._round > ROUNDS
-
-    @property
-    def waiting(self) -> bool:
-        """Whether those who are not known yet are waited for."""
-        return self._later and MANY < self._n <= LARGEST and self._waited <= PATIENCE
-
-    @property
-    def called(self) -> bool:
-        """Whether a roll call is under way."""
-        return self.waiting or (self._n > MANY and not self._later)
-
     def begin_round(self) -> None:
         """Another round has begun."""
         self._round += 1
+        self._look_at_the_round()
         if self._round == ROUNDS + 1 or not self.called:
             self._known, self._news = {}, {}
 
@@ -112,6 +108,7 @@ class RollCall:
             there: whether the robot has come to where it waits.
         """
         self._waited += there
+        self._look_at_the_round()
 
     def hear(self, said: Mapping[int, Sighting]) -> None:
         """Take in what a neighbour knows."""
@@ -128,6 +125,7 @@ class RollCall:
         if new:
             if not new.keys() <= known.keys():
                 self._waited = 0
+                self._look_at_the_round()
             known |= new
             self._news |= new
 

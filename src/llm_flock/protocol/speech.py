@@ -170,7 +170,7 @@ class Speech:
         )
         if message != self._said:
             self._said = message
-            self._payload = encode(replace(message, sequence=self._sequence))
+            self._payload = encode(message, self._sequence)
             self._sequence += 1
         # A greeting, a roll, and what has just changed are not said again in the next tick.
         self._news = greeting or whole.roll is not None or any(self._changed) or before != self._plan_said

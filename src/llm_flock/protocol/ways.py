@@ -8,6 +8,7 @@ the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algor
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -25,7 +26,7 @@ REACH = 1.5
 LARGEST = 256
 """In plans of more places the straight way is taken: finding the others takes the cube of their number."""
 
-CACHED = 65536
+CACHED = 4096
 
 FAR = 3.0
 """A goal this many spacings away is approached along the formation, from place to place, each so far ahead at most."""
@@ -38,23 +39,24 @@ BESIDE = 0.6
 """Those who fly along the formation pass its places at so many spacings, on the side of the centre."""
 
 
-def way_length(here: Point, plan: Plan, slot: int, spacing: float) -> float:
-    """Length of the cheapest way to a place, by any others [units].
+def way_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
+    """Lengths of the cheapest ways to some places, by any others [units].
 
     Args:
-        here: where it begins [units; frame of the plan].
+        here: where they begin [units; frame of the plan].
         plan: has the places.
-        slot: number of the place where it ends.
+        slots: numbers of the places where they end.
         spacing: wanted distance between neighbouring robots [units].
     """
     if len(plan) > LARGEST:
-        return math.dist(here, plan.points[slot])
-    return _by_places(here, plan, slot, spacing)
+        return [math.dist(here, plan.points[a]) for a in slots]
+    every = _by_places(here, plan, spacing)
+    return [every[a] for a in slots]
 
 
 @lru_cache(maxsize=CACHED)
-def _by_places(here: Point, plan: Plan, slot: int, spacing: float) -> float:
-    return float((_hops(here, plan, spacing) + _between(plan, spacing)[slot]).min())
+def _by_places(here: Point, plan: Plan, spacing: float) -> list[float]:
+    return (_hops(here, plan, spacing) + _between(plan, spacing)).min(axis=1).tolist()
 
 
 def stop_on_the_way(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:

@@ -219,15 +219,16 @@ class Trial:
 
     def _exchange(self, number: int, tick: int) -> None:
         """One message exchange: all broadcast, then all receive, then all decide on the same snapshot."""
-        for robot, agent in self._minds():
+        minds = self._minds()
+        for robot, agent in minds:
             for effect in self._perform(number, tick, robot, agent.handle(TickBegan())):
                 if isinstance(effect, Broadcast):
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
-        awake = set(self.roster.awake)
+        listening = dict(minds)
         for robot, payload in self.transport.deliver():
-            if robot in awake:  # what was sent before it died may arrive later
-                self._perform(number, tick, robot, self.roster.agents[robot].handle(Received(payload)))
-        for robot, agent in self._minds():
+            if robot in listening:  # what was sent before it died may arrive later
+                self._perform(number, tick, robot, listening[robot].handle(Received(payload)))
+        for robot, agent in minds:
             self._perform(number, tick, robot, agent.handle(TickEnded()))
 
     async def _think_steps(self, number: int) -> dict[int, MoveTo]:
@@ -257,6 +258,8 @@ class Trial:
 
     def _perform(self, number: int, tick: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
         """Record the notes among the effects; return the rest."""
+        if not effects:
+            return effects
         rest: list[Effect] = []
         for effect in effects:
             if isinstance(effect, Note):
