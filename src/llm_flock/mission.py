@@ -216,7 +216,7 @@ class Mission(BaseModel):
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Mission) and self.digest == other.digest)
 
-    @property
+    @cached_property
     def dim(self) -> int:
         """Dimension d of space."""
         return len(self.center)

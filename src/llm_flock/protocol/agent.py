@@ -280,11 +280,12 @@ class Agent:
         self._talks.look(scene.here, sensed)
 
     def _receive(self, event: Received) -> list[Effect]:
-        before = self.mission
-        notes = self._talks.receive(event.payload, event.sender)
-        if self.mission is not before and self._seen is not None:
+        talks = self._talks
+        before = talks.mission
+        notes: list[Effect] = [*talks.receive(event.payload, event.sender)]
+        if talks.mission is not before and self._seen is not None:
             self._look(*self._seen)
-        return [*notes]
+        return notes
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
         """A proposal of one's own; what the planner sees in the world is kept in the frame of the mission."""

@@ -121,7 +121,7 @@ def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
     if table is None:
         return None
     slots = range(len(table)) if message.said is None else message.said
-    return tuple((a, *table[a]) for a in slots if table[a] != UNSAID)
+    return tuple([(a, *table[a]) for a in slots if table[a] != UNSAID])
 
 
 @functools.lru_cache(maxsize=256)

@@ -134,9 +134,10 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         origin, plan = self.pedigree, self.plan
         if origin is not None and self.mission.digest != origin.mission_digest:
             msgspec.structs.force_setattr(self, "mission", Stamp(origin.mission, origin.mission_digest))
-        if plan is not None:
+        if plan is not None and self.plan_digest != plan.digest:
             msgspec.structs.force_setattr(self, "plan_digest", plan.digest)
-            msgspec.structs.force_setattr(self, "places", len(plan))
+        if plan is not None and self.places != len(plan.points):
+            msgspec.structs.force_setattr(self, "places", len(plan.points))
         if self.table is not None and self.table_digest is None:
             msgspec.structs.force_setattr(self, "table_digest", table_digest(self.table))
 

@@ -183,7 +183,7 @@ class Negotiation:
         Args:
             may_shrink: whether robots that were never heard of may be given up.
         """
-        self._told_of_bodies = any(owner == BLOCKED for _, _, owner in self.claim.table or ())
+        self._told_of_bodies = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
         self._remaking.watch(self.plan, self.claim.table, may_shrink=may_shrink)
 
     def propose(self, answer: PlanAnswer | NoAnswer) -> list[Note]:

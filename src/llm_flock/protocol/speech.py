@@ -56,9 +56,8 @@ def mission_fields(text: str) -> dict[str, Any]:
     return fields
 
 
-def _known_by(message: Message) -> tuple[object, ...]:
-    """What a neighbour shows to know: by this is chosen what to tell it."""
-    return message.mission, message.plan_digest, message.table_digest
+_KNOWN = operator.attrgetter("mission", "plan_digest", "table_digest")
+"""What a neighbour shows to know: by this is chosen what to tell it."""
 
 
 class Speech:
@@ -96,7 +95,7 @@ class Speech:
     def hear(self, message: Message) -> None:
         """Remember what a neighbour has."""
         before = self._peers.get(message.sender)
-        if before is None or any(map(operator.ne, _known_by(before), _known_by(message))):
+        if before is None or (before is not message and _KNOWN(before) != _KNOWN(message)):
             self._news = True
         self._peers[message.sender] = message
         self._heard.add(message.sender)
@@ -111,7 +110,7 @@ class Speech:
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
-            return named if named is not None and len(named) == message.places else None
+            return named if named is not None and len(named.points) == message.places else None
         if len(self._plans) >= REMEMBERED_PLANS:
             self._plans.clear()  # whoever floods the radio with plans may cost time, but not memory
         self._plans[plan.digest] = plan
@@ -130,10 +129,9 @@ class Speech:
         """The last bytes once more; None where something is new, or this robot stands otherwise than it did then.
 
         Args:
-            standing: all that `whole` is made of but the roll; the same objects stand for the same.
+            standing: all that `whole` is made of but the roll.
         """
-        same = len(standing) == len(self._standing) and all(map(operator.is_, standing, self._standing))
-        self._standing = standing
+        same, self._standing = standing == self._standing, standing
         return self._payload if same and not (self._news or self._greeting) else None
 
     def say(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
@@ -146,22 +144,22 @@ class Speech:
         """
         self._note_changes(whole.table)
         plan = whole.plan
-        agreeing = {j for j, heard in self._peers.items() if self._agrees(heard, whole)}
+        digest = None if plan is None else plan.digest
+        mine = whole.mission, digest, whole.table_digest
+        others = [heard for heard in self._peers.values() if _KNOWN(heard) != mine]
+        agreeing = self._peers.keys() - {heard.sender for heard in others} if others else self._peers.keys()
         greeting, self._greeting = self._greeting, False
         known = self._around <= agreeing and len(agreeing) >= self._neighbors
         meets = greeting and (not known or plan is None or len(plan) <= SMALL)
-        peers = self._peers.values()
-        spell_plan = plan is not None and (
-            meets or self._plan_said != plan.digest or any(m.plan_digest != plan.digest for m in peers)
-        )
-        before, self._plan_said = self._plan_said, None if plan is None else plan.digest
-        part, said = self._part(whole, meets=meets, greeting=greeting)
+        spell_plan = meets or self._plan_said != digest or any(m.plan_digest != digest for m in others)
+        before, self._plan_said = self._plan_said, digest
+        part, said = self._part(whole, others, meets=meets, greeting=greeting)
         message = replace(
             whole,
             sequence=0,
-            mission_text=mission_text(mission) if any(m.mission < whole.mission for m in peers) else None,
+            mission_text=mission_text(mission) if any(m.mission < whole.mission for m in others) else None,
             plan=plan if spell_plan else None,
-            plan_digest=self._plan_said,
+            plan_digest=digest,
             places=0 if plan is None else len(plan),
             table=part,
             said=said,
@@ -175,10 +173,6 @@ class Speech:
         # A greeting, a roll, and what has just changed are not said again in the next tick.
         self._news = greeting or whole.roll is not None or any(self._changed) or before != self._plan_said
         return self._payload
-
-    def _agrees(self, heard: Message, whole: Message) -> bool:
-        plan = None if whole.plan is None else whole.plan.digest
-        return heard.mission == whole.mission and heard.plan_digest == plan and heard.table_digest == whole.table_digest
 
     def digest(self, table: Table | None) -> str | None:
         """Digest of the own table, worked out once for each that there is."""
@@ -195,13 +189,14 @@ class Speech:
                 changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
-    def _part(self, whole: Message, *, meets: bool, greeting: bool) -> tuple[Table | None, tuple[int, ...] | None]:
-        """The table, or what of it has to be said, and which slots that are."""
+    def _part(
+        self, whole: Message, others: list[Message], *, meets: bool, greeting: bool
+    ) -> tuple[Table | None, tuple[int, ...] | None]:
+        """The table, or what of it has to be said, and which slots that are; `others` know something else."""
         table = whole.table
         if table is None:
             return None, None
-        same_plan = [m for m in self._peers.values() if m.plan_digest == self._plan_said]
-        differs = any(m.table_digest != whole.table_digest for m in same_plan)
+        differs = any(m.plan_digest == self._plan_said and m.table_digest != whole.table_digest for m in others)
         small = len(table) <= SMALL
         if meets or (differs and (small or greeting)):
             return table, None

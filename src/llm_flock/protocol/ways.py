@@ -48,7 +48,7 @@ def way_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -
         slots: numbers of the places where they end.
         spacing: wanted distance between neighbouring robots [units].
     """
-    if len(plan) > LARGEST:
+    if len(plan.points) > LARGEST:
         return [math.dist(here, plan.points[a]) for a in slots]
     every = _by_places(here, plan, spacing)
     return [every[a] for a in slots]

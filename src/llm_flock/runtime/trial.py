@@ -260,13 +260,10 @@ class Trial:
         """Record the notes among the effects; return the rest."""
         if not effects:
             return effects
-        rest: list[Effect] = []
-        for effect in effects:
-            if isinstance(effect, Note):
-                self.journal.note(number, tick, robot, effect)
-            else:
-                rest.append(effect)
-        return rest
+        notes = [effect for effect in effects if isinstance(effect, Note)]
+        for note in notes:
+            self.journal.note(number, tick, robot, note)
+        return [effect for effect in effects if not isinstance(effect, Note)] if notes else effects
 
     def _report(self) -> None:
         if self._on_round is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -24,7 +25,7 @@ class LinkFaults(BaseModel):
     duplicate: Share = Field(default=0.0, description="Probability that a message arrives twice")
     reorder: Share = Field(default=0.0, description="Probability that a robot gets a tick's messages in random order")
 
-    @property
+    @cached_property
     def any(self) -> bool:
         """Whether anything can go wrong."""
         return bool(self.loss or self.delay or self.duplicate or self.reorder)
@@ -62,7 +63,7 @@ class MemoryTransport:
         self.traffic.sent += 1
         self.traffic.bytes += len(payload)
         if not self.faults.any:
-            self._due[self._tick].extend((receiver, payload) for receiver in receivers)
+            self._due[self._tick] += [(receiver, payload) for receiver in receivers]
             return
         faults, rng = self.faults, self._rng
         for receiver in receivers:
