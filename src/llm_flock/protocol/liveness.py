@@ -89,8 +89,9 @@ class Liveness:
         self._advanced[self._robot] = round_number
         self._mute_for = {j: self._mute_for.get(j, 0) + 1 for j in near & self.strangers}
         mute = [j for j, rounds in self._mute_for.items() if rounds > self._time_out]
-        self._beats[mute] = BODY
-        self._advanced[mute] = self._long_ago
+        if mute:
+            self._beats[mute] = BODY
+            self._advanced[mute] = self._long_ago
         self._look()
 
     def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
@@ -105,21 +106,25 @@ class Liveness:
         for beats in heard[1:]:
             highest = np.maximum(highest, beats)
         mine = int(highest[self._robot])
-        newer = highest > self._beats
-        newer[self._robot] = False
-        self._counted_on |= newer & (self._beats > BODY)
-        self._beats[newer] = highest[newer]
-        self._advanced[newer] = np.where(self._beats[newer] == BODY, self._long_ago, self._round)
         if mine > self._beats[self._robot]:
             self._beats[self._robot] = mine + 1
-        if newer.any():
-            self._look()
+        newer = np.flatnonzero(highest > self._beats)
+        if not len(newer):
+            return
+        counts = highest[newer]
+        self._counted_on[newer] |= self._beats[newer] > BODY
+        self._beats[newer] = counts
+        self._advanced[newer] = self._round
+        self._advanced[newer[counts == BODY]] = self._long_ago
+        self._look()
 
     @property
     def _long_ago(self) -> int:
         return self._round - self._time_out - 1
 
     def _look(self) -> None:
+        if not (self.strangers or self.silent) and self._advanced.min() > self._long_ago:
+            return
         never = self._beats == 0
         late = ~never & (self._advanced <= self._long_ago)
         if late.any() or self.silent:
