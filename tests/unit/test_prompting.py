@@ -10,7 +10,7 @@ import pytest
 
 from llm_flock.errors import InputError
 from llm_flock.llm.prompting import VARIABLES, PromptSet
-from llm_flock.llm.wording import number_text, position_decimals
+from llm_flock.llm.wording import nearest_text, number_text, position_decimals, short_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
@@ -164,6 +164,24 @@ def test_files_of_the_operator_replace_packaged_ones(tmp_path: Path) -> None:
     prompts = PromptSet.load(tmp_path)
     assert prompts.step(step_question()) == "I, robot 2 4 3"
     assert prompts.plan(plan_question()) == PromptSet.load().plan(plan_question())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{% include 'more.j2' %}",
+        "{% include 'more' ~ '.j2' %}",
+        "{% import 'more.j2' as more with context %}{{ more }}",
+        "{% block all %}{{ here }} {{ near }}{% endblock %}",
+        "{% extends 'more.j2' %}",
+    ],
+)
+def test_a_template_has_its_variables_wherever_it_looks_at_them(tmp_path: Path, content: str) -> None:
+    (tmp_path / "step.j2").write_text(content, encoding="utf-8")
+    (tmp_path / "more.j2").write_text("{{ here }} {{ near }}{{ range(0) | join }}", encoding="utf-8")
+    question = step_question()
+    near = nearest_text(question.position, question.neighbors, MISSION)
+    assert PromptSet.load(tmp_path).step(question) == f"{short_text(question.position, 3)} {near}"
 
 
 @pytest.mark.parametrize(

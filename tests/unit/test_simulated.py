@@ -264,7 +264,7 @@ def test_one_failures_rate_does_not_shift_anothers_chance() -> None:
 
 
 def ask(profile: str, talk: Conversation, tries: int = 1, **options: Any) -> list[Any]:
-    """Replies and errors of the whole path: pydantic-ai's FunctionModel inside our client."""
+    """Replies and errors of the whole path: pydantic-ai's model inside our client."""
     model = PydanticModel(
         simulated_model(parse_profile(profile), 3, np.random.default_rng(0), **options),
         name=f"simulated:{profile}",

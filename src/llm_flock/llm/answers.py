@@ -57,6 +57,9 @@ _POSITION = re.compile(
     rf"(?P<gap>{_GAP}(?:(?:is|at|will\sbe)(?![A-Za-z]){_GAP})?+){_WRAP}(?P<list>{_LIST})",
     re.IGNORECASE,
 )
+_STATES = frozenset(":=≈→")
+"""One of these stands between a bare `Position` and the answer."""
+
 _BEFORE_POSITION = re.compile(
     r"(?:[^A-Za-z0-9\s*_`\"']|\n|(?<![A-Za-z])(?:the|answer|so|thus|hence|therefore|chosen|proposed|updated))"
     r"[\s*_`\"']*$",
@@ -239,7 +242,7 @@ def _last(pattern: re.Pattern[str], text: str) -> re.Match[str] | None:
 
 def _stands_alone(text: str, match: re.Match[str]) -> bool:
     """Whether a bare `Position` is an answer: a colon or the like follows, and no other word qualifies it."""
-    if not any(sign in match["gap"] for sign in ":=≈→"):
+    if _STATES.isdisjoint(match["gap"]):
         return False
     start = match.start()
     before = text[start - 16 : start] if start >= 16 else "\n" + text[:start]

@@ -116,6 +116,7 @@ class PydanticModel:
         settings = settings or CallSettings()
         self._asked = settings.plain()
         self._settings = _model_settings(settings, self._provider)
+        self._words = ModelRequestParameters()
 
     @property
     def name(self) -> str:
@@ -148,9 +149,9 @@ class PydanticModel:
             raise ModelError("garbage", self._clean(detail)) from None
         return self._reply(response, self._clock() - started)
 
-    def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters | None:
+    def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
         if schema is None:
-            return None
+            return self._words
         answer = OutputObjectDefinition(json_schema=dict(schema), name="answer")
         # DeepSeek and older Claude models know no JSON schema: they get "a JSON object", and the schema in words.
         native = self._model.profile.get("supports_json_schema_output", False)

@@ -7,12 +7,12 @@ update (166-171); the wording here is our own, and the plan message also gives t
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import jinja2
 import jinja2.meta
@@ -36,6 +36,8 @@ from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 
+Q = TypeVar("Q", PlanQuestion, StepQuestion)
+
 PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
 """Sets of templates that come with the package, and their folders in it."""
 
@@ -58,14 +60,48 @@ TEAM = frozenset(
     }
 )
 COMMON = TEAM | {"json", "point_format", "plan_format"}
-OBSERVED = frozenset({"robot", "round", "position", "neighbors", "here", "near"})
+OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
+    "robot": lambda asked: asked.robot,
+    "round": lambda asked: asked.round,
+    "position": lambda asked: position_text(asked.position, _decimals(asked)),
+    "neighbors": lambda asked: positions_text(asked.neighbors, _decimals(asked)),
+    "here": lambda asked: short_text(asked.position, _decimals(asked)),
+    "near": lambda asked: nearest_text(asked.position, asked.neighbors, asked.mission),
+}
+PLAN: Mapping[str, Callable[[PlanQuestion], Any]] = {
+    **OBSERVED,
+    "still": lambda asked: positions_text(asked.still, _decimals(asked)),
+}
+STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
+    **OBSERVED,
+    "plan": lambda asked: plan_text(asked.plan),
+    "slot": lambda asked: asked.slot,
+    "searching": lambda asked: asked.target is not None and asked.slot is not None,
+    "waiting": lambda asked: asked.slot is None,
+    "goal": lambda asked: place_text(asked.goal),
+    "horizon": lambda asked: asked.horizon,
+}
+"""How each variable of a question is written."""
+
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
-    "plan.j2": COMMON | OBSERVED | {"still"},
-    "step.j2": COMMON | OBSERVED | {"plan", "slot", "goal", "searching", "waiting", "horizon"},
+    "plan.j2": COMMON | PLAN.keys(),
+    "step.j2": COMMON | STEP.keys(),
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
 """The templates, and the variables that each may use."""
+
+
+def _decimals(asked: PlanQuestion | StepQuestion) -> int:
+    return position_decimals(asked.mission.max_step)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wording:
+    """A compiled template, and the variables that it may look up."""
+
+    template: jinja2.Template
+    uses: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,15 +111,13 @@ class PromptSet:
     Attributes:
         json: whether the templates ask for a JSON object instead of the paper's text forms.
         reasons: whether they ask for a reason before the answer.
-        templates: compiled template by file name.
+        templates: template by file name.
     """
 
     json: bool
     reasons: bool = True
-    templates: Mapping[str, jinja2.Template]
-    _missions: dict[str, Mapping[str, Any]] = field(
-        default_factory=dict[str, Mapping[str, Any]], init=False, repr=False
-    )
+    templates: Mapping[str, Wording]
+    _missions: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]], init=False, repr=False)
     _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
 
     @classmethod
@@ -128,26 +162,17 @@ class PromptSet:
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
-        variables = self._observed(question)
-        variables["still"] = positions_text(question.still, position_decimals(question.mission.max_step))
-        return self._render("plan.j2", variables)
+        return self._render("plan.j2", {**self._common(question.mission), **self._said("plan.j2", PLAN, question)})
 
     def step(self, question: StepQuestion) -> str:
         """The position update message."""
-        variables = self._observed(question)
-        variables["plan"] = plan_text(question.plan)
-        variables["slot"] = question.slot
-        variables["searching"] = question.target is not None and question.slot is not None
-        variables["waiting"] = question.slot is None
-        variables["goal"] = place_text(question.goal)
-        variables["horizon"] = question.horizon
-        return self._render("step.j2", variables)
+        return self._render("step.j2", {**self._common(question.mission), **self._said("step.j2", STEP, question)})
 
     def retry(self, reason: str, kind: Kind) -> str:
         """What follows an answer that cannot be used; `reason` is a sentence that says why."""
-        return self._render("retry.j2", {"reason": reason, "kind": kind, "json": self.json})
+        return self._render("retry.j2", {**self._globals(), "reason": reason, "kind": kind, "json": self.json})
 
-    def _common(self, mission: Mission) -> Mapping[str, Any]:
+    def _common(self, mission: Mission) -> dict[str, Any]:
         """Written out once for each mission, because every message needs it."""
         known = self._missions.get(mission.digest)
         if known is None:
@@ -155,25 +180,24 @@ class PromptSet:
                 # A centre that travels makes another mission of every round.
                 self._missions.clear()
                 self._systems.clear()
-            known = self._missions[mission.digest] = {**mission_variables(mission), "json": self.json}
+            known = {**self._globals(), **mission_variables(mission), "json": self.json}
+            self._missions[mission.digest] = known
         return known
 
-    def _observed(self, question: PlanQuestion | StepQuestion) -> dict[str, Any]:
-        decimals = position_decimals(question.mission.max_step)
-        return {
-            **self._common(question.mission),
-            "robot": question.robot,
-            "round": question.round,
-            "position": position_text(question.position, decimals),
-            "neighbors": positions_text(question.neighbors, decimals),
-            "here": short_text(question.position, decimals),
-            "near": nearest_text(question.position, question.neighbors, question.mission),
-        }
+    def _globals(self) -> Mapping[str, Any]:
+        """What every template of the engine may use."""
+        return self.templates["system.j2"].template.globals
 
-    def _render(self, name: str, variables: Mapping[str, Any]) -> str:
-        template = self.templates[name]
+    def _said(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> dict[str, Any]:
+        """The variables of a question that the template looks at, for there are many robots to be written out."""
+        uses = self.templates[name].uses
+        return {variable: write(question) for variable, write in known.items() if variable in uses}
+
+    def _render(self, name: str, variables: dict[str, Any]) -> str:
+        template = self.templates[name].template
         try:
-            return template.render(variables).strip()
+            # As `template.render`, which would copy the variables twice to add the globals that they hold already.
+            return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
         except RecursionError:
             raise InputError(
                 "prompts", template.filename or name, "a template that ends: it includes itself without end"
@@ -199,12 +223,12 @@ class PromptSet:
 
 
 @lru_cache(maxsize=len(PACKAGED))
-def _packaged_templates(packaged: str) -> Mapping[str, jinja2.Template]:
+def _packaged_templates(packaged: str) -> Mapping[str, Wording]:
     """Compiled once in a process: a trial of a second should not spend a tenth of it on that."""
     return MappingProxyType(_templates(packaged, None))
 
 
-def _templates(packaged: str, directory: Path | None) -> dict[str, jinja2.Template]:
+def _templates(packaged: str, directory: Path | None) -> dict[str, Wording]:
     """Every template, compiled and checked: the operator's where there is one, else the packaged one."""
     folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
     # Templates may come from strangers; the sandbox keeps them from anything but text.
@@ -217,7 +241,7 @@ def _templates(packaged: str, directory: Path | None) -> dict[str, jinja2.Templa
     return {name: _compiled(environment, name, directory) for name in VARIABLES}
 
 
-def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> jinja2.Template:
+def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> Wording:
     """A template whose syntax and variables are known to be right."""
     assert environment.loader is not None
     file = name if directory is None else str(directory / name)
@@ -225,7 +249,9 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
         source, filename, _ = environment.loader.get_source(environment, name)
         file = filename or file
         template = environment.get_template(name)
-        used = jinja2.meta.find_undeclared_variables(environment.parse(source, name, filename))
+        parsed = environment.parse(source, name, filename)
+        used = jinja2.meta.find_undeclared_variables(parsed)
+        others = list(jinja2.meta.find_referenced_templates(parsed))
     except jinja2.TemplateSyntaxError as error:
         where = f"{error.filename or file}, line {error.lineno}"
         raise InputError("prompts", where, f"a Jinja template: {error.message}") from None
@@ -237,4 +263,5 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
     if unknown:
         known = ", ".join(sorted(VARIABLES[name]))
         raise InputError("prompts", file, f"a template of the variables {known}; not {', '.join(unknown)}")
-    return template
+    # Nobody has looked at what templates that are included use.
+    return Wording(template=template, uses=VARIABLES[name] if others else frozenset(used))

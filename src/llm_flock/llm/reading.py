@@ -88,9 +88,10 @@ class StepPrompt:
 
 def numbers(text: str) -> Point:
     """All numbers of a text, in order."""
-    return tuple(float(number) for number in _FLOAT.findall(text))
+    return tuple(map(float, _FLOAT.findall(text)))
 
 
+@lru_cache(maxsize=64)
 def sensible_decimals(length: float) -> int:
     """Two, as models answer, and more where lengths are shorter than one unit."""
     return max(2, 2 - math.floor(math.log10(length)))

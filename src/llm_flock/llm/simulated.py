@@ -1,6 +1,6 @@
 """Simulated language models: stand-ins that read nothing but the prompt and answer in prose, or in JSON when asked.
 
-They stand where a provider's model would, behind pydantic-ai's FunctionModel; only the words come from here. Whatever
+They stand where a provider's model would, as a `Model` of pydantic-ai; only the words come from here. Whatever
 shows their results says that they are simulated.
 """
 
@@ -15,7 +15,9 @@ from dataclasses import replace
 import numpy as np
 from pydantic_ai import exceptions as pai
 from pydantic_ai.messages import ModelMessage, ModelResponse, SystemPromptPart, TextPart, UserPromptPart
-from pydantic_ai.models.function import AgentInfo, FunctionModel
+from pydantic_ai.models import Model, ModelRequestParameters
+from pydantic_ai.profiles import ModelProfile
+from pydantic_ai.settings import ModelSettings
 from pydantic_ai.usage import RequestUsage
 
 from llm_flock.arrays import Point
@@ -36,7 +38,7 @@ from llm_flock.llm.reading import (
     sensible_decimals,
 )
 
-__all__ = ["PROFILES", "Profile", "Responder", "parse_profile", "simulated_model"]
+__all__ = ["PROFILES", "Profile", "Responder", "SimulatedModel", "parse_profile", "simulated_model"]
 
 NOTHING: frozenset[str] = frozenset()
 CHARS_PER_TOKEN = 4
@@ -216,38 +218,70 @@ def _towards(target: Point, task: Task, prompt: StepPrompt) -> Point:
     )
 
 
+class SimulatedModel(Model[None]):
+    """A simulated model as pydantic-ai sees any other.
+
+    Args:
+        name: `simulated:PROFILE`.
+        robot: whose model it is, for error texts; the model itself learns that from the prompt only.
+        responder: finds the words.
+        sleep: waits that many seconds.
+    """
+
+    def __init__(self, name: str, robot: int, responder: Responder, sleep: Callable[[float], Awaitable[None]]) -> None:
+        # Asked for JSON as a provider is that knows JSON schemas.
+        super().__init__(profile=ModelProfile(supports_json_schema_output=True, supports_json_object_output=True))
+        self._name = name
+        self._robot = robot
+        self._responder = responder
+        self._sleep = sleep
+
+    @property
+    def model_name(self) -> str:
+        """`simulated:PROFILE`."""
+        return self._name
+
+    @property
+    def system(self) -> str:
+        """Who stands behind the model: nobody."""
+        return "simulated"
+
+    async def request(
+        self,
+        messages: list[ModelMessage],
+        model_settings: ModelSettings | None,
+        model_request_parameters: ModelRequestParameters,
+    ) -> ModelResponse:
+        """Answer a conversation; settings and parameters change nothing, for the prompt says it all."""
+        failures = self._responder.draw()
+        for profile in LATENCIES.keys() & failures:
+            await self._sleep(self._responder.latency_s(profile))
+        if "flaky" in failures:
+            raise self._responder.fault(self._name, self._robot)
+        conversation = _conversation(messages)
+        text = self._responder.answer(conversation, failures)
+        usage = RequestUsage(
+            input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
+        )
+        return ModelResponse(parts=[TextPart(text)], usage=usage, model_name=self._name)
+
+
 def simulated_model(
     profile: Profile,
     robot: int,
     rng: np.random.Generator,
     *,
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-) -> FunctionModel:
-    """A simulated model as pydantic-ai sees any other, named `simulated:PROFILE`.
+) -> SimulatedModel:
+    """A simulated model named `simulated:PROFILE`.
 
     Args:
         profile: what it gets wrong, and how often.
-        robot: whose model it is, for error texts; the model itself learns that from the prompt only.
+        robot: whose model it is.
         rng: its chance.
         sleep: waits that many seconds.
     """
-    name = f"simulated:{profile.text}"
-    responder = Responder(profile, rng)
-
-    async def respond(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
-        failures = responder.draw()
-        for profile in LATENCIES.keys() & failures:
-            await sleep(responder.latency_s(profile))
-        if "flaky" in failures:
-            raise responder.fault(name, robot)
-        conversation = _conversation(messages)
-        text = responder.answer(conversation, failures)
-        usage = RequestUsage(
-            input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
-        )
-        return ModelResponse(parts=[TextPart(text)], usage=usage)
-
-    return FunctionModel(respond, model_name=name)
+    return SimulatedModel(f"simulated:{profile.text}", robot, Responder(profile, rng), sleep)
 
 
 def _tokens(chars: int) -> int:

@@ -59,6 +59,7 @@ def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) 
     return ", ".join(short_text(other, decimals) for other in near) or "none"
 
 
+@lru_cache(maxsize=64)
 def position_decimals(length: float) -> int:
     """Decimals of positions where `length` (the step limit, say) matters: 3, more if a thousandth of it is finer."""
     return min(DECIMALS, max(3, 3 - math.floor(math.log10(length))))

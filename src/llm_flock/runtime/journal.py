@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
@@ -26,7 +24,7 @@ from llm_flock.record.schema import (
     ProtocolEvent,
     State,
 )
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.episode import Episode, blocked_places
 from llm_flock.runtime.roster import Roster
@@ -53,6 +51,8 @@ class Journal:
         self.mission = mission
         self._remakes = remakes
         self.writer = writer
+        # What nobody reads is not put together. A class derived from NullWriter may read what it likes.
+        self._read = type(writer) is not NullWriter
         self.calls = 0
         self.calls_rejected = 0
         self.calls_failed = 0
@@ -114,15 +114,17 @@ class Journal:
 
     def flush_attempts(self) -> None:
         """Write the model calls made since the last flush, by robot and attempt."""
-        for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
-            self.writer.llm(llm_entry(attempt))
+        if self._read:
+            for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
+                self.writer.llm(llm_entry(attempt))
         self._attempts.clear()
 
     def note(self, round_number: int, tick: int | None, robot: int, note: Note) -> None:
         """Record something that a robot decided or met."""
-        self.writer.event(
-            ProtocolEvent(round=round_number, tick=tick, robot=robot, kind=note.kind, detail=dict(note.detail))
-        )
+        if self._read:
+            self.writer.event(
+                ProtocolEvent(round=round_number, tick=tick, robot=robot, kind=note.kind, detail=dict(note.detail))
+            )
 
     def plan(self, round_number: int, plan: Plan, proposer: int) -> None:
         """Record a plan's points when it is first seen."""
@@ -151,26 +153,14 @@ class Journal:
         # A round in which somebody flew on along a path is not one in which no model is of any use.
         silent = bool(calls) and calls == failed and not any(mind.on_path for mind in roster.minds())
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
-        positions = team.positions
-        minds = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
-        still = Origin.START if moves is None else Origin.HOLD
         flown = dict[int, MoveTo]() if moves is None else moves
         self.robot_rounds += len(flown)
         self.waypoints.update(move.origin.value for move in flown.values())
-        self.writer.state(
-            State(
-                round=round_number,
-                positions=positions.tolist(),
-                goals=[None if a is None or (g := a.goal) is None else list(g) for a in minds],
-                slots=[None if a is None else a.claim.slot for a in minds],
-                plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in minds],
-                influence=[len(roster.hears(team, robot)) / len(minds) for robot in range(len(minds))],
-                waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in range(len(minds))],
-                origins=[(flown[robot].origin if robot in flown else still).value for robot in range(len(minds))],
-                phases=[roster.phase(robot) for robot in range(len(minds))],
-            )
-        )
-        self._measure(round_number, positions, roster, team.connected(roster.awake), traffic)
+        positions = team.positions
+        if self._read:
+            still = Origin.START if moves is None else Origin.HOLD
+            self.writer.state(_state(round_number, positions, team, roster, flown, still))
+        self._measure(round_number, positions, team, roster, traffic)
 
     def measure_error(self, roster: Roster) -> None:
         """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet.
@@ -190,9 +180,7 @@ class Journal:
             shape = self.episode.error(self.positions[-1][robots])
             self.errors[-1] = None if shape is None else (shape.mean, shape.mean_squared)
 
-    def _measure(
-        self, round_number: int, positions: NDArray[np.float64], roster: Roster, connected: bool, traffic: Traffic
-    ) -> None:
+    def _measure(self, round_number: int, positions: Points, team: Bodies, roster: Roster, traffic: Traffic) -> None:
         self.positions.append(positions)
         separation = metrics.min_separation(positions)
         along = None if self._previous is None else metrics.segment_separation(self._previous, positions)
@@ -205,11 +193,11 @@ class Journal:
         closest = separation if along is None else min(separation, along)
         self.min_separation = min(self.min_separation, closest)
         self.start.update(round_number, positions, closest)
-        minds = roster.minds()
+        minds, rows = roster.minds(), positions.tolist()
         plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
         slots = [a.claim.slot for a in minds]
         distances = [
-            float("inf") if (g := a.goal) is None else float(np.linalg.norm(positions[robot] - g))
+            float("inf") if (g := a.goal) is None else math.dist(rows[robot], g)
             for robot, a in zip(roster.awake, minds, strict=True)
         ]
         episode = self.episode
@@ -235,29 +223,49 @@ class Journal:
             residual=residual,
             usable=usable,
         )
-        self.writer.metrics(
-            MetricsRow(
-                round=round_number,
-                procrustes_mean=None if error is None else error[0],
-                procrustes_mean_squared=None if error is None else error[1],
-                min_separation=_finite(separation),
-                segment_separation=None if along is None else _finite(along),
-                plans_in_use=metrics.plans_in_use(plan_ids),
-                distinct_goals=metrics.distinct_goals(plan_ids, slots),
-                robots_at_goal=self.at_goal,
-                connected=connected,
-                model_calls=self.calls,
-                tokens=self.usage.total,
-                cost_usd=self.cost_usd,
-                messages_sent=traffic.sent,
-                bytes_sent=traffic.bytes,
-                messages_rejected=dict(self.rejected(roster)),
+        if self._read:
+            self.writer.metrics(
+                MetricsRow(
+                    round=round_number,
+                    procrustes_mean=None if error is None else error[0],
+                    procrustes_mean_squared=None if error is None else error[1],
+                    min_separation=_finite(separation),
+                    segment_separation=None if along is None else _finite(along),
+                    plans_in_use=metrics.plans_in_use(plan_ids),
+                    distinct_goals=metrics.distinct_goals(plan_ids, slots),
+                    robots_at_goal=self.at_goal,
+                    connected=team.connected(roster.awake),
+                    model_calls=self.calls,
+                    tokens=self.usage.total,
+                    cost_usd=self.cost_usd,
+                    messages_sent=traffic.sent,
+                    bytes_sent=traffic.bytes,
+                    messages_rejected=dict(self.rejected(roster)),
+                )
             )
-        )
 
     def rejected(self, roster: Roster) -> Counter[str]:
         """Messages refused so far, by reason, those of robots that have started again since included."""
         return sum((a.rejected for a in roster.agents), self.rejected_before)
+
+
+def _state(
+    round_number: int, positions: Points, team: Bodies, roster: Roster, flown: Mapping[int, MoveTo], still: Origin
+) -> State:
+    """Where everybody is, and what everybody follows; `still` is the origin of who was commanded nothing."""
+    robots = range(len(roster.agents))
+    minds = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
+    return State(
+        round=round_number,
+        positions=positions.tolist(),
+        goals=[None if a is None or (g := a.goal) is None else list(g) for a in minds],
+        slots=[None if a is None else a.claim.slot for a in minds],
+        plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in minds],
+        influence=[len(roster.hears(team, robot)) / len(minds) for robot in robots],
+        waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
+        origins=[(flown[robot].origin if robot in flown else still).value for robot in robots],
+        phases=[roster.phase(robot) for robot in robots],
+    )
 
 
 def _finite(value: float) -> float | None:
