@@ -309,6 +309,11 @@ MUTANTS: Sequence[Mutant] = (
         f"{T_TALKS}::test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new",
     ),
     Mutant(
+        *("stale-repeat", "A new mission voids what was heard", "what is repeated still counts"),
+        *(TALKS, "self._inbox = {}\n        self._understood.clear()\n", "self._inbox = {}\n"),
+        f"{T_TALKS}::test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for",
+    ),
+    Mutant(
         *("unheard", "Rules hear all that is said of other tables", "a table is known once its digest is"),
         *(TALKS, "message.table_digest == own or message.table == before.table", "True"),
         f"{T_TALKS}::test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own",

@@ -158,6 +158,18 @@ def test_along_a_path_in_a_moving_frame_the_robot_asks_once_and_keeps_its_place(
     assert asked == 1
 
 
+def test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for() -> None:
+    flight = Flight(make())
+    flight.begin()
+    same = says(1, plan=PLAN)
+    for _ in range(2):
+        flight.tick(same)
+    assert flight.agent.plan == PLAN
+    flight.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2)))
+    flight.tick(same)
+    assert flight.agent.plan is None
+
+
 class Counting:
     """An auction that counts how often it is asked."""
 

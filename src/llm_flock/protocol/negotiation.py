@@ -86,6 +86,7 @@ class Negotiation:
         self.rejected: Counter[str] = Counter() if self._signing is None else self._signing.ledger.refused
         self._proofs: dict[int, Proofs] = {}
         self._inbox: dict[int, Message] = {}
+        self._understood: dict[bytes, Message] = {}
         self._unplaced: set[int] = set()
         self._beats: list[NDArray[np.int64]] = []
         self._no_plan: NoAnswer | None = None
@@ -121,6 +122,7 @@ class Negotiation:
         self._speech.begin_round(near, neighbors)
         self.roll.begin_round()
         self._unplaced.clear()
+        self._understood.clear()
 
     # ---------------------------------------------------------------- mission
 
@@ -131,6 +133,7 @@ class Negotiation:
         self.plan = self.pedigree = self._no_plan = self._own_slot = None
         self.claim = Claim(slot=None)
         self._inbox = {}
+        self._understood.clear()
         self._speech.forget_plans()
         self._remaking.reset()
         self.roll.begin()
@@ -319,6 +322,11 @@ class Negotiation:
             payload: what came in.
             sender: the robot that has signed it, where the transport knows.
         """
+        again = self._understood.get(payload)
+        if again is not None:  # repeated in this round, and nothing in it matters a second time
+            self._speech.hear(again)
+            self._take_down(again, NO_PROOFS)
+            return []
         team, proofs = (self.mission.n_robots, self.mission.dim), NO_PROOFS
         try:
             if self._signing is not None:
@@ -352,13 +360,18 @@ class Negotiation:
                 notes.append(Note("rejected_message", {"reason": "unverified_plan", "detail": objection}))
             return notes
         plan = self._speech.named(message, self.plan)
+        if plan is not None:
+            message = completed(payload, *team, plan, self._judge.plan_class(plan))
+            if self._signing is None and beats is None and message.roll is None:
+                self._understood[payload] = message
+        self._take_down(message, proofs)
+        return notes
+
+    def _take_down(self, message: Message, proofs: Proofs) -> None:
         known = self._inbox.get(message.sender)
         if known is None or message.sequence >= known.sequence:
-            if plan is not None:
-                message = completed(payload, *team, plan, self._judge.plan_class(plan))
             self._inbox[message.sender] = message
             self._proofs[message.sender] = proofs
-        return notes
 
     def _reject(self, error: MessageError) -> Note:
         self.rejected[error.reason] += 1
@@ -387,8 +400,9 @@ class Negotiation:
         if not notes and self.plan is not None:
             self._claims(self._assignment.update(self.claim, self._moment(adopted=True, heard=heard)))
         self._survey_due = False
-        self._unplaced -= {m.sender for m in heard}
-        self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not by_roll(m.table, m.slot)}
+        if self.roll.large:
+            self._unplaced -= {m.sender for m in heard}
+            self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not by_roll(m.table, m.slot)}
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         if not notes and self.claim is grounds[0] and self.claim.offer is None:

@@ -65,6 +65,8 @@ class RollCall:
     def __init__(self, robot: int, n_robots: int) -> None:
         self._robot = robot
         self._n = n_robots
+        self.large = n_robots > MANY
+        """Whether a team of this size calls a roll at all."""
         self.begin()
 
     def begin(self) -> None:
@@ -79,9 +81,9 @@ class RollCall:
     def _look_at_the_round(self) -> None:
         """Which roll is called; asked for with every message, so it is worked out when it may change."""
         self._later = self._round > ROUNDS
-        self.waiting = self._later and MANY < self._n <= LARGEST and self._waited <= PATIENCE
+        self.waiting = self._later and self.large and self._n <= LARGEST and self._waited <= PATIENCE
         """Whether those who are not known yet are waited for."""
-        self.called = self.waiting or (self._n > MANY and not self._later)
+        self.called = self.waiting or (self.large and not self._later)
         """Whether a roll call is under way."""
 
     @property
