@@ -214,7 +214,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("signs-of-life", "A counter alone is no sign of life", "who was heard of once counts as living"),
-        *(LIVENESS, "newer & (self._beats > BODY)", "newer"),
+        *(LIVENESS, "|= self._beats[newer] > BODY", "= True"),
         f"{T_SURVEY}::test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is",
     ),
     Mutant(
@@ -248,12 +248,12 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("plan-digest", "Who names another plan is told one's own", "it is not"),
-        *(SPEECH, "any(m.plan_digest != plan.digest for m in peers)", "False"),
+        *(SPEECH, "any(m.plan_digest != digest for m in others)", "False"),
         f"{T_SPEECH}::test_a_plan_is_spelled_out_when_it_was_just_taken_up_and_to_who_follows_another",
     ),
     Mutant(
         *("table-digest", "Who names another table is told one's own", "it is not"),
-        *(SPEECH, "any(m.table_digest != whole.table_digest for m in same_plan)", "False"),
+        *(SPEECH, "and m.table_digest != whole.table_digest for m", "and False for m"),
         f"{T_SPEECH}::test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a_round",
     ),
     Mutant(
