@@ -264,7 +264,7 @@ MUTANTS: Sequence[Mutant] = (
     # ---------------------------------------------------------------- messages
     Mutant(
         *("reorder", "An older message does not replace a newer one", "the one that arrives last is kept"),
-        *(TALKS, "message.sequence >= known.sequence", "True"),
+        *("protocol/inbox.py", "message.sequence >= known.sequence", "True"),
         f"{T_AGENT}::test_an_older_message_does_not_replace_a_newer_one",
     ),
     Mutant(
@@ -310,7 +310,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("stale-repeat", "A new mission voids what was heard", "what is repeated still counts"),
-        *(TALKS, "self._inbox = {}\n        self._understood.clear()\n", "self._inbox = {}\n"),
+        *("protocol/inbox.py", "self._newest = {}\n        self._understood.clear()\n", "self._newest = {}\n"),
         f"{T_TALKS}::test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for",
     ),
     Mutant(

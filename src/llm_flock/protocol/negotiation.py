@@ -12,7 +12,6 @@ from operator import attrgetter
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError, MessageError
@@ -23,6 +22,7 @@ from llm_flock.protocol.codec import completed, decode, heartbeats
 from llm_flock.protocol.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.gathering import landing
+from llm_flock.protocol.inbox import NO_PROOFS, Inbox
 from llm_flock.protocol.judge import Judge, fallback_notes
 from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Message, Pedigree, Sighting, Stamp
@@ -36,7 +36,6 @@ from llm_flock.protocol.survey import bodies, surveyed
 from llm_flock.protocol.warrants import Context, Notary, Order, Proofs, unwrap
 
 NOTHING = frozenset[int]()
-NO_PROOFS = Proofs()
 
 _TOLD = attrgetter("sender", "neighbors", "plan", "pedigree", "plan_class", "slot", "table_digest", "offer")
 """What rules look at in a message, but for the table."""
@@ -84,11 +83,8 @@ class Negotiation:
         self.roll = RollCall(robot, mission.n_robots if notary is None else 0)
         self._signing = None if notary is None else Signing(robot, notary)
         self.rejected: Counter[str] = Counter() if self._signing is None else self._signing.ledger.refused
-        self._proofs: dict[int, Proofs] = {}
-        self._inbox: dict[int, Message] = {}
-        self._understood: dict[bytes, Message] = {}
+        self._inbox = Inbox()
         self._unplaced: set[int] = set()
-        self._beats: list[NDArray[np.int64]] = []
         self._no_plan: NoAnswer | None = None
         self._proposals = 0
         self._own_slot: int | None = None
@@ -122,7 +118,7 @@ class Negotiation:
         self._speech.begin_round(near, neighbors)
         self.roll.begin_round()
         self._unplaced.clear()
-        self._understood.clear()
+        self._inbox.begin_round()
 
     # ---------------------------------------------------------------- mission
 
@@ -132,8 +128,7 @@ class Negotiation:
         self._judge.mission = mission
         self.plan = self.pedigree = self._no_plan = self._own_slot = None
         self.claim = Claim(slot=None)
-        self._inbox = {}
-        self._understood.clear()
+        self._inbox.void()
         self._speech.forget_plans()
         self._remaking.reset()
         self.roll.begin()
@@ -239,7 +234,7 @@ class Negotiation:
         granted, order = None, None
         if self._signing is not None:
             ledger, table = self._signing.ledger, self.claim.table or (UNSAID,) * len(self.plan)
-            heard = [ledger.admit(m, self._proofs[m.sender], table) for m in heard]
+            heard = [ledger.admit(m, self._inbox.proofs[m.sender], table) for m in heard]
             if self._survey_due:
                 ledger.survey(table, silent, blocked, clear)
             granted, order = ledger.granted(table), ledger.order
@@ -322,10 +317,9 @@ class Negotiation:
             payload: what came in.
             sender: the robot that has signed it, where the transport knows.
         """
-        again = self._understood.get(payload)
-        if again is not None:  # repeated in this round, and nothing in it matters a second time
+        again = self._inbox.again(payload)
+        if again is not None:
             self._speech.hear(again)
-            self._take_down(again, NO_PROOFS)
             return []
         team, proofs = (self.mission.n_robots, self.mission.dim), NO_PROOFS
         try:
@@ -347,7 +341,7 @@ class Negotiation:
             news = self._signing.beats(message, proofs, self.liveness.beats)
             beats = None if news is None else np.array(news, dtype=np.int64)
         if beats is not None:
-            self._beats.append(beats)
+            self._inbox.beats.append(beats)
         if message.mission != self.stamp:
             return notes
         if message.roll is not None:
@@ -360,18 +354,11 @@ class Negotiation:
                 notes.append(Note("rejected_message", {"reason": "unverified_plan", "detail": objection}))
             return notes
         plan = self._speech.named(message, self.plan)
+        once = self._signing is not None or beats is not None or message.roll is not None
         if plan is not None:
             message = completed(payload, *team, plan, self._judge.plan_class(plan))
-            if self._signing is None and beats is None and message.roll is None:
-                self._understood[payload] = message
-        self._take_down(message, proofs)
+        self._inbox.take(message, proofs, None if once or plan is None else payload)
         return notes
-
-    def _take_down(self, message: Message, proofs: Proofs) -> None:
-        known = self._inbox.get(message.sender)
-        if known is None or message.sequence >= known.sequence:
-            self._inbox[message.sender] = message
-            self._proofs[message.sender] = proofs
 
     def _reject(self, error: MessageError) -> Note:
         self.rejected[error.reason] += 1
@@ -379,10 +366,8 @@ class Negotiation:
 
     def settle(self) -> list[Note]:
         """Decide on a tick's messages: consensus first, then the claim, both on the same snapshot of what was heard."""
-        self.liveness.hear(self._beats)
-        self._beats = []
-        heard = [self._inbox[sender] for sender in sorted(self._inbox)]
-        self._inbox = {}
+        heard, beats = self._inbox.drain()
+        self.liveness.hear(beats)
         grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed)
         news = self._survey_due or self.roll.called or self._signing or grounds != self._settled
         if not news and self._says_nothing_new(heard):
