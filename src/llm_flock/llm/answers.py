@@ -217,7 +217,8 @@ def _path(rows: Sequence[Sequence[float]], horizon: int, dim: int) -> tuple[Poin
 def _plain(text: str) -> str:
     """The answer without typographic variants and without LaTeX's formatting."""
     _check_length(text)
-    text = text.translate(_TYPOGRAPHY)
+    if not text.isascii():
+        text = text.translate(_TYPOGRAPHY)
     if "\\" not in text:
         return text
     text = _ESCAPED_NEWLINE.sub("\n", text)

@@ -148,9 +148,11 @@ class PromptSet:
             if not replaced:
                 raise InputError("prompts", str(directory), f"a folder with at least one of {', '.join(VARIABLES)}")
             logger.info("prompt templates from %s: %s", directory, ", ".join(replaced))
-        templates = _packaged_templates(packaged) if directory is None else _templates(packaged, directory)
-        prompts = cls(json=json, reasons=packaged != "brief", templates=templates)
-        prompts._try_out()
+        reasons = packaged != "brief"
+        if directory is None:
+            return cls(json=json, reasons=reasons, templates=_packaged_templates(packaged))
+        prompts = cls(json=json, reasons=reasons, templates=_templates(packaged, directory))
+        prompts.try_out()
         return prompts
 
     def system(self, mission: Mission) -> str:
@@ -208,7 +210,7 @@ class PromptSet:
                 "prompts", template.filename or name, f"a template that can be rendered: {error}"
             ) from None
 
-    def _try_out(self) -> None:
+    def try_out(self) -> None:
         """Render everything once, so that a template that fails does so before a run begins."""
         mission = build_mission(shape="triangle", n_robots=3)
         here, there = (40.0, 40.0), ((45.0, 40.0),)
@@ -224,8 +226,11 @@ class PromptSet:
 
 @lru_cache(maxsize=len(PACKAGED))
 def _packaged_templates(packaged: str) -> Mapping[str, Wording]:
-    """Compiled once in a process: a trial of a second should not spend a tenth of it on that."""
-    return MappingProxyType(_templates(packaged, None))
+    """Compiled and tried out once in a process: a trial of a second should not spend a tenth of it on that."""
+    templates = MappingProxyType(_templates(packaged, None))
+    for json in (False, True):
+        PromptSet(json=json, templates=templates).try_out()
+    return templates
 
 
 def _templates(packaged: str, directory: Path | None) -> dict[str, Wording]:

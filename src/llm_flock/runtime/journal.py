@@ -103,7 +103,8 @@ class Journal:
             return
         self.calls += 1
         self.latency_s += attempt.latency_s
-        self.faults.update(attempt.faults)
+        if attempt.faults:
+            self.faults.update(attempt.faults)
         if attempt.reply is None:
             self.calls_failed += 1
         else:
