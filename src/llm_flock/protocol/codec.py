@@ -78,6 +78,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     roll: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
 
 
+_VERSION = bytes([WIRE_VERSION])
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(_WireMessage)
 _SLOT, _OWNER = operator.itemgetter(0), operator.itemgetter(3)
@@ -113,7 +114,7 @@ def encode(message: Message, sequence: int | None = None) -> bytes:
         beats=message.beats,
         roll=message.roll,
     )
-    return bytes([WIRE_VERSION]) + _ENCODER.encode(wire)
+    return _VERSION + _ENCODER.encode(wire)
 
 
 def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
@@ -152,7 +153,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     """
     if len(payload) > max_payload_bytes(n_robots):
         raise MessageError("oversized", f"{len(payload)} bytes, at most {max_payload_bytes(n_robots)} are allowed")
-    if payload[:1] != bytes([WIRE_VERSION]):
+    if payload[:1] != _VERSION:
         raise MessageError("version", f"version {WIRE_VERSION} is spoken here")
     try:
         wire = _DECODER.decode(memoryview(payload)[1:])

@@ -371,6 +371,7 @@ class Negotiation:
         grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed)
         news = self._survey_due or self.roll.called or self._signing or grounds != self._settled
         if not news and self._says_nothing_new(heard):
+            self._settled_with = heard
             return []  # rules that are asked the same again, right after they changed nothing, say the same
         self._settled = ()
         own = Standing(
@@ -399,6 +400,8 @@ class Negotiation:
 
         Of a table they learn nothing either if it is the own one, however much of it is spelled out.
         """
+        if heard == self._settled_with:
+            return True
         own = self._speech.digest(self.claim.table)
         return list(map(_TOLD, heard)) == list(map(_TOLD, self._settled_with)) and all(
             message.table_digest == own or message.table == before.table

@@ -152,7 +152,7 @@ def _separation(mission: Mission, question: StepQuestion, waypoint: Point) -> St
 
 def _arena(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
     out = outside(mission, waypoint)
-    if out <= max(ROUNDING * mission.spacing, outside(mission, question.position)):
+    if out <= ROUNDING * mission.spacing or out <= outside(mission, question.position):
         return None
     low, high = mission.arena
     said = f"the position is {number_text(out)} outside the arena from {at_text(low)} to {at_text(high)}"

@@ -209,7 +209,11 @@ def _residual(mission: Mission, plan: Plan) -> float | None:
 def outside(mission: Mission, point: Point) -> float:
     """How far a point is beyond the nearest walls, along the worst axis [units]; zero inside."""
     low, high = mission.arena
-    return max(0.0, *(max(a - x, x - b) for a, x, b in zip(low, point, high, strict=True)))
+    beyond = 0.0
+    for a, x, b in zip(low, point, high, strict=True):
+        if x < a or x > b:
+            beyond = max(beyond, a - x, x - b)
+    return beyond
 
 
 def number_text(value: float) -> str:

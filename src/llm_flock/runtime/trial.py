@@ -226,10 +226,12 @@ class Trial:
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
         listening = dict(minds)
         for robot, payload in self.transport.deliver():
-            if robot in listening:  # what was sent before it died may arrive later
-                self._perform(number, tick, robot, listening[robot].handle(Received(payload)))
+            # What was sent before a robot died may arrive later.
+            if robot in listening and (notes := listening[robot].handle(Received(payload))):
+                self._perform(number, tick, robot, notes)
         for robot, agent in minds:
-            self._perform(number, tick, robot, agent.handle(TickEnded()))
+            if notes := agent.handle(TickEnded()):
+                self._perform(number, tick, robot, notes)
 
     async def _think_steps(self, number: int) -> dict[int, MoveTo]:
         """Robots with a goal ask for a waypoint, all at once; returns the move of each that is awake."""
@@ -258,8 +260,6 @@ class Trial:
 
     def _perform(self, number: int, tick: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
         """Record the notes among the effects; return the rest."""
-        if not effects:
-            return effects
         notes = [effect for effect in effects if isinstance(effect, Note)]
         for note in notes:
             self.journal.note(number, tick, robot, note)
