@@ -87,3 +87,14 @@ def test_as_many_robots_as_there_are_can_be_compared_with_a_shape_of_that_number
     four = square.error(np.array([[0.0, 0.0], [10, 0], [10, 10], [0, 10]]))
     assert four is not None and four.mean == pytest.approx(0, abs=1e-9)
     assert square.error(np.zeros((3, 2))) is None and square.error(np.zeros((0, 2))) is None
+
+
+def test_the_error_is_that_of_the_positions_that_are_asked_about() -> None:
+    episode = Episode(LINE, 0, START)
+    team = np.array(LINE.ideal) + 5.0
+    first, again = episode.error(team), episode.error(team.copy())
+    assert first is not None and again is not None and first.mean == again.mean < 1e-9
+    team[0] += 6.0  # also where the array is the one of before
+    moved = episode.error(team)
+    assert moved is not None and moved.mean > 1.0
+    assert episode.error(team[:2]) is not None and episode.error(team[:0]) is None

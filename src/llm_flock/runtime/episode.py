@@ -35,6 +35,7 @@ class Episode:
         self._disturbed = flown
         self.bound: int | None = None
         self._targets: dict[int, metrics.ShapeTarget | None] = {}
+        self._measured: tuple[Points, metrics.ShapeError | None] | None = None
 
     def disturb(self, flown: int) -> None:
         """A robot died or joined: the team has to form once more."""
@@ -58,11 +59,14 @@ class Episode:
 
     def error(self, positions: Points) -> metrics.ShapeError | None:
         """Distance from the ideal shape of as many robots as there are, shape (m, d); None where none is known."""
-        count = len(positions)
-        if count not in self._targets:
-            self._targets[count] = self._target(count)
-        target = self._targets[count]
-        return None if target is None else target.error(positions)
+        # A team that has arrived stays where it is.
+        if self._measured is None or not np.array_equal(self._measured[0], positions):
+            count = len(positions)
+            if count not in self._targets:
+                self._targets[count] = self._target(count)
+            target = self._targets[count]
+            self._measured = positions.copy(), None if target is None else target.error(positions)
+        return self._measured[1]
 
     def _target(self, count: int) -> metrics.ShapeTarget | None:
         if not count:

@@ -1,0 +1,49 @@
+"""What is put together for a record, and for whom."""
+
+from __future__ import annotations
+
+import pytest
+
+from llm_flock.llm.port import Attempt, Call
+from llm_flock.mission import Mission
+from llm_flock.protocol.events import Note
+from llm_flock.record.schema import LlmEntry, ProtocolEvent
+from llm_flock.record.writer import NullWriter, RecordSink
+from llm_flock.runtime import journal as books
+from llm_flock.runtime.journal import Journal
+
+CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=())
+
+
+class Book(NullWriter):
+    """Reads events and calls, and nothing else."""
+
+    def __init__(self) -> None:
+        self.read: list[ProtocolEvent | LlmEntry] = []
+
+    def event(self, event: ProtocolEvent) -> None:
+        self.read.append(event)
+
+    def llm(self, entry: LlmEntry) -> None:
+        self.read.append(entry)
+
+
+def kept(sink: RecordSink) -> Journal:
+    journal = Journal(Mission(shape="line", n_robots=3), sink)
+    journal.note(1, None, 0, Note("proposed", {"slot": 1}))
+    journal.attempt(Attempt(call=CALL, model="x", faults=("timeout",)))
+    journal.flush_attempts()
+    return journal
+
+
+def test_a_sink_that_is_derived_from_one_that_ignores_everything_is_told() -> None:
+    book = Book()
+    kept(book)
+    assert [entry.kind for entry in book.read] == ["proposed", "step"]
+
+
+def test_without_a_reader_calls_are_counted_and_not_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(books, "ProtocolEvent", None)
+    monkeypatch.setattr(books, "LlmEntry", None)
+    journal = kept(NullWriter())
+    assert (journal.calls, journal.calls_failed, journal.faults["timeout"]) == (1, 1, 1)
