@@ -52,7 +52,9 @@ _WRAP = r"(?:[\[(]\s*+){0,2}?"
 _LANGUAGE = rf"(?:(?:json|python|text|latex|math)(?![A-Za-z]){_GAP})?+"
 """What a code fence may say after its backticks."""
 
+# The look at the first letter changes nothing but the time: where it does not fit, nothing else is tried.
 _POSITION = re.compile(
+    r"(?=[nfp\\])"
     rf"(?:(?P<certain>(?:next|new|final)[{_MARKUP}]++position|\\boxed)|(?P<plain>(?<![A-Za-z])position))(?![A-Za-z])"
     rf"(?P<gap>{_GAP}(?:(?:is|at|will\sbe)(?![A-Za-z]){_GAP})?+){_WRAP}(?P<list>{_LIST})",
     re.IGNORECASE,
