@@ -151,6 +151,11 @@ class Agent:
         return self._talks.rejected
 
     @property
+    def quiet(self) -> bool:
+        """Whether another tick in which all say again what they said in the last one would change nothing here."""
+        return self._talks.quiet
+
+    @property
     def influence(self) -> float:
         """I_i = |N_i| / N (paper, eq. 1)."""
         return self.neighbors / self.mission.n_robots

@@ -73,6 +73,9 @@ class Negotiation:
         self.pedigree: Pedigree | None = None
         self.claim = Claim(slot=None)
         self.neighbors = 0
+        self.quiet = False
+        """Whether another tick like the last one would change nothing: it said again what it had said, heard again
+        what it had heard, and nothing came of it."""
         self.liveness = liveness
         self._robot = robot
         self._consensus = consensus
@@ -278,6 +281,7 @@ class Negotiation:
         """The own standing as bytes, which are made anew only when there is something new to say."""
         roll = self._roll_said() if self.roll.called else None
         payload = self._speech.again(self.neighbors, self.stamp, self.plan, self.pedigree, self.claim)
+        self.quiet = payload is not None
         if payload is None or roll is not None:
             payload = self._say_anew(roll)
         if self._signing is None:
@@ -368,10 +372,11 @@ class Negotiation:
         """Decide on a tick's messages: consensus first, then the claim, both on the same snapshot of what was heard."""
         heard, beats = self._inbox.drain()
         self.liveness.hear(beats)
+        quiet, self.quiet = self.quiet and not beats, False
         grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed)
         news = self._survey_due or self.roll.called or self._signing or grounds != self._settled
         if not news and self._says_nothing_new(heard):
-            self._settled_with = heard
+            self._settled_with, self.quiet = heard, quiet and heard == self._settled_with
             return []  # rules that are asked the same again, right after they changed nothing, say the same
         self._settled = ()
         own = Standing(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -180,8 +180,14 @@ class Trial:
     async def _fly_round(self, number: int) -> None:
         self._let_happen(number)
         await self._think_plans(number)
-        for tick in range(self.config.protocol.ticks or 1):
+        ticks = self.config.protocol.ticks or 1
+        for tick in range(ticks):
+            before = replace(self.transport.traffic)
             self._exchange(number, tick)
+            if self.transport.clear and all(agent.quiet for _, agent in self._minds()):
+                # Nobody has anything new to say: the other exchanges of this round are like this one.
+                self.transport.repeat(before, ticks - tick - 1)
+                break
         moves = await self._think_steps(number)
         await self._move(moves)
         for robot, agent in self._minds():
