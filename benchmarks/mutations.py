@@ -214,7 +214,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("signs-of-life", "A counter alone is no sign of life", "who was heard of once counts as living"),
-        *(LIVENESS, "|= self._beats[newer] > BODY", "= True"),
+        *(LIVENESS, "newer & (self._beats > BODY)", "newer"),
         f"{T_SURVEY}::test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is",
     ),
     Mutant(

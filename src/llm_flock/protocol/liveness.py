@@ -108,14 +108,14 @@ class Liveness:
         mine = int(highest[self._robot])
         if mine > self._beats[self._robot]:
             self._beats[self._robot] = mine + 1
-        newer = np.flatnonzero(highest > self._beats)
-        if not len(newer):
+        newer = highest > self._beats
+        if not newer.any():
             return
-        counts = highest[newer]
-        self._counted_on[newer] |= self._beats[newer] > BODY
-        self._beats[newer] = counts
         self._advanced[newer] = self._round
-        self._advanced[newer[counts == BODY]] = self._long_ago
+        if self.strangers:  # of which there may be only a body
+            self._advanced[newer & (highest == BODY)] = self._long_ago
+        self._counted_on |= newer & (self._beats > BODY)
+        self._beats[newer] = highest[newer]
         self._look()
 
     @property
