@@ -15,7 +15,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.auction import SWAP_GAIN, merge, rank
 from llm_flock.protocol.consensus import PlanKey, plan_key
 from llm_flock.protocol.messages import NO_OWNER, Entry, Table
-from llm_flock.protocol.ways import way_length
+from llm_flock.protocol.ways import way_lengths
 
 SEEDS = st.integers(0, 2**32)
 
@@ -167,7 +167,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     assert plan is not None
 
     def squared(i: int, slot: int) -> float:
-        return way_length(where[i], plan, slot, mission.spacing) ** 2
+        return way_lengths(where[i], plan, [slot], mission.spacing)[0] ** 2
 
     total, slots, distinct = math.inf, [0], False
     for _ in range(60 * n):

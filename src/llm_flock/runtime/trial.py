@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -201,7 +201,7 @@ class Trial:
 
     async def _think_plans(self, number: int) -> None:
         """Sense; robots without a plan ask for one, all at once."""
-        asking: dict[int, Awaitable[PlanAnswer | NoAnswer]] = {}
+        asking: dict[int, Coroutine[Any, Any, PlanAnswer | NoAnswer]] = {}
         everybody = self.config.model.observe == "all"
         for robot, agent in self._minds():
             seen = self.bodies.sense(robot)
@@ -241,7 +241,7 @@ class Trial:
 
     async def _think_steps(self, number: int) -> dict[int, MoveTo]:
         """Robots with a goal ask for a waypoint, all at once; returns the move of each that is awake."""
-        asking: dict[int, Awaitable[StepAnswer | NoAnswer]] = {}
+        asking: dict[int, Coroutine[Any, Any, StepAnswer | NoAnswer]] = {}
         moves: dict[int, MoveTo] = {}
         for robot, agent in self._minds():
             for effect in self._perform(number, None, robot, agent.handle(NegotiationEnded())):
@@ -323,21 +323,17 @@ class Trial:
         )
 
 
-async def _all(asking: dict[int, Awaitable[T]]) -> dict[int, T]:
+async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
     """Await everybody's answer at once, by robot.
 
     Raises:
         Exception: the first one that a planner raised; the others are cancelled.
     """
-
-    async def one(question: Awaitable[T]) -> T:
-        return await question
-
     if not asking:
         return {}
     try:
         async with asyncio.TaskGroup() as group:
-            tasks = {robot: group.create_task(one(question)) for robot, question in asking.items()}
+            tasks = {robot: group.create_task(question) for robot, question in asking.items()}
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     return {robot: task.result() for robot, task in tasks.items()}
