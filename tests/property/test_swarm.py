@@ -161,3 +161,13 @@ def test_reordering_keeps_every_message() -> None:
         transport.broadcast(payload, (1,))
     got = [payload for _, payload in transport.deliver()]
     assert got != payloads and sorted(got) == payloads
+
+
+def test_links_may_change_in_flight() -> None:
+    transport = MemoryTransport(2, LinkFaults(), np.random.default_rng(0))
+    for loss, arrives in ((0.0, 1), (1.0, 0), (0.0, 1)):
+        transport.faults = transport.faults.model_copy(update={"loss": loss})
+        transport.broadcast(b"x", (1,))
+        assert len(transport.deliver()) == arrives
+        assert transport.clear == (loss == 0.0)
+    assert transport.traffic.lost == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,21 @@ def outcomes(model: Scripted, shared: Limits, calls: int = 1) -> list[Reply | Ba
 
 def faults(*kinds: str) -> list[ModelError]:
     return [ModelError(kind, "x") for kind in kinds]
+
+
+@pytest.mark.parametrize(("told_s", "latency_s"), [(0.0, 2.5), (1.5, 1.5)])
+def test_the_time_that_a_single_try_took_is_measured_where_the_model_does_not_tell_it(
+    told_s: float, latency_s: float
+) -> None:
+    time = FakeTime()
+
+    class Slow(Scripted):
+        async def ask(self, call: Call) -> Reply:
+            await time.sleep(2.5)
+            return replace(await super().ask(call), latency_s=told_s)
+
+    (reply,) = outcomes(Slow(), limits(time))
+    assert isinstance(reply, Reply) and reply.latency_s == latency_s
 
 
 def test_faults_are_retried_collected_and_counted() -> None:

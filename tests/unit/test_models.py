@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic_ai.models import Model
 
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, PydanticModel
@@ -17,6 +16,7 @@ from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd, price_known
 from llm_flock.llm.providers import known_providers, parse_base_urls, parse_model
 from llm_flock.llm.replay import CassetteLine
+from llm_flock.llm.simulated import SimulatedModel
 
 RNG = np.random.default_rng(0)
 
@@ -185,7 +185,7 @@ def test_simulated_models_are_free_and_go_through_the_same_door() -> None:
     pool = ModelPool(environ={})
     model = pool.model("simulated:ideal", robot=0, rng=np.random.default_rng(0))
     assert model.name == "simulated:ideal"
-    assert isinstance(model, PydanticModel) and isinstance(model._model, Model)
+    assert isinstance(model, PydanticModel) and isinstance(model._model, SimulatedModel)
     for text in ("geometry", "replay:x"):
         with pytest.raises(InputError):
             pool.model(text, robot=0, rng=np.random.default_rng(0))

@@ -170,6 +170,18 @@ def test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for() -> 
     assert flight.agent.plan is None
 
 
+def test_a_robot_is_quiet_when_another_exchange_would_change_nothing() -> None:
+    flight = Flight(make(verify=True))
+    flight.begin()
+    same, bad = says(1, plan=PLAN), says(2, plan=Plan.of([[50.0, 50.0], [50.1, 50.0], [49.9, 50.0]]))
+    quiet: list[bool] = []
+    for heard in ([same], [same], [same], [same, bad], [same, bad], [same], [b"junk"], [same], [same]):
+        flight.tick(*heard)
+        quiet.append(flight.agent.quiet)
+    assert quiet == [False, False, True, False, False, True, False, False, True]
+    assert flight.agent.rejected == {"unverified_plan": 2, "version": 1}
+
+
 class Counting:
     """An auction that counts how often it is asked."""
 

@@ -33,6 +33,9 @@ def test_who_waits_for_a_blocked_place_keeps_in_sight_of_the_nearest_one() -> No
     place = waiting_place(mission, far, PLAN, [], [0, 2])
     assert clear <= math.dist(place, PLAN.points[0]) <= sight(mission)
     assert waiting_place(mission, place, PLAN, [], [0, 2]) == place
+    short = MISSION.change(sense_range=9, max_step=2)
+    dim = waiting_place(short, (50.0, 50.0 + 11.5), PLAN, [], [1])
+    assert clear <= math.dist(dim, PLAN.points[1]) <= sight(short)
     seen = (50.0, 50.0 + sight(mission))
     assert waiting_place(mission, seen, PLAN, [], [1]) == seen
     assert waiting_place(mission, seen, PLAN, [seen], [1]) != seen

@@ -241,8 +241,8 @@ class Limited:
                         limits.gate.leave(ticket, outcome if isinstance(outcome, Reply) else None)
             if isinstance(outcome, Reply):
                 limits.meter.settle(outcome)
-                if not faults:
-                    return outcome  # a single try, whose duration the model has told
+                if not faults and outcome.latency_s:
+                    return outcome  # a single try, whose duration the model has told itself
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
             limits.meter.faults.update(outcome.faults or (outcome.kind,))

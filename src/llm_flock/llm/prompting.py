@@ -85,8 +85,8 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
 
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
-    "plan.j2": COMMON | PLAN.keys(),
-    "step.j2": COMMON | STEP.keys(),
+    "plan.j2": COMMON.union(PLAN),
+    "step.j2": COMMON.union(STEP),
     "retry.j2": frozenset({"json", "reason", "kind"}),
 }
 """The templates, and the variables that each may use."""

@@ -71,7 +71,9 @@ class Moment(msgspec.Struct, frozen=True, kw_only=True):
 class AssignmentRule(Protocol):
     """Chooses a robot's own slot.
 
-    A rule is a pure function of its arguments. `llm_flock.testing.check_assignment_rule` tests a new rule.
+    A rule is a pure function of its arguments. What it looks at in a message is who sends it, `neighbors`, `plan`,
+    `pedigree`, `plan_class`, `slot`, `table` and `offer`: it is not asked anew while these stay as they are.
+    `llm_flock.testing.check_assignment_rule` tests a new rule.
     """
 
     @property

@@ -10,6 +10,9 @@ from llm_flock.protocol.warrants import Proofs
 
 NO_PROOFS = Proofs()
 
+REMEMBERED = 256
+"""So many different messages are remembered in a round: whoever floods the radio may cost time, but not memory."""
+
 
 class Inbox:
     """Messages of one tick, and what their bytes mean as long as neighbours repeat them."""
@@ -47,6 +50,8 @@ class Inbox:
             repeated_as: its bytes, where nothing in it is of a single use; they mean the same for the whole round.
         """
         if repeated_as is not None:
+            if len(self._understood) >= REMEMBERED:
+                self._understood.clear()
             self._understood[repeated_as] = message
         known = self._newest.get(message.sender)
         if known is None or message.sequence >= known.sequence:

@@ -73,7 +73,8 @@ class Liveness:
     def living(self) -> frozenset[int]:
         """Robots whose counter went on since they were first heard of, and which are not silent.
 
-        A counter alone is no sign of life: late joiners hear those of the dead as well.
+        A counter alone is no sign of life: late joiners hear those of the dead as well. One that died may be among them
+        for up to the time-out.
         """
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 

@@ -75,7 +75,7 @@ class Negotiation:
         self.neighbors = 0
         self.quiet = False
         """Whether another tick like the last one would change nothing: it said again what it had said, heard again
-        what it had heard, and nothing came of it."""
+        what it had heard, refused nothing, and nothing came of it."""
         self.liveness = liveness
         self._robot = robot
         self._consensus = consensus
@@ -353,6 +353,7 @@ class Negotiation:
         plan = message.plan
         objection = self._judge.objection(plan)
         if objection is not None and plan is not None:
+            self.quiet = False
             self.rejected["unverified_plan"] += 1
             if self._judge.is_new(plan):
                 notes.append(Note("rejected_message", {"reason": "unverified_plan", "detail": objection}))
@@ -365,6 +366,7 @@ class Negotiation:
         return notes
 
     def _reject(self, error: MessageError) -> Note:
+        self.quiet = False
         self.rejected[error.reason] += 1
         return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
 

@@ -39,7 +39,7 @@ def surveyed(
     still: Sequence[Point],
     living: Collection[int],
 ) -> tuple[frozenset[int], frozenset[int]]:
-    """Places that a body without a mind keeps anybody from taking, and places that surely have none.
+    """Places that a body without a mind keeps anybody from taking, and places that have none, as far as can be told.
 
     Whose body it is that stands on a place may be known to others only: such a place counts as neither. Nor does one
     that is too far away to be seen with all that could block it. Who is known to live will move off by itself.
@@ -50,7 +50,7 @@ def surveyed(
         position: where the robot looks from [units; frame of the mission].
         sensed: positions of the robots within sensing range, by id [units; frame of the mission].
         still: those of them that have no mind (`bodies`).
-        living: robots that surely have one (`Liveness.living`).
+        living: robots that have one, as far as can be told (`Liveness.living`).
     """
     too_near = blocked_within(mission)
     places = [a for a, place in enumerate(plan.points) if math.dist(position, place) <= sight(mission)]

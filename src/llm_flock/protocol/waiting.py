@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -23,7 +24,8 @@ def waiting_place(
 ) -> Point:
     """The nearest point to `position` that is clear of all places, of other robots, of walls and of obstacles.
 
-    Where places are blocked, which nobody else may be near enough to see come free, it is in sight of the nearest one.
+    Where places are blocked, which nobody else may be near enough to see come free, it is in sight of the nearest of
+    them, if any such point is.
 
     Args:
         mission: limits, arena and obstacles.
@@ -37,7 +39,7 @@ def waiting_place(
     """
     clear = CLEARANCE * mission.safe_distance
     watched = min((plan.points[a] for a in blocked), key=lambda place: math.dist(position, place), default=position)
-    near_enough = max(sight(mission), 2.0 * clear)
+    reach = sight(mission)
     low, high = mission.arena
 
     def fits(point: Point) -> bool:
@@ -48,9 +50,11 @@ def waiting_place(
             and clearance(point, mission.obstacles) >= mission.body_radius
         )
 
-    if fits(position) and math.dist(position, watched) <= near_enough:
-        return position
-    return next((point for point in _rings(watched, mission.safe_distance) if fits(point)), position)
+    around = _rings(watched, mission.safe_distance) if blocked else ()
+    for point in chain(_rings(position, mission.safe_distance), around):
+        if math.dist(point, watched) <= reach and fits(point):
+            return point
+    return next(filter(fits, _rings(position, mission.safe_distance)), position)
 
 
 def _rings(center: Point, step: float) -> Iterator[Point]:

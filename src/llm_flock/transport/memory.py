@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -25,7 +24,7 @@ class LinkFaults(BaseModel):
     duplicate: Share = Field(default=0.0, description="Probability that a message arrives twice")
     reorder: Share = Field(default=0.0, description="Probability that a robot gets a tick's messages in random order")
 
-    @cached_property
+    @property
     def any(self) -> bool:
         """Whether anything can go wrong."""
         return bool(self.loss or self.delay or self.duplicate or self.reorder)
