@@ -39,7 +39,8 @@ class Mutant:
 TALKS, JUDGE = "protocol/negotiation.py", "protocol/judge.py"
 AUCTION, CONSENSUS = "protocol/auction.py", "protocol/consensus.py"
 LEDGER, SIGNING, ENVELOPE = "protocol/ledger.py", "protocol/signing.py", "trust/envelope.py"
-T_SIGNED, T_ENVELOPE = "unit/test_signed_claims.py", "unit/test_envelope.py"
+T_SIGNED, T_TALK = "unit/test_signed_claims.py", "unit/test_signed_talk.py"
+T_ENVELOPE = "unit/test_envelope.py"
 SHIELD, PROJECTION, ASYNC = "protocol/shield.py", "protocol/projection.py", "protocol/shield_async.py"
 T_AUCTION, T_THEORY = "unit/test_auction.py", "property/test_theory.py"
 T_AGENT, T_PLACES, T_VERIFIED = "unit/test_agent.py", "unit/test_agent_places.py", "unit/test_agent_verification.py"
@@ -233,7 +234,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("radio-limits", "No message changes a robot's limits", "a mission need not be what its digest stands for"),
-        *(TALKS, "if mission.digest != message.mission.digest:", "if False:"),
+        *(SPEECH, "if said.digest != message.mission.digest:", "if False:"),
         f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
     ),
     Mutant(
@@ -315,7 +316,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("unheard", "Rules hear all that is said of other tables", "a table is known once its digest is"),
-        *(TALKS, "message.table_digest == own or message.table == before.table", "True"),
+        *("protocol/precedent.py", "message.table_digest == table_digest or message.table == before.table", "True"),
         f"{T_TALKS}::test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own",
     ),
     Mutant(
@@ -371,12 +372,12 @@ MUTANTS: Sequence[Mutant] = (
             "if not self._notary.check(origin.proposer, origin_statement(origin, plan), signature):",
             "if False:",
         ),
-        f"{T_SIGNED}::test_a_plan_in_the_name_of_another_is_refused",
+        f"{T_TALK}::test_a_plan_in_the_name_of_another_is_refused",
     ),
     Mutant(
         *("forged-heartbeat", "Heartbeats are signed by whose they are", "by nobody"),
         *(SIGNING, "count if count > known[j] and self._beat(", "count if count > known[j] or self._beat("),
-        f"{T_SIGNED}::test_hearts_are_neither_stopped_nor_kept_beating_by_others",
+        f"{T_TALK}::test_hearts_are_neither_stopped_nor_kept_beating_by_others",
     ),
     Mutant(
         *("replay", "An envelope is opened once", "as often as it comes"),

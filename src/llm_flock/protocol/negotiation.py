@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
 
 import numpy as np
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
-from llm_flock.errors import InputError, MessageError
+from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
 from llm_flock.protocol.auction import changed
@@ -28,17 +27,15 @@ from llm_flock.protocol.liveness import Liveness
 from llm_flock.protocol.messages import BLOCKED, NO_OWNER, UNSAID, Message, Pedigree, Sighting, Stamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
+from llm_flock.protocol.precedent import Precedent
 from llm_flock.protocol.remaking import Gaps, Remaking
 from llm_flock.protocol.rollcall import RollCall, by_roll
 from llm_flock.protocol.signing import Signing
-from llm_flock.protocol.speech import Speech, mission_fields
+from llm_flock.protocol.speech import Speech, mission_said
 from llm_flock.protocol.survey import bodies, surveyed
 from llm_flock.protocol.warrants import Context, Notary, Order, Proofs, unwrap
 
 NOTHING = frozenset[int]()
-
-_TOLD = attrgetter("sender", "neighbors", "plan", "pedigree", "plan_class", "slot", "table_digest", "offer")
-"""What rules look at in a message, but for the table."""
 
 
 class Negotiation:
@@ -95,8 +92,7 @@ class Negotiation:
         self._sensed: Mapping[int, Point] = {}
         self._told_of_bodies = False
         self._survey_due = False
-        self._settled: tuple[object, ...] = ()
-        self._settled_with: list[Message] = []
+        self._precedent = Precedent()
 
     def look(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """What the sensors say.
@@ -157,16 +153,10 @@ class Negotiation:
         if message.mission_text is None:
             return []
         try:
-            said = mission_fields(message.mission_text)
-            mission = self.mission.change(**said)
-            if mission.digest != message.mission.digest:
-                # Limits and surroundings are not said, and stay as they are: a mission with others has another digest.
-                raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
+            mission = mission_said(message, self.mission)
             if self._signing is not None:
                 order = Order(counter=message.mission.counter, signature=proofs.mission or b"")
                 self._signing.check_order(message.mission, order)
-        except InputError as error:
-            return [self._reject(MessageError("other_mission", str(error)))]
         except MessageError as error:
             return [self._reject(error)]
         return [self.take_mission(mission, message.mission.counter)]
@@ -353,11 +343,8 @@ class Negotiation:
         plan = message.plan
         objection = self._judge.objection(plan)
         if objection is not None and plan is not None:
-            self.quiet = False
-            self.rejected["unverified_plan"] += 1
-            if self._judge.is_new(plan):
-                notes.append(Note("rejected_message", {"reason": "unverified_plan", "detail": objection}))
-            return notes
+            refused = self._reject(MessageError("unverified_plan", objection))
+            return [*notes, refused] if self._judge.is_new(plan) else notes
         plan = self._speech.named(message, self.plan)
         once = self._signing is not None or beats is not None or message.roll is not None
         if plan is not None:
@@ -376,17 +363,13 @@ class Negotiation:
         self.liveness.hear(beats)
         quiet, self.quiet = self.quiet and not beats, False
         grounds = (self.claim, self.plan, self.pedigree, self.neighbors, self._position, self._sensed)
-        news = self._survey_due or self.roll.called or self._signing or grounds != self._settled
-        if not news and self._says_nothing_new(heard):
-            self._settled_with, self.quiet = heard, quiet and heard == self._settled_with
-            return []  # rules that are asked the same again, right after they changed nothing, say the same
-        self._settled = ()
-        own = Standing(
-            plan=self.plan,
-            pedigree=self.pedigree,
-            neighbors=self.neighbors,
-            plan_class=self._judge.plan_class(self.plan),
-        )
+        due = self._survey_due or self.roll.called or self._signing
+        if not due and self._precedent.decides(grounds, heard, self._speech.digest(self.claim.table)):
+            self.quiet = quiet and self._precedent.repeated
+            return []
+        self._precedent.void()
+        own_class = self._judge.plan_class(self.plan)
+        own = Standing(plan=self.plan, pedigree=self.pedigree, neighbors=self.neighbors, plan_class=own_class)
         slot_before = self.claim.slot
         source = self._consensus.choose(own, heard)
         notes = [] if source is None else self._adopt(source, heard)
@@ -399,21 +382,8 @@ class Negotiation:
         if self.claim.slot != slot_before:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
         if not notes and self.claim is grounds[0] and self.claim.offer is None:
-            self._settled, self._settled_with = grounds, heard
+            self._precedent.set(grounds, heard)
         return notes
-
-    def _says_nothing_new(self, heard: list[Message]) -> bool:
-        """Whether rules learn nothing that they were not told the last time: who is heard stands as it did then.
-
-        Of a table they learn nothing either if it is the own one, however much of it is spelled out.
-        """
-        if heard == self._settled_with:
-            return True
-        own = self._speech.digest(self.claim.table)
-        return list(map(_TOLD, heard)) == list(map(_TOLD, self._settled_with)) and all(
-            message.table_digest == own or message.table == before.table
-            for message, before in zip(heard, self._settled_with, strict=True)
-        )
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
         """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""

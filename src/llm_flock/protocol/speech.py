@@ -17,7 +17,7 @@ from typing import Any, cast
 
 from msgspec.structs import replace
 
-from llm_flock.errors import MessageError
+from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.codec import encode
 from llm_flock.protocol.liveness import Liveness
@@ -54,6 +54,23 @@ def mission_fields(text: str) -> dict[str, Any]:
     if not fields.keys() <= MISSION_FIELDS:
         raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
     return fields
+
+
+def mission_said(message: Message, own: Mission) -> Mission:
+    """The mission that a message says in full, with the limits and surroundings of the own one.
+
+    They are not said, and stay as they are: a mission with others has another digest.
+
+    Raises:
+        MessageError: with reason `malformed` or `other_mission`.
+    """
+    try:
+        said = own.change(**mission_fields(message.mission_text or ""))
+    except InputError as error:
+        raise MessageError("other_mission", str(error)) from None
+    if said.digest != message.mission.digest:
+        raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
+    return said
 
 
 _KNOWN = operator.attrgetter("mission", "plan_digest", "table_digest")
