@@ -15,6 +15,7 @@
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`: see
             benchmarks/swarm.py (only when named)
 `local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
+`same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
 
@@ -36,7 +37,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import flight, links, local, physics, swarm, sweeps
+from benchmarks import flight, links, local, physics, same, swarm, sweeps
 
 import llm_flock
 
@@ -173,6 +174,9 @@ LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.t
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["same"]:
+        same.main(sys.argv[2:])
+        raise SystemExit
     yardstick()
     for part in sys.argv[1:] or list(PARTS):
         (PARTS | LONG)[part]()
