@@ -36,15 +36,23 @@ class Mutant:
         return f"| `{self.name}` | {self.invariant} | {self.change} | `{Path(path).name}`: `{function}` |"
 
 
-TALKS, JUDGE = "protocol/negotiation.py", "protocol/judge.py"
-AUCTION, CONSENSUS = "protocol/auction.py", "protocol/consensus.py"
-LEDGER, SIGNING, ENVELOPE = "protocol/ledger.py", "protocol/signing.py", "trust/envelope.py"
+TALKS, JUDGE = "protocol/agreement/agreement.py", "protocol/verification/validator.py"
+AUCTION, CONSENSUS = "protocol/agreement/auction.py", "protocol/agreement/consensus.py"
+LEDGER, SIGNING, ENVELOPE = "protocol/signed/evidence.py", "protocol/signed/signing.py", "trust/envelope.py"
 T_SIGNED, T_TALK = "unit/test_signed_claims.py", "unit/test_signed_talk.py"
 T_ENVELOPE = "unit/test_envelope.py"
-SHIELD, PROJECTION, ASYNC = "protocol/shield.py", "protocol/projection.py", "protocol/shield_async.py"
+SHIELD, PROJECTION, ASYNC = (
+    "protocol/motion/shield.py",
+    "protocol/motion/projection.py",
+    "protocol/motion/shield_async.py",
+)
 T_AUCTION, T_THEORY = "unit/test_auction.py", "property/test_theory.py"
 T_AGENT, T_PLACES, T_VERIFIED = "unit/test_agent.py", "unit/test_agent_places.py", "unit/test_agent_verification.py"
-SPEECH, LIVENESS, PILOT = "protocol/speech.py", "protocol/liveness.py", "protocol/pilot.py"
+SPEECH, LIVENESS, PILOT = (
+    "protocol/messages/dissemination.py",
+    "protocol/membership/liveness.py",
+    "protocol/motion/pilot.py",
+)
 T_TALKS, T_SPEECH, T_SURVEY = "unit/test_negotiation.py", "unit/test_speech.py", "unit/test_survey.py"
 T_SEARCH, T_CONSENSUS, T_SHIELD = "unit/test_search.py", "unit/test_consensus.py", "property/test_shield.py"
 
@@ -87,7 +95,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("heard-plans", "No refused plan is followed or forwarded", "plans that are heard are not verified"),
-        *(TALKS, "objection = self._judge.objection(plan)", "objection = None"),
+        *(TALKS, "objection = self._validator.objection(plan)", "objection = None"),
         f"{T_VERIFIED}::test_a_received_plan_that_fails_dies_with_its_author",
     ),
     Mutant(
@@ -97,7 +105,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("residual", "A plan resembles its shape", "the limit of the residual is a thousand times larger"),
-        *("protocol/verification.py", "RESIDUAL_LIMIT = 0.05", "RESIDUAL_LIMIT = 50.0"),
+        *("protocol/verification/plans.py", "RESIDUAL_LIMIT = 0.05", "RESIDUAL_LIMIT = 50.0"),
         "unit/test_verification.py::test_the_right_spacing_in_another_shape_is_refused",
     ),
     # ---------------------------------------------------------------- distinct places
@@ -174,12 +182,12 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("search", "A frozen partition ends", "the search never begins"),
-        *("protocol/search.py", "way=tour if looks < LOOKS // 2 else (*tour, center)", "way=()"),
+        *("protocol/membership/search.py", "way=tour if looks < LOOKS // 2 else (*tour, center)", "way=()"),
         f"{T_SEARCH}::test_the_robot_next_to_a_vacant_place_goes_first",
     ),
     Mutant(
         *("endless-search", "A search is bounded", "tours never end"),
-        *("protocol/search.py", "if table[a][1] < most]", "if True]"),
+        *("protocol/membership/search.py", "if table[a][1] < most]", "if True]"),
         f"{T_SEARCH}::test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
     ),
     # ---------------------------------------------------------------- in flight
@@ -190,7 +198,11 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("taken-back", "A robot wrongly suspected takes its place back", "it leaves it to others"),
-        *(AUCTION, "table = surveyed(reclaimed(now.robot, claim, table), now)", "table = surveyed(table, now)"),
+        *(
+            AUCTION,
+            "table = observed_occupancy(reclaimed(now.robot, claim, table), now)",
+            "table = observed_occupancy(table, now)",
+        ),
         f"{T_SURVEY}::test_who_was_taken_for_dead_takes_its_place_back",
     ),
     Mutant(
@@ -200,7 +212,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("blocked", "A place under a still body is nobody's", "such places are not noted"),
-        *("protocol/survey.py", "return under(still), ", "return frozenset[int](), "),
+        *("protocol/membership/occupancy.py", "return under(still), ", "return frozenset[int](), "),
         f"{T_SURVEY}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
     ),
     Mutant(
@@ -210,7 +222,11 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("living-bodies", "Who lives blocks no place", "every body near a blocked place keeps it blocked"),
-        *("protocol/survey.py", "for j, x in sensed.items() if j not in living]", "for x in sensed.values()]"),
+        *(
+            "protocol/membership/occupancy.py",
+            "for j, x in sensed.items() if j not in living]",
+            "for x in sensed.values()]",
+        ),
         f"{T_SURVEY}::test_who_is_known_to_live_blocks_no_place",
     ),
     Mutant(
@@ -265,7 +281,7 @@ MUTANTS: Sequence[Mutant] = (
     # ---------------------------------------------------------------- messages
     Mutant(
         *("reorder", "An older message does not replace a newer one", "the one that arrives last is kept"),
-        *("protocol/inbox.py", "message.sequence >= known.sequence", "True"),
+        *("protocol/messages/inbox.py", "message.sequence >= known.sequence", "True"),
         f"{T_AGENT}::test_an_older_message_does_not_replace_a_newer_one",
     ),
     Mutant(
@@ -275,7 +291,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("oversized", "Messages are bounded in size", "any size is read"),
-        *("protocol/codec.py", "if len(payload) > max_payload_bytes(n_robots):", "if False:"),
+        *("protocol/messages/codec.py", "if len(payload) > max_payload_bytes(n_robots):", "if False:"),
         "unit/test_messages.py::test_unacceptable_messages_are_refused_by_name",
     ),
     # ---------------------------------------------------------------- safe flight
@@ -311,17 +327,25 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("stale-repeat", "A new mission voids what was heard", "what is repeated still counts"),
-        *("protocol/inbox.py", "self._newest = {}\n        self._understood.clear()\n", "self._newest = {}\n"),
+        *("protocol/messages/inbox.py", "self._newest = {}\n        self._understood.clear()\n", "self._newest = {}\n"),
         f"{T_TALKS}::test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for",
     ),
     Mutant(
         *("unheard", "Rules hear all that is said of other tables", "a table is known once its digest is"),
-        *("protocol/precedent.py", "message.table_digest == table_digest or message.table == before.table", "True"),
+        *(
+            "protocol/agreement/precedent.py",
+            "message.table_digest == table_digest or message.table == before.table",
+            "True",
+        ),
         f"{T_TALKS}::test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own",
     ),
     Mutant(
         *("repeating", "What is new is said", "a change is not said a second time"),
-        *("protocol/speech.py", "whole.roll is not None or any(self._changed) or", "whole.roll is not None or"),
+        *(
+            "protocol/messages/dissemination.py",
+            "whole.roll is not None or any(self._changed) or",
+            "whole.roll is not None or",
+        ),
         f"{T_SPEECH}::test_what_was_said_is_repeated_only_while_nothing_is_new",
     ),
     Mutant(
@@ -331,7 +355,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("progress", "A blocked robot makes a detour", "the progress timer never fires"),
-        *("protocol/progress.py", "idle=progress.idle + 1", "idle=progress.idle"),
+        *("protocol/motion/progress.py", "idle=progress.idle + 1", "idle=progress.idle"),
         "unit/test_safety.py::test_two_robots_that_meet_head_on_pass_each_other",
     ),
     Mutant(
@@ -357,7 +381,11 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("unsigned-claim", "Claims are signed by their owner", "the signature is not looked at"),
-        *(LEDGER, "return owner < 0 or self.signed_by(owner, statement, warrant.signature)", "return bool(statement)"),
+        *(
+            LEDGER,
+            "return owner < 0 or self.signed_by(owner, statement, certificate.signature)",
+            "return bool(statement)",
+        ),
         f"{T_SIGNED}::test_what_others_signed_cannot_be_changed_on_the_way",
     ),
     Mutant(
@@ -369,7 +397,7 @@ MUTANTS: Sequence[Mutant] = (
         *("forged-origin", "A plan is signed by its proposer", "by nobody"),
         *(
             SIGNING,
-            "if not self._notary.check(origin.proposer, origin_statement(origin, plan), signature):",
+            "if not self._authenticator.check(origin.proposer, origin_statement(origin, plan), signature):",
             "if False:",
         ),
         f"{T_TALK}::test_a_plan_in_the_name_of_another_is_refused",

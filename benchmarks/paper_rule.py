@@ -25,21 +25,21 @@ from scipy.stats import beta
 from llm_flock import formations
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import NearestAssignment, nearest
-from llm_flock.protocol.consensus import InfluenceConsensus, TieBreak
+from llm_flock.protocol.agreement.assignment import NearestAssignment, nearest
+from llm_flock.protocol.agreement.consensus import InfluenceConsensus, TieBreak
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     MoveTo,
-    NegotiationEnded,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
 )
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
@@ -61,7 +61,7 @@ class Reading:
     n: int
     start: Start
     index: Index
-    ticks: int
+    comm_rounds: int
     tie: TieBreak
 
 
@@ -91,7 +91,7 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
             for effect in agent.handle(began):
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(propose(mission, reading.index, i, seen.position, rng)))
-        for _ in range(reading.ticks):
+        for _ in range(reading.comm_rounds):
             exchange(agents, bodies.in_radio_range)
         waypoints = [settle(agent, mission.max_step) for agent in agents]
         bodies.move(np.array(waypoints) - bodies.positions)
@@ -101,12 +101,12 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
 
 def exchange(agents: Sequence[Agent], in_range: Sequence[tuple[int, ...]]) -> None:
     """All broadcast, all receive, all decide on the same snapshot."""
-    payloads = [e.payload for a in agents for e in a.handle(TickBegan()) if isinstance(e, Broadcast)]
+    payloads = [e.payload for a in agents for e in a.handle(CommRoundBegan()) if isinstance(e, Broadcast)]
     for agent, near in zip(agents, in_range, strict=True):
         for j in near:
             agent.handle(Received(payloads[j]))
     for agent in agents:
-        agent.handle(TickEnded())
+        agent.handle(CommRoundEnded())
 
 
 def propose(
@@ -123,7 +123,7 @@ def propose(
 
 def settle(agent: Agent, max_step: float) -> tuple[float, ...]:
     """The straight step to the goal."""
-    (ask,) = agent.handle(NegotiationEnded())
+    (ask,) = agent.handle(AgreementEnded())
     assert isinstance(ask, AskStep)
     here, goal = ask.question.position, ask.question.goal
     share = min(1.0, max_step / max(math.dist(here, goal), 1e-12))
@@ -157,8 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     indices: tuple[Index, ...] = ("id", "first", "random", "nearest")
     ties: tuple[TieBreak, ...] = ("lowest", "highest")
     readings = [
-        Reading(shape=shape, n=n, start=start, index=index, ticks=ticks, tie=tie)
-        for (shape, n), start, index, ticks, tie in itertools.product(CASES, starts, indices, (1, 5), ties)
+        Reading(shape=shape, n=n, start=start, index=index, comm_rounds=comm_rounds, tie=tie)
+        for (shape, n), start, index, comm_rounds, tie in itertools.product(CASES, starts, indices, (1, 5), ties)
     ]
     print(f"{given.trials} trials a row, {given.rounds} rounds, share in % with 99 % interval (Clopper-Pearson)\n")
     print("| N | shape | start | first index | exchanges | tie | one plan | one plan and distinct goals |")
@@ -168,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for job in jobs:
             r, one, distinct = job.result()
             print(
-                f"| {r.n} | {r.shape} | {r.start} | {r.index} | {r.ticks} | {r.tie} | {share(one, given.trials)} "
+                f"| {r.n} | {r.shape} | {r.start} | {r.index} | {r.comm_rounds} | {r.tie} | {share(one, given.trials)} "
                 f"| {share(distinct, given.trials)} |",
                 flush=True,
             )

@@ -42,7 +42,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "a robot dies": ({"n_robots": 10}, {"seed": 9, "kill": "3@6", "rounds": 60}),
     "a robot dies, the plan is made again": (
         {"n_robots": 10},
-        {"seed": 4, "kill": "3@6", "gaps": "remake", "rounds": 46, "stop_when_formed": False},
+        {"seed": 4, "kill": "3@6", "gaps": "replan", "rounds": 46, "stop_when_formed": False},
     ),
     "a robot joins late": ({"n_robots": 10}, {"seed": 10, "join": "2@9", "rounds": 60}),
     "a mission in flight": (
@@ -64,7 +64,10 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     ),
     "noisy sensors": ({"n_robots": 6, "sense_range": 20}, {"seed": 13, "noise": 0.2, "rounds": 60}),
     "fewer places than robots": ({"n_robots": 9, "places": 7}, {"seed": 14, "rounds": 60}),
-    "grid of forty": ({"shape": "grid", "n_robots": 40, **_arena(200)}, {"seed": 15, "start": "uniform", "rounds": 120}),
+    "grid of forty": (
+        {"shape": "grid", "n_robots": 40, **_arena(200)},
+        {"seed": 15, "start": "uniform", "rounds": 120},
+    ),
     "circle of a hundred": ({"n_robots": 100, **_arena(450)}, {"seed": 16, "rounds": 200}),
 }
 

@@ -1,6 +1,6 @@
 """A team of real agents, driven by hand round by round over links with faults: robots fall silent, begin, come back.
 
-Bodies stand still, so what is tested is the talks and nothing else.
+Bodies stand still, so what is tested is the agreement and nothing else.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from llm_flock import graph
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
     MissionGiven,
-    NegotiationEnded,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
 )
+from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
-from llm_flock.protocol.remaking import Gaps
 from llm_flock.transport.memory import LinkFaults, MemoryTransport
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))
@@ -111,7 +111,7 @@ class Crew:
         return Agent(
             robot,
             self.mission,
-            PedigreeConsensus(),
+            ProvenanceConsensus(),
             AuctionAssignment(),
             shield_on=False,
             verify=self._verify,
@@ -143,7 +143,7 @@ class Crew:
 
         Args:
             given: missions that robots are given at its start.
-            junk: what somebody else sends to everybody in each tick.
+            junk: what somebody else sends to everybody in each communication round.
         """
         self.number += 1
         deaf = self.silent | self.cut_off
@@ -167,14 +167,14 @@ class Crew:
         for _ in range(TICKS):
             self._tick(heard_by, junk)
         for agent in self.minds:
-            effects: list[Effect] = agent.handle(NegotiationEnded())
+            effects: list[Effect] = agent.handle(AgreementEnded())
             if isinstance(effects[-1], AskStep):
                 agent.handle(Decided(NoAnswer(cause="answer", reason="bodies stand still")))
             agent.handle(Arrived())
 
     def _tick(self, heard_by: list[tuple[int, ...]], junk: Collection[bytes]) -> None:
         for i in self.awake:
-            for effect in self.agents[i].handle(TickBegan()):
+            for effect in self.agents[i].handle(CommRoundBegan()):
                 assert isinstance(effect, Broadcast)
                 self.transport.broadcast(effect.payload, heard_by[i])
         for i, payload in self.transport.deliver():
@@ -183,7 +183,7 @@ class Crew:
         for agent in self.minds:
             for payload in junk:
                 agent.handle(Received(payload))
-            agent.handle(TickEnded())
+            agent.handle(CommRoundEnded())
             slot = agent.claim.slot
             assert owned(agent) == ([] if slot is None else [slot]), "of all slots one at most is one's own"
 
@@ -203,7 +203,7 @@ def assert_at_rest(crew: Crew) -> None:
     minds = crew.minds
     assert len({agent.mission.digest for agent in minds}) == 1
     assert len({agent.plan for agent in minds}) == 1
-    assert all(a.pedigree is not None and a.pedigree.mission_digest == a.mission.digest for a in minds)
+    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in minds)
     tables = {agent.claim.table for agent in minds}
     assert len(tables) == 1
     (table,) = tables

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
     Effect,
     Note,
     Planned,
     RoundBegan,
 )
-from llm_flock.protocol.messages import Message, Pedigree, Stamp
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer
 
@@ -23,7 +23,7 @@ BETTER = Plan.of([[50.0, 45.0], [60.0, 45.0], [55.0, 53.66]])
 
 
 def make(robot: int = 0, *, shield_on: bool = True) -> Agent:
-    return Agent(robot, MISSION, PedigreeConsensus(), AuctionAssignment(), shield_on=shield_on)
+    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on)
 
 
 def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
@@ -37,12 +37,12 @@ def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
     )
 
 
-def origin(proposer: int, digest: str = MISSION.digest) -> Pedigree:
-    return Pedigree(mission=0, mission_digest=digest, epoch=0, neighbors=2, proposer=proposer, sequence=0)
+def origin(proposer: int, digest: str = MISSION.digest) -> Provenance:
+    return Provenance(mission=0, mission_digest=digest, epoch=0, neighbors=2, proposer=proposer, sequence=0)
 
 
 def foreign(
-    sender: int, plan: Plan | None, pedigree: Pedigree | None, sequence: int = 0, mission_text: str | None = None
+    sender: int, plan: Plan | None, provenance: Provenance | None, sequence: int = 0, mission_text: str | None = None
 ) -> bytes:
     """A message; one that says a mission claims a stamp that is higher than any and stands for something else."""
     message = Message(
@@ -50,8 +50,8 @@ def foreign(
         sequence=sequence,
         neighbors=2,
         plan=plan,
-        pedigree=pedigree,
-        mission=Stamp(0 if mission_text is None else 7, "0" * 16),
+        provenance=provenance,
+        mission=MissionStamp(0 if mission_text is None else 7, "0" * 16),
         mission_text=mission_text,
     )
     return encode(message)

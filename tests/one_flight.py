@@ -1,4 +1,4 @@
-"""One agent in flight, round by round, for tests of its talks; the others are what it is told."""
+"""One agent in flight, round by round, for tests of its agreement; the others are what it is told."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from collections.abc import Mapping
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
-    NegotiationEnded,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.messages import Message, Pedigree, Stamp, Table
+from llm_flock.protocol.membership.replanning import Gaps
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance, Table
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
-from llm_flock.protocol.remaking import Gaps
 
 LINE = Mission(shape="line", n_robots=3, comm_range=60)
 PLAN = Plan.of(LINE.ideal or ())
@@ -39,7 +39,7 @@ def make(
     return Agent(
         robot,
         mission,
-        PedigreeConsensus(),
+        ProvenanceConsensus(),
         AuctionAssignment(),
         shield_on=True,
         verify=verify,
@@ -72,13 +72,13 @@ class Flight:
                 self.asked.append(effect)
                 self.agent.handle(Planned(PlanAnswer(plan=self.plan, slot=0)))
 
-    def tick(self, *payloads: bytes) -> list[Effect]:
-        self.agent.handle(TickBegan())
+    def comm_round(self, *payloads: bytes) -> list[Effect]:
+        self.agent.handle(CommRoundBegan())
         effects = [effect for payload in payloads for effect in self.agent.handle(Received(payload))]
-        return [*effects, *self.agent.handle(TickEnded())]
+        return [*effects, *self.agent.handle(CommRoundEnded())]
 
     def end(self, answer: StepAnswer | NoAnswer = SILENT) -> list[Effect]:
-        effects = self.agent.handle(NegotiationEnded())
+        effects = self.agent.handle(AgreementEnded())
         if isinstance(effects[-1], AskStep):
             effects = [*effects, *self.agent.handle(Decided(answer))]
         self.agent.handle(Arrived())
@@ -86,7 +86,7 @@ class Flight:
 
     def round(self, *payloads: bytes, sensed: Mapping[int, Point] | None = None) -> list[Effect]:
         self.begin(sensed)
-        return [*self.tick(*payloads), *self.end()]
+        return [*self.comm_round(*payloads), *self.end()]
 
 
 def says(
@@ -102,17 +102,19 @@ def says(
     named_only: bool = False,
     places: int = 0,
 ) -> bytes:
-    origin = Pedigree(mission=counter, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=sender, sequence=0)
+    origin = Provenance(
+        mission=counter, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=sender, sequence=0
+    )
     said = Message(
         sender=sender,
         sequence=0,
         neighbors=0,
-        mission=Stamp(counter, mission.digest),
+        mission=MissionStamp(counter, mission.digest),
         mission_text=text,
         plan=None if named_only else plan,
         plan_digest=None if plan is None else plan.digest,
         places=places or (0 if plan is None else len(plan)),
-        pedigree=None if plan is None else origin,
+        provenance=None if plan is None else origin,
         table=table,
         table_digest=table_digest,
         beats=beats,

@@ -5,8 +5,8 @@ import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from llm_flock.protocol.consensus import Standing
-from llm_flock.protocol.messages import Message
+from llm_flock.protocol.agreement.consensus import Standing
+from llm_flock.protocol.messages.message import Message
 
 
 class Unpicklable(Exception):

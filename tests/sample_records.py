@@ -116,7 +116,9 @@ class FakeRun:
                 sink.llm(llm_entry(number, robot))
             for robot in range(n):
                 sink.event(
-                    ProtocolEvent(round=number, tick=0, robot=robot, kind="adopted", detail={"plan": None, "from": 1})
+                    ProtocolEvent(
+                        round=number, comm_round=0, robot=robot, kind="adopted", detail={"plan": None, "from": 1}
+                    )
                 )
         goals = np.array([self.plans[leader].points[i] for i, leader in enumerate(leaders)])
         share = 0.0 if not self.rounds else min(1.0, 1.2 * number / self.rounds)

@@ -15,31 +15,31 @@ from llm_flock.arrays import Point
 from llm_flock.metrics import segment_separation
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.codec import encode
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     MoveTo,
-    NegotiationEnded,
     Note,
     Phase,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.messages import UNSAID, Entry, Message, Offer, Pedigree, Stamp
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import UNSAID, Entry, Message, MissionStamp, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.protocol.warrants import (
+from llm_flock.protocol.signed.certificates import (
+    Certificate,
     Context,
     Proofs,
-    Warrant,
-    Word,
+    Attestation,
     claim_statement,
     claims_of,
     offer_statement,
@@ -77,7 +77,7 @@ class SignedTeam:
                 assignment_rule(rules["assignment"]),
                 shield_on=True,
                 verify=True,
-                notary=ToyKeys(robot),
+                authenticator=ToyKeys(robot),
             )
             for robot in range(mission.n_robots - liars)
         ]
@@ -97,7 +97,7 @@ class SignedTeam:
         """What the first robot's claims are about."""
         agent = self.agents[0]
         assert agent.plan is not None
-        return Context(agent._talks.stamp, agent.plan.digest)
+        return Context(agent._agreement.stamp, agent.plan.digest)
 
     def owners(self, robot: int) -> tuple[tuple[int, int], ...]:
         """Version and owner of every place, as one robot has them."""
@@ -108,11 +108,11 @@ class SignedTeam:
         return sum(agent.rejected[reason] for agent in self.agents)
 
     def fly(self, rounds: int, liar_says: Talk = tuple, liar_moves: Callable[[], Point] | None = None) -> None:
-        """So many rounds of five ticks; the liar speaks in every tick, to all."""
+        """So many rounds of five communication rounds; the liar speaks in every communication round, to all."""
         for _ in range(rounds):
             self.begin()
             for _ in range(5):
-                self.tick(liar_says())
+                self.comm_round(liar_says())
             self.end(None if liar_moves is None else liar_moves())
 
     def begin(self) -> None:
@@ -134,12 +134,12 @@ class SignedTeam:
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(PlanAnswer(plan=turned(effect.question.mission, i + 1)[i], slot=i)))
 
-    def tick(self, lies: Sequence[bytes] = ()) -> None:
+    def comm_round(self, lies: Sequence[bytes] = ()) -> None:
         """One exchange."""
         said = [
             effect.payload
             for agent in self.agents
-            for effect in agent.handle(TickBegan())
+            for effect in agent.handle(CommRoundBegan())
             if isinstance(effect, Broadcast)
         ]
         for i, payload in enumerate(said):
@@ -150,7 +150,7 @@ class SignedTeam:
             for j in range(len(self.agents)):
                 self.tell(j, lie, self.liar)
         for agent in self.agents:
-            self.notes.extend(e for e in agent.handle(TickEnded()) if isinstance(e, Note))
+            self.notes.extend(e for e in agent.handle(CommRoundEnded()) if isinstance(e, Note))
 
     def tell(self, robot: int, payload: bytes, sender: int) -> list[str]:
         """One robot hears something; the reasons for which it refused it."""
@@ -164,7 +164,7 @@ class SignedTeam:
         """All fly, the model's answer being the straight way."""
         before, after = np.array(self.positions), list(self.positions)
         for i, agent in enumerate(self.agents):
-            effects = agent.handle(NegotiationEnded())
+            effects = agent.handle(AgreementEnded())
             if isinstance(effects[-1], AskStep):
                 question = effects[-1].question
                 way = np.array(question.goal) - before[i]
@@ -198,25 +198,27 @@ class Liar:
         self.number = 0
         self.sequence = 0
 
-    def claim(self, slot: int, version: int = 0, bid: float = 0.0, number: int | None = None) -> tuple[Entry, Warrant]:
+    def claim(
+        self, slot: int, version: int = 0, bid: float = 0.0, number: int | None = None
+    ) -> tuple[Entry, Certificate]:
         """An entry for itself, with its own signature."""
         self.number += 1
         number = self.number if number is None else number
         entry: Entry = (version, bid, self.team.liar)
         signature = self.keys.sign(claim_statement(self.team.context, slot, entry, number))
         agent = self.team.agents[0]
-        assert agent._talks._signing is not None
-        freed = agent._talks._signing.ledger._freed.get((slot, version, -1))
-        return entry, Warrant(number=number, signature=signature, grant=freed)
+        assert agent._agreement._signing is not None
+        freed = agent._agreement._signing.evidence._freed.get((slot, version, -1))
+        return entry, Certificate(number=number, signature=signature, grant=freed)
 
-    def word(self, slot: int, version: int, owner: int = -1) -> Word:
+    def word(self, slot: int, version: int, owner: int = -1) -> Attestation:
         """Its word that a place is free."""
-        return Word(slot, version, owner, self.keys.sign(word_statement(self.team.context, slot, version, owner)))
+        return Attestation(slot, version, owner, self.keys.sign(word_statement(self.team.context, slot, version, owner)))
 
     def says(
         self,
-        entries: dict[int, tuple[Entry, Warrant]] | None = None,
-        words: Sequence[Word] = (),
+        entries: dict[int, tuple[Entry, Certificate]] | None = None,
+        words: Sequence[Attestation] = (),
         offer: Offer | None = None,
         offer_number: int = 1,
         slot: int | None = None,
@@ -224,7 +226,7 @@ class Liar:
     ) -> bytes:
         """A message, on the team's plan, with these entries and words."""
         agent, context = self.team.agents[0], self.team.context
-        assert agent.plan is not None and agent._talks._signing is not None
+        assert agent.plan is not None and agent._agreement._signing is not None
         table = [UNSAID] * len(agent.plan)
         for a, (entry, _) in (entries or {}).items():
             table[a] = entry
@@ -236,14 +238,14 @@ class Liar:
                 "neighbors": self.team.mission.n_robots - 1,
                 "mission": context.mission,
                 "plan": agent.plan,
-                "pedigree": agent.pedigree,
+                "provenance": agent.provenance,
                 "slot": slot,
                 "table": tuple(table),
                 "offer": offer,
                 **message,
             }
         )
-        claims, grants = claims_of({a: warrant for a, (_, warrant) in (entries or {}).items()})
+        claims, grants = claims_of({a: certificate for a, (_, certificate) in (entries or {}).items()})
         proofs = Proofs(claims=claims, grants=grants, words=tuple(words), origin=self.origin(said))
         if offer is not None:
             statement = offer_statement(context, self.team.liar, offer, offer_number)
@@ -254,17 +256,17 @@ class Liar:
 
     def origin(self, message: Message) -> bytes | None:
         """The true signature of a known origin, or its own."""
-        origin, plan = message.pedigree, message.plan_digest
-        signing = self.team.agents[0]._talks._signing
+        origin, plan = message.provenance, message.plan_digest
+        signing = self.team.agents[0]._agreement._signing
         assert signing is not None
         if origin is None or plan is None:
             return None
         return signing._origins.get((origin, plan)) or self.keys.sign(origin_statement(origin, plan))
 
-    def pedigree(self, *, epoch: int = 0, sequence: int = 0, proposer: int | None = None) -> Pedigree:
+    def provenance(self, *, epoch: int = 0, sequence: int = 0, proposer: int | None = None) -> Provenance:
         """The best origin that it can think of."""
-        stamp: Stamp = self.team.context.mission
-        return Pedigree(
+        stamp: MissionStamp = self.team.context.mission
+        return Provenance(
             mission=stamp.counter,
             mission_digest=stamp.digest,
             epoch=epoch,

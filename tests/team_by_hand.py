@@ -10,19 +10,19 @@ from llm_flock import graph
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     MoveTo,
-    NegotiationEnded,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
 )
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
@@ -92,22 +92,22 @@ class Team:
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(PlanAnswer(plan=self.proposals[i], slot=i)))
 
-    def tick(self, links: Links | None = None) -> None:
+    def comm_round(self, links: Links | None = None) -> None:
         """One exchange of messages, over these links instead of the round's if they are given."""
-        said = [agent.handle(TickBegan()) for agent in self.agents]
+        said = [agent.handle(CommRoundBegan()) for agent in self.agents]
         for i, effects in enumerate(said):
             for effect in effects:
                 assert isinstance(effect, Broadcast)
                 for j in (self.links if links is None else links)[i]:
                     self.agents[j].handle(Received(effect.payload))
         for agent in self.agents:
-            agent.handle(TickEnded())
+            agent.handle(CommRoundEnded())
 
     def end(self, waypoints: Mapping[int, Point] | None = None) -> dict[int, MoveTo]:
         """The round ends: what each robot flies if its model asks for this waypoint; without one it has no answer."""
         moves: dict[int, MoveTo] = {}
         for i, agent in enumerate(self.agents):
-            effects = agent.handle(NegotiationEnded())
+            effects = agent.handle(AgreementEnded())
             if not any(isinstance(effect, MoveTo) for effect in effects):
                 wish = None if waypoints is None else waypoints.get(i)
                 silent = NoAnswer(cause="answer", reason="none")

@@ -68,7 +68,8 @@ def is_connected(adjacent: Mask) -> bool:
 def diameter(adjacent: Mask) -> int | None:
     """Largest number of hops between two robots, or None where the graph is not one piece.
 
-    Max-consensus on plans takes that many ticks on a fixed graph without loss. Argument as for `is_connected`.
+    Max-consensus on plans takes that many communication rounds on a fixed graph without loss. Argument as for
+    `is_connected`.
     """
     hops = np.asarray(shortest_path(csr_array(adjacent), directed=False, unweighted=True))
     longest = float(hops.max())

@@ -140,7 +140,7 @@ def test_lists_and_help(tmp_path: Path) -> None:
         "--consensus",
         "--assignment",
         "--rounds",
-        "--ticks",
+        "--comm_rounds",
         "--loss",
         "--delay",
         "--noise",

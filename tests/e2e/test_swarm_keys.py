@@ -6,8 +6,8 @@ import asyncio
 import time
 from pathlib import Path
 
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.messages import Message
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import Message
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
 from llm_flock.runtime.network.joining import open_link
 from llm_flock.runtime.network.swarm import launched

@@ -11,13 +11,13 @@ from swarms import formed, swarm_config
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
-from llm_flock.protocol.codec import decode, encode
-from llm_flock.protocol.messages import UNSAID, Message, Pedigree
+from llm_flock.protocol.messages.codec import decode, encode
+from llm_flock.protocol.messages.message import UNSAID, Message, Provenance
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.warrants import (
+from llm_flock.protocol.signed.certificates import (
+    Certificate,
     Context,
     Proofs,
-    Warrant,
     claim_statement,
     claims_of,
     origin_statement,
@@ -62,7 +62,7 @@ class Liar:
             message = decode(unwrap(payload, N)[0], N, 2)
         except MessageError:
             return
-        if message.plan is not None and message.pedigree is not None:
+        if message.plan is not None and message.provenance is not None:
             self.heard, self.payload = message, payload
         if self.tables.get(sender, ("", {}))[0] != message.plan_digest:
             self.tables[sender] = message.plan_digest, {}
@@ -76,19 +76,19 @@ class Liar:
     def lies(self) -> list[bytes]:
         """Claims on all places, for itself or another, at whatever version; a hallucinated plan; another's message."""
         known = self.heard
-        if known is None or known.plan is None or known.pedigree is None:
+        if known is None or known.plan is None or known.provenance is None:
             return []
         count = next(self.counts)
         about = Context(known.mission, known.plan.digest)
         version, owner = ((0, LIAR), (1, LIAR), (2**39, LIAR), (1, 0))[count % 4]
         entry = (version, -1e-9, owner)
         claims = {
-            slot: Warrant(number=count, signature=self.keys.sign(claim_statement(about, slot, entry, count)))
+            slot: Certificate(number=count, signature=self.keys.sign(claim_statement(about, slot, entry, count)))
             for slot in range(N)
         }
         said = [self._message(known, claims=claims, slot=count % N, table=(entry,) * N, beats=(2**39,) * N)]
         everywhere = Plan.of([(50.0, 50.0)] * N)
-        best = Pedigree(
+        best = Provenance(
             mission=known.mission.counter,
             mission_digest=known.mission.digest,
             epoch=0,
@@ -96,15 +96,15 @@ class Liar:
             proposer=LIAR,
             sequence=0,
         )
-        said.append(self._message(known, plan=everywhere, pedigree=best, table=(UNSAID,) * N, slot=0))
+        said.append(self._message(known, plan=everywhere, provenance=best, table=(UNSAID,) * N, slot=0))
         return [*said, self.payload]
 
-    def _message(self, known: Message, *, claims: dict[int, Warrant] | None = None, **fields: object) -> bytes:
-        same = {"mission": known.mission, "plan": known.plan, "pedigree": known.pedigree}
+    def _message(self, known: Message, *, claims: dict[int, Certificate] | None = None, **fields: object) -> bytes:
+        same = {"mission": known.mission, "plan": known.plan, "provenance": known.provenance}
         whole: dict[str, object] = {**same, **fields}
         message = Message(sender=LIAR, sequence=next(self.counts), neighbors=N - 1, **whole)  # type: ignore[arg-type]
-        assert message.pedigree is not None and message.plan is not None
-        own = self.keys.sign(origin_statement(message.pedigree, message.plan.digest))
+        assert message.provenance is not None and message.plan is not None
+        own = self.keys.sign(origin_statement(message.provenance, message.plan.digest))
         numbers, grants = claims_of(claims or {})
         return wrap(encode(message), Proofs(claims=numbers, grants=grants, origin=own))
 
@@ -145,5 +145,5 @@ def test_a_member_that_lies_holds_one_place_and_hurts_nobody(tmp_path: Path) -> 
     # What it claimed before its last claim counts no more, and is freed as soon as two honest robots say so.
     assert len(liar.tables) == N - 1 and liar.held <= 1
     refused = result.messages_rejected
-    assert {"unwarranted", "unverified_plan", "impostor"} <= refused.keys(), refused
+    assert {"uncertified", "unverified_plan", "impostor"} <= refused.keys(), refused
     assert result.min_separation is not None and result.min_separation >= config.mission.safe_distance - 1e-6

@@ -34,7 +34,7 @@ def test_those_left_form_with_a_gap(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_those_left_form_a_smaller_shape(seed: int) -> None:
-    result = flown(CIRCLE, seed, kill="3@5", gaps="remake")
+    result = flown(CIRCLE, seed, kill="3@5", gaps="replan")
     assert (result.summary.distinct_goals, result.summary.gaps) == (7, 0)
     assert result.summary.procrustes_mean is not None and result.summary.procrustes_mean <= 0.1 * CIRCLE.spacing
 

@@ -60,12 +60,12 @@ def test_exchanges_in_which_nobody_says_anything_new_are_counted_and_not_flown(
     flown: list[int] = []
     exchange = Trial._exchange
 
-    def counted(self: Trial, number: int, tick: int) -> None:
+    def counted(self: Trial, number: int, comm_round: int) -> None:
         flown.append(number)
-        exchange(self, number, tick)
+        exchange(self, number, comm_round)
 
     monkeypatch.setattr(Trial, "_exchange", counted)
-    options = {"shape": "circle", "n_robots": 6, "seed": 5, "ticks": 12, "rounds": 60} | extra
+    options = {"shape": "circle", "n_robots": 6, "seed": 5, "comm_rounds": 12, "rounds": 60} | extra
     short, flown_short = llm_flock.run(**options), len(flown)
     monkeypatch.setattr(MemoryTransport, "clear", False)
     full, flown_full = llm_flock.run(**options), len(flown) - flown_short

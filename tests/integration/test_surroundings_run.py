@@ -8,7 +8,7 @@ from llm_flock.cli.options import parse_flags
 from llm_flock.errors import InputError
 from llm_flock.mission import build_mission
 from llm_flock.obstacles import clearance
-from llm_flock.protocol.auction import AuctionAssignment
+from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.record.reader import read_record
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.api import run

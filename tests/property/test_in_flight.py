@@ -12,9 +12,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from llm_flock.mission import Mission
-from llm_flock.protocol import speech
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.messages import BLOCKED, Message, Stamp
+from llm_flock.protocol.messages import dissemination as dissemination
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import BLOCKED, Message, MissionStamp
 from llm_flock.transport.memory import LinkFaults
 
 FAULTS = st.builds(
@@ -151,7 +151,7 @@ def test_with_more_robots_than_places_every_place_has_one_owner_and_the_others_n
 def test_a_plan_is_remade_for_those_that_are_left_and_again_for_all(seed: int, n: int, faults: LinkFaults) -> None:
     rng = np.random.default_rng(seed)
     places = connected_places(n, rng)
-    crew = Crew(circle(n), places, rng, faults, gaps="remake")
+    crew = Crew(circle(n), places, rng, faults, gaps="replan")
     lost = a_leaf(places, crew.mission.comm_range, int(rng.integers(n)))
     crew.rounds(6)
     crew.silent.add(lost)
@@ -195,8 +195,8 @@ def test_no_mission_over_the_radio_changes_what_is_a_robots_own(
     n = 4
     crew = Crew(circle(n), connected_places(n, rng), rng, time_out=1000)
     evil = crew.mission.change(center=(51.0, 50.0), **{field: LIMITS[field] for field in changed})
-    fields = speech.MISSION_FIELDS | (changed if spelled else set())
-    stamp = Stamp(counter, evil.digest)
+    fields = dissemination.MISSION_FIELDS | (changed if spelled else set())
+    stamp = MissionStamp(counter, evil.digest)
     attack = Message(
         sender=3, sequence=0, neighbors=3, mission=stamp, mission_text=evil.model_dump_json(include=set(fields))
     )
@@ -204,7 +204,7 @@ def test_no_mission_over_the_radio_changes_what_is_a_robots_own(
     crew.silent.add(3)
     for _ in range(12):
         crew.round(junk=[encode(attack), encode(hidden)])
-    higher = stamp > Stamp(0, crew.mission.digest)
+    higher = stamp > MissionStamp(0, crew.mission.digest)
     for agent in crew.minds:
         assert agent.mission == crew.mission
         reason = "malformed" if spelled else "other_mission"
@@ -222,7 +222,7 @@ def test_what_large_teams_leave_out_of_their_messages_does_not_matter(
     """A table of more than two places counts as large here: it is mostly said by its changes."""
     rng = np.random.default_rng(seed)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(speech, "SMALL", 2)
+        patch.setattr(dissemination, "SMALL", 2)
         count = max(1, n - spare)
         crew = Crew(circle(n, places=count), connected_places(n, rng), rng, faults, time_out=1000)
         crew.rounds(40)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from signed_team import Liar, SignedTeam, good_plan, line_up
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Offer
-from llm_flock.protocol.warrants import Warrant
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Offer
+from llm_flock.protocol.signed.certificates import Certificate
 
 N = 6
 # In reach of each other: who is alone cannot tell a liar's second place from that of somebody out of reach.
@@ -37,8 +37,8 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
             words = [liar.word(a, table[a][0] + 1, int(rng.choice([NO_OWNER, BLOCKED]))) for a in range(N)]
             said.append(liar.says(words=words))
         elif kind == 3:
-            ledger = team.agents[0]._talks._signing.ledger  # type: ignore[union-attr]
-            lie = ((version + 1, -1.0, owner), ledger._held.get((slot, table[slot]), Warrant(number=1)))
+            evidence = team.agents[0]._agreement._signing.evidence  # type: ignore[union-attr]
+            lie = ((version + 1, -1.0, owner), evidence._held.get((slot, table[slot]), Certificate(number=1)))
             said.append(liar.says({slot: lie}))
         elif kind == 4 and 0 <= owner < len(team.agents):
             give = next((a for a in range(N) if table[a][2] == team.liar), slot)
@@ -55,8 +55,8 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
             said.append(liar.says(beats=tuple(int(x) for x in rng.integers(0, 2**40, N))))
         elif rng.random() < 0.05:
             epoch = int(rng.integers(0, 4))
-            origin = liar.pedigree(epoch=epoch, sequence=int(rng.integers(0, 5)))
-            said.append(liar.says(plan=good_plan(MISSION, epoch), pedigree=origin, table=None, slot=None))
+            origin = liar.provenance(epoch=epoch, sequence=int(rng.integers(0, 5)))
+            said.append(liar.says(plan=good_plan(MISSION, epoch), provenance=origin, table=None, slot=None))
     return said
 
 
@@ -74,10 +74,10 @@ def test_a_liar_holds_one_place_and_breaks_nobodys_safety(seed: int, loss: float
 
     team.fly(15, lambda: babble(team, liar, rng), anywhere)
     for agent in team.agents:
-        ledger = agent._talks._signing.ledger  # type: ignore[union-attr]
+        evidence = agent._agreement._signing.evidence  # type: ignore[union-attr]
         for robot in range(N):
-            places = [ledger.order(a, e) for a, e in enumerate(agent.claim.table or ()) if e[2] == robot]
-            assert sum(place == ledger._last[robot] for place in places) <= 1
+            places = [evidence.order(a, e) for a, e in enumerate(agent.claim.table or ()) if e[2] == robot]
+            assert sum(place == evidence._last[robot] for place in places) <= 1
     team.loss = 0.0
     for _ in range(60):
         team.fly(1)
@@ -98,4 +98,4 @@ def test_teams_without_a_liar_settle(seed: int, loss: float) -> None:
     team.loss = 0.0
     team.fly(12)
     assert team.settled()
-    assert team.counts("unwarranted") == 0
+    assert team.counts("uncertified") == 0

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from llm_flock.metrics import segment_separation
-from llm_flock.protocol.shield import project, separation_half_spaces
+from llm_flock.protocol.motion.shield import project, separation_half_spaces
 
 SAFE, STEP, SENSE = 3.0, 6.0, 15.0
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
 from llm_flock.metrics import min_separation, segment_separation
-from llm_flock.protocol.shield_async import Sighting, project_async
+from llm_flock.protocol.motion.shield_async import Sighting, project_async
 
 SAFE, SPEED = 3.0, 2.0
 

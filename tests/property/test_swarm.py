@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from llm_flock import graph
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import AssignmentRule, NearestAssignment
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.consensus import ConsensusRule, InfluenceConsensus, PedigreeConsensus
-from llm_flock.protocol.events import Broadcast, Planned, Received, RoundBegan, TickBegan, TickEnded
+from llm_flock.protocol.agreement.assignment import AssignmentRule, NearestAssignment
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, ProvenanceConsensus
+from llm_flock.protocol.events import Broadcast, CommRoundBegan, CommRoundEnded, Planned, Received, RoundBegan
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer
 from llm_flock.transport.memory import LinkFaults, MemoryTransport
@@ -24,7 +24,7 @@ def swarm(
     n: int,
     positions: np.ndarray,
     rng: np.random.Generator,
-    consensus: Callable[[], ConsensusRule] = PedigreeConsensus,
+    consensus: Callable[[], ConsensusRule] = ProvenanceConsensus,
     assignment: Callable[[], AssignmentRule] = AuctionAssignment,
 ) -> list[Agent]:
     """N agents that have sensed each other and each proposed a randomly turned circle."""
@@ -44,15 +44,15 @@ def swarm(
 
 
 def exchange(agents: list[Agent], transport: MemoryTransport, near: tuple[tuple[int, ...], ...]) -> None:
-    """One tick."""
+    """One communication round."""
     for i, agent in enumerate(agents):
-        for effect in agent.handle(TickBegan()):
+        for effect in agent.handle(CommRoundBegan()):
             assert isinstance(effect, Broadcast)
             transport.broadcast(effect.payload, near[i])
     for receiver, payload in transport.deliver():
         agents[receiver].handle(Received(payload))
     for agent in agents:
-        agent.handle(TickEnded())
+        agent.handle(CommRoundEnded())
 
 
 def chain(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -115,12 +115,12 @@ def test_junk_on_the_radio_changes_nothing(seed: int, n: int, junk: list[bytes])
     rng = np.random.default_rng(seed)
     positions = chain(n, rng)
     agents = swarm(n, positions, rng)
-    agents[0].handle(TickBegan())  # the first of a round carries the heartbeats
-    before = agents[0].handle(TickBegan())
+    agents[0].handle(CommRoundBegan())  # the first of a round carries the heartbeats
+    before = agents[0].handle(CommRoundBegan())
     for payload in junk:
         agents[0].handle(Received(payload))
-    agents[0].handle(TickEnded())
-    assert agents[0].handle(TickBegan()) == before
+    agents[0].handle(CommRoundEnded())
+    assert agents[0].handle(CommRoundBegan()) == before
     assert sum(agents[0].rejected.values()) == len(junk)
 
 

@@ -12,10 +12,10 @@ from team_by_hand import Links, Team, turned
 from llm_flock import graph
 from llm_flock.arrays import Mask, Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.auction import SWAP_GAIN, merge, rank
-from llm_flock.protocol.consensus import PlanKey, plan_key
-from llm_flock.protocol.messages import NO_OWNER, Entry, Table
-from llm_flock.protocol.ways import way_lengths
+from llm_flock.protocol.agreement.auction import SWAP_GAIN, merge, rank
+from llm_flock.protocol.agreement.consensus import PlanKey, plan_key
+from llm_flock.protocol.agreement.path_length import way_lengths
+from llm_flock.protocol.messages.message import NO_OWNER, Entry, Table
 
 SEEDS = st.integers(0, 2**32)
 
@@ -59,15 +59,16 @@ def hops(adjacent: Mask, start: int) -> list[int]:
 
 def key_of(team: Team, robot: int) -> PlanKey:
     agent = team.agents[robot]
-    assert agent.plan is not None and agent.pedigree is not None
+    assert agent.plan is not None and agent.provenance is not None
     # Proposals are exact shapes, so their class decides nothing here.
-    return plan_key(agent.plan, agent.pedigree, 0)
+    return plan_key(agent.plan, agent.provenance, 0)
 
 
 @cases(20)
 @given(seed=SEEDS, n=st.integers(1, 9))
 def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(seed: int, n: int) -> None:
-    """Theorem 1: so all hold it after the diameter at the latest, and not a tick before they are reached."""
+    """Theorem 1: so all hold it after the diameter at the latest, and not a communication round before they are
+    reached."""
     rng = np.random.default_rng(seed)
     links, adjacent = random_links(n, rng)
     team = Team(circle(n), "flock", turned(circle(n), n))
@@ -76,9 +77,9 @@ def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(
     highest, away = team.plans[top], hops(adjacent, top)
     diameter = graph.diameter(adjacent)
     assert diameter is not None
-    for tick in range(diameter + 1):
-        assert [plan == highest for plan in team.plans] == [far <= tick for far in away]
-        team.tick()
+    for comm_round in range(diameter + 1):
+        assert [plan == highest for plan in team.plans] == [far <= comm_round for far in away]
+        team.comm_round()
     assert set(team.plans) == {highest}
 
 
@@ -97,7 +98,7 @@ def test_a_jointly_connected_team_agrees(seed: int, n: int, window: int) -> None
         for number in range(window):
             team.end()
             team.begin(spots, links_of(n, [edge for edge, at in when if at == number]))
-            team.tick()
+            team.comm_round()
     assert set(team.plans) == {highest}
 
 
@@ -147,7 +148,7 @@ def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(s
     team = Team(circle(n), "flock", turned(circle(n), 1) * n, swaps=False)
     team.begin(places(n, rng), links)
     for _ in range(n * diameter):
-        team.tick()
+        team.comm_round()
     bids = [agent.claim.bids for agent in team.agents]
     assert team.slots == greedy([b for b in bids if b is not None])
     assert len({agent.claim.table for agent in team.agents}) == 1
@@ -171,7 +172,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
 
     total, slots, distinct = math.inf, [0], False
     for _ in range(60 * n):
-        team.tick()
+        team.comm_round()
         slots = [slot for slot in team.slots if slot is not None]
         distinct = sorted(slots) == list(range(n))
         if distinct and (total < math.inf or len({agent.claim.table for agent in team.agents}) == 1):
@@ -184,5 +185,5 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
             assert gained < SWAP_GAIN * mission.spacing**2
     settled = team.slots
     for _ in range(20):
-        team.tick()
+        team.comm_round()
     assert team.slots == settled

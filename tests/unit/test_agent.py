@@ -8,22 +8,22 @@ from one_agent import BETTER, MISSION, PLAN, began, foreign, make, notes, origin
 from llm_flock.protocol.agent import IllegalEvent
 from llm_flock.protocol.events import (
     TRANSITIONS,
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     MissionGiven,
     MoveTo,
-    NegotiationEnded,
     Note,
     Origin,
     Phase,
     Planned,
     Received,
     Stopped,
-    TickBegan,
-    TickEnded,
 )
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -35,28 +35,28 @@ def test_a_whole_round() -> None:
     assert agent.influence == pytest.approx(1 / 3)
     assert notes(agent.handle(Planned(PlanAnswer(plan=PLAN, slot=1)))) == ["proposed"]
     assert agent.goal == (50.0, 50.0)
-    (said,) = agent.handle(TickBegan())
+    (said,) = agent.handle(CommRoundBegan())
     assert isinstance(said, Broadcast)
     assert agent.handle(Received(foreign(1, BETTER, origin(1)))) == []
-    assert notes(agent.handle(TickEnded())) == ["adopted"]
+    assert notes(agent.handle(CommRoundEnded())) == ["adopted"]
     assert agent.plan == BETTER
-    (ask,) = agent.handle(NegotiationEnded())
+    (ask,) = agent.handle(AgreementEnded())
     assert isinstance(ask, AskStep) and ask.question.goal == agent.goal == (50.0, 45.0)
     (move,) = agent.handle(Decided(StepAnswer(waypoint=(50.0, 46.0))))
     assert move == MoveTo(waypoint=(50.0, 46.0), proposed=(50.0, 46.0), origin=Origin.MODEL)
     assert agent.handle(Arrived()) == [] and agent.phase is Phase.IDLE
-    assert agent.handle(began(2)) == [] and agent.phase is Phase.NEGOTIATING
+    assert agent.handle(began(2)) == [] and agent.phase is Phase.AGREEING
 
 
 def test_equal_standing_is_equal_bytes() -> None:
     agent = make()
     planned(agent)
-    agent.handle(TickBegan())  # the first of a round carries the heartbeats
-    first, second = agent.handle(TickBegan()), agent.handle(TickBegan())
+    agent.handle(CommRoundBegan())  # the first of a round carries the heartbeats
+    first, second = agent.handle(CommRoundBegan()), agent.handle(CommRoundBegan())
     assert first == second
     agent.handle(Received(foreign(1, BETTER, origin(1))))
-    agent.handle(TickEnded())
-    assert agent.handle(TickBegan()) != first
+    agent.handle(CommRoundEnded())
+    assert agent.handle(CommRoundBegan()) != first
 
 
 @pytest.mark.parametrize(
@@ -73,12 +73,12 @@ def test_equal_standing_is_equal_bytes() -> None:
 def test_a_refused_message_is_counted_and_changes_nothing(payload: bytes, reason: str) -> None:
     agent = make()
     planned(agent)
-    agent.handle(TickBegan())
-    before = agent.handle(TickBegan())
+    agent.handle(CommRoundBegan())
+    before = agent.handle(CommRoundBegan())
     (note,) = agent.handle(Received(payload))
     assert isinstance(note, Note) and note.kind == "rejected_message" and note.detail["reason"] == reason
-    assert agent.handle(TickEnded()) == []
-    assert agent.handle(TickBegan()) == before
+    assert agent.handle(CommRoundEnded()) == []
+    assert agent.handle(CommRoundBegan()) == before
     assert agent.rejected == {reason: 1}
 
 
@@ -88,7 +88,7 @@ def test_an_older_message_does_not_replace_a_newer_one() -> None:
     agent.handle(Planned(NoAnswer(cause="timeout", reason="late")))
     agent.handle(Received(foreign(1, BETTER, origin(1), sequence=5)))
     agent.handle(Received(foreign(1, PLAN, origin(1), sequence=4)))
-    agent.handle(TickEnded())
+    agent.handle(CommRoundEnded())
     assert agent.plan == BETTER
 
 
@@ -96,8 +96,8 @@ def test_without_a_plan_the_robot_holds_and_asks_again() -> None:
     agent = make()
     agent.handle(began())
     assert notes(agent.handle(Planned(NoAnswer(cause="server", reason="500")))) == ["no_plan"]
-    assert agent.handle(TickEnded()) == []
-    note, move = agent.handle(NegotiationEnded())
+    assert agent.handle(CommRoundEnded()) == []
+    note, move = agent.handle(AgreementEnded())
     assert isinstance(note, Note) and note.detail["cause"] == "no_goal"
     assert move == MoveTo(waypoint=(48.0, 50.0), proposed=None, origin=Origin.HOLD)
     assert agent.goal is None
@@ -109,7 +109,7 @@ def test_without_a_plan_the_robot_holds_and_asks_again() -> None:
 def test_a_silent_model_makes_the_robot_hold_and_says_why() -> None:
     agent = make()
     planned(agent)
-    agent.handle(NegotiationEnded())
+    agent.handle(AgreementEnded())
     note, move = agent.handle(Decided(NoAnswer(cause="answer", reason="nothing usable")))
     assert note == Note("held", {"cause": "answer", "reason": "nothing usable"})
     assert isinstance(move, MoveTo) and move.origin is Origin.HOLD and move.waypoint == (48.0, 50.0)
@@ -119,7 +119,7 @@ def test_the_shield_alters_an_unsafe_step_and_says_so() -> None:
     agent = make()
     agent.handle(began(r1=(52.0, 50.0)))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
-    agent.handle(NegotiationEnded())
+    agent.handle(AgreementEnded())
     note, move = agent.handle(Decided(StepAnswer(waypoint=(52.0, 50.0))))
     assert isinstance(note, Note) and note.kind == "shielded"
     assert isinstance(move, MoveTo) and move.origin is Origin.SHIELD
@@ -129,7 +129,7 @@ def test_the_shield_alters_an_unsafe_step_and_says_so() -> None:
 def test_without_the_shield_the_model_is_obeyed_to_the_letter() -> None:
     agent = make(shield_on=False)
     planned(agent)
-    agent.handle(NegotiationEnded())
+    agent.handle(AgreementEnded())
     (move,) = agent.handle(Decided(StepAnswer(waypoint=(99.0, 1.0))))
     assert move == MoveTo(waypoint=(99.0, 1.0), proposed=(99.0, 1.0), origin=Origin.MODEL)
 
@@ -138,7 +138,7 @@ def test_without_the_shield_a_robot_without_an_answer_holds_whoever_is_near() ->
     agent = make(shield_on=False)
     agent.handle(began(r1=(48.5, 50.0)))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
-    agent.handle(NegotiationEnded())
+    agent.handle(AgreementEnded())
     note, move = agent.handle(Decided(NoAnswer(cause="answer", reason="nothing usable")))
     assert note == Note("held", {"cause": "answer", "reason": "nothing usable"})
     assert move == MoveTo(waypoint=(48.0, 50.0), proposed=None, origin=Origin.HOLD)
@@ -163,7 +163,7 @@ def test_every_phase_but_the_last_can_be_left_and_is_reached() -> None:
 def test_another_mission_makes_the_robot_plan_anew() -> None:
     agent = make()
     planned(agent)
-    for event in (NegotiationEnded(), Decided(StepAnswer(waypoint=(48.0, 50.0))), Arrived()):
+    for event in (AgreementEnded(), Decided(StepAnswer(waypoint=(48.0, 50.0))), Arrived()):
         agent.handle(event)
     new = MISSION.change(center=(60, 50), since=2)
     agent.handle(MissionGiven(mission=new))

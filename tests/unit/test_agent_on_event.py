@@ -12,28 +12,28 @@ from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol import shield
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import IndexAssignment
-from llm_flock.protocol.consensus import NoConsensus
+from llm_flock.protocol.agreement.assignment import IndexAssignment
+from llm_flock.protocol.agreement.consensus import NoConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskStep,
     Decided,
     Effect,
     MoveTo,
-    NegotiationEnded,
     Note,
     Origin,
     Phase,
     Planned,
     RoundBegan,
 )
-from llm_flock.protocol.judge import Judge
-from llm_flock.protocol.pilot import Pilot, Scene
+from llm_flock.protocol.motion import shield
+from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import mended
+from llm_flock.protocol.verification.steps import mended
+from llm_flock.protocol.verification.validator import Validator
 
 MISSION = Mission(shape="triangle", n_robots=3)
 PLAN = Plan.of(MISSION.ideal or ())
@@ -56,7 +56,7 @@ def begin(agent: Agent, position: Point, sensed: dict[int, Point] | None = None)
     )
     if agent.phase is Phase.PLANNING:
         agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
-    return agent.handle(NegotiationEnded())
+    return agent.handle(AgreementEnded())
 
 
 def move(effects: list[Effect]) -> MoveTo:
@@ -119,9 +119,9 @@ def test_a_waypoint_that_does_not_pass_any_more_is_asked_about() -> None:
 
 def test_a_robot_that_lost_its_goal_starts_afresh() -> None:
     agent = given_way(make())
-    agent._talks.claim = type(agent.claim)(slot=None)
+    agent._agreement.claim = type(agent.claim)(slot=None)
     assert move(begin(agent, WAY[0])).origin is Origin.HOLD
-    agent._talks.claim = type(agent.claim)(slot=0)
+    agent._agreement.claim = type(agent.claim)(slot=0)
     (ask,) = begin(agent, WAY[0])
     assert isinstance(ask, AskStep)
 
@@ -182,9 +182,9 @@ def test_no_step_is_flown_unverified_or_unshielded(
 
 
 def test_the_shield_judges_progress_by_the_spacing_of_the_mission_in_force() -> None:
-    judge = Judge(MISSION, verify=True, shield_on=True)
-    pilot = Pilot(0, MISSION, judge, shield_on=True, noise_bound=0.0, on_event=False)
+    validator = Validator(MISSION, verify=True, shield_on=True)
+    pilot = Pilot(0, MISSION, validator, shield_on=True, noise_bound=0.0, on_event=False)
     wider = MISSION.change(spacing=20.0)
-    scene = Scene(round=1, position=START, sensed={}, observed=())
+    scene = Observation(round=1, position=START, sensed={}, observed=())
     pilot.decide(scene, wider, PLAN, 0, None)
     assert pilot._safety is not None and pilot._safety.mission == wider

@@ -1,33 +1,33 @@
-"""A robot that is not in step: it talks, looks and changes its mind while its model thinks and its body flies."""
+"""A robot that is not in step: it agreement, looks and changes its mind while its model thinks and its body flies."""
 
 from __future__ import annotations
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.codec import decode
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
-    Looked,
+    HeartbeatDue,
     MissionGiven,
     MoveTo,
-    NegotiationEnded,
     Note,
     Origin,
-    PeriodBegan,
     Phase,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
+    Sensed,
 )
+from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -38,12 +38,12 @@ HERE = (48.0, 50.0)
 
 
 def make(robot: int = 0) -> Agent:
-    return Agent(robot, MISSION, PedigreeConsensus(), AuctionAssignment(), shield_on=True, own_clock=True)
+    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=True, own_clock=True)
 
 
-def seen(at: tuple[float, float] = HERE, **others: tuple[float, float]) -> Looked:
+def seen(at: tuple[float, float] = HERE, **others: tuple[float, float]) -> Sensed:
     sensed = {int(name[1:]): x for name, x in others.items()}
-    return Looked(position=at, neighbors=len(sensed), sensed=sensed, observed=tuple(sensed.values()))
+    return Sensed(position=at, neighbors=len(sensed), sensed=sensed, observed=tuple(sensed.values()))
 
 
 def began(number: int = 1, at: tuple[float, float] = HERE) -> RoundBegan:
@@ -55,10 +55,10 @@ def said_by(robot: int, plan: Plan, *, neighbors: int) -> bytes:
     other = make(robot)
     others = {f"r{j}": (50.0 + j, 60.0) for j in range(3) if j != robot}
     other.handle(seen((50.0 + robot, 55.0), **dict(list(others.items())[:neighbors])))
-    other.handle(PeriodBegan(1))
+    other.handle(HeartbeatDue(1))
     other.handle(began())
     other.handle(Planned(PlanAnswer(plan=plan, slot=robot)))
-    (broadcast,) = other.handle(TickBegan())
+    (broadcast,) = other.handle(CommRoundBegan())
     assert isinstance(broadcast, Broadcast)
     return broadcast.payload
 
@@ -69,10 +69,10 @@ def kinds(effects: list[Effect]) -> list[str]:
 
 def deciding(agent: Agent, plan: Plan = PLAN) -> Agent:
     agent.handle(seen())
-    agent.handle(PeriodBegan(1))
+    agent.handle(HeartbeatDue(1))
     agent.handle(began())
     agent.handle(Planned(PlanAnswer(plan=plan, slot=0)))
-    (ask,) = agent.handle(NegotiationEnded())
+    (ask,) = agent.handle(AgreementEnded())
     assert isinstance(ask, AskStep)
     return agent
 
@@ -80,11 +80,11 @@ def deciding(agent: Agent, plan: Plan = PLAN) -> Agent:
 def test_it_talks_and_listens_before_its_first_round() -> None:
     agent = make()
     agent.handle(seen())
-    agent.handle(PeriodBegan(1))
+    agent.handle(HeartbeatDue(1))
     agent.handle(Received(said_by(1, PLAN, neighbors=2)))
-    assert "adopted" in kinds(agent.handle(TickEnded()))
+    assert "adopted" in kinds(agent.handle(CommRoundEnded()))
     assert agent.phase is Phase.IDLE and agent.plan == PLAN
-    assert agent.handle(began()) == [] and agent.phase is Phase.NEGOTIATING
+    assert agent.handle(began()) == [] and agent.phase is Phase.AGREEING
 
 
 def test_hearts_beat_by_periods_and_not_by_rounds() -> None:
@@ -92,15 +92,15 @@ def test_hearts_beat_by_periods_and_not_by_rounds() -> None:
     agent.handle(seen())
     beats: list[int] = []
     for number in range(1, 4):
-        agent.handle(PeriodBegan(number))
-        (broadcast,) = agent.handle(TickBegan())
+        agent.handle(HeartbeatDue(number))
+        (broadcast,) = agent.handle(CommRoundBegan())
         assert isinstance(broadcast, Broadcast)
         said = decode(broadcast.payload, 3, 2).beats
         assert said is not None
         beats.append(said[0])
         agent.handle(began(number))
         agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
-        agent.handle(NegotiationEnded())
+        agent.handle(AgreementEnded())
         agent.handle(Arrived())
     assert beats == [2, 3, 4]
 
@@ -108,20 +108,20 @@ def test_hearts_beat_by_periods_and_not_by_rounds() -> None:
 def test_a_plan_that_was_overtaken_is_dropped() -> None:
     agent = make()
     agent.handle(seen())
-    agent.handle(PeriodBegan(1))
+    agent.handle(HeartbeatDue(1))
     (ask,) = agent.handle(began())
     assert isinstance(ask, AskPlan)
     agent.handle(Received(said_by(2, BETTER, neighbors=2)))
-    agent.handle(TickEnded())
+    agent.handle(CommRoundEnded())
     assert agent.phase is Phase.PLANNING and agent.plan == BETTER
     assert agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0))) == [Note("stale_answer", {"about": "plan"})]
-    assert agent.plan == BETTER and agent.phase is Phase.NEGOTIATING
+    assert agent.plan == BETTER and agent.phase is Phase.AGREEING
 
 
 def test_a_step_is_asked_for_anew_when_its_plan_has_changed() -> None:
     agent = deciding(make())
     agent.handle(Received(said_by(2, BETTER, neighbors=2)))
-    effects = agent.handle(TickEnded())
+    effects = agent.handle(CommRoundEnded())
     assert kinds(effects)[-1] == "stale_question"
     assert isinstance(effects[-1], AskStep) and effects[-1].question.plan == BETTER
     (move,) = agent.handle(Decided(StepAnswer(waypoint=HERE)))
@@ -149,6 +149,6 @@ def test_it_talks_while_it_flies() -> None:
     agent = deciding(make())
     agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
     agent.handle(Received(said_by(2, BETTER, neighbors=2)))
-    assert "adopted" in kinds(agent.handle(TickEnded())) and agent.phase is Phase.MOVING
+    assert "adopted" in kinds(agent.handle(CommRoundEnded())) and agent.phase is Phase.MOVING
     agent.handle(Arrived())
     assert agent.phase is Phase.IDLE

@@ -7,21 +7,21 @@ import math
 from one_agent import BETTER, MISSION, PLAN, foreign, make, notes, origin, planned
 
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import IndexAssignment
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.consensus import NoConsensus
+from llm_flock.protocol.agreement.assignment import IndexAssignment
+from llm_flock.protocol.agreement.consensus import NoConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskStep,
+    CommRoundEnded,
     Decided,
-    NegotiationEnded,
     Note,
     Planned,
     Received,
     RoundBegan,
-    TickEnded,
 )
-from llm_flock.protocol.messages import Message, Pedigree
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 
@@ -29,9 +29,9 @@ def test_baseline_keeps_the_index_of_its_own_model() -> None:
     agent = Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=False)
     planned(agent)
     agent.handle(Received(foreign(1, BETTER, origin(1))))
-    agent.handle(TickEnded())
+    agent.handle(CommRoundEnded())
     assert (agent.plan, agent.claim.slot) == (PLAN, 1)
-    (ask,) = agent.handle(NegotiationEnded())
+    (ask,) = agent.handle(AgreementEnded())
     assert isinstance(ask, AskStep) and ask.question.goal == PLAN.points[1]
 
 
@@ -44,13 +44,13 @@ def test_a_lost_auction_is_noted() -> None:
             sequence=0,
             neighbors=2,
             plan=PLAN,
-            pedigree=origin(1),
+            provenance=origin(1),
             slot=0,
             table=((0, 0.0, 1), (0, 0.0, -1), (0, 0.0, -1)),
         )
     )
     agent.handle(Received(rival))
-    (note,) = agent.handle(TickEnded())
+    (note,) = agent.handle(CommRoundEnded())
     assert note == Note("claimed", {"slot": 2, "before": 0})
 
 
@@ -60,10 +60,10 @@ def test_claims_on_another_plan_are_not_merged() -> None:
     planned(agent)
     before = agent.claim
     won = ((9, 0.0, 1), (9, 0.0, 0), (0, 0.0, -1))
-    weak = Pedigree(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
-    standing = Message(sender=1, sequence=0, neighbors=0, plan=BETTER, pedigree=weak, slot=0, table=won)
+    weak = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
+    standing = Message(sender=1, sequence=0, neighbors=0, plan=BETTER, provenance=weak, slot=0, table=won)
     agent.handle(Received(encode(standing)))
-    agent.handle(TickEnded())
+    agent.handle(CommRoundEnded())
     assert agent.plan == PLAN, "the other plan ranks lower"
     assert (agent.claim.slot, agent.claim.table) == (before.slot, before.table)
 
@@ -73,17 +73,17 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
     agent.handle(
-        Received(encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, pedigree=origin(1), slot=0, table=won)))
+        Received(encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, table=won)))
     )
-    agent.handle(TickEnded())
+    agent.handle(CommRoundEnded())
     assert agent.claim.slot is None
-    (ask,) = agent.handle(NegotiationEnded())
+    (ask,) = agent.handle(AgreementEnded())
     assert isinstance(ask, AskStep) and ask.question.slot is None, "it stands where another one has to go"
     assert min(math.dist(ask.question.goal, x) for x in PLAN.points) >= 2 * MISSION.safe_distance
     agent.handle(Decided(StepAnswer(waypoint=ask.question.goal)))
     agent.handle(Arrived())
     agent.handle(RoundBegan(round=2, position=ask.question.goal, neighbors=0, sensed={}, observed=()))
-    note, _ = agent.handle(NegotiationEnded())
+    note, _ = agent.handle(AgreementEnded())
     assert isinstance(note, Note) and "taken by others" in note.detail["reason"]
 
 
@@ -97,7 +97,7 @@ def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:
         agent.handle(RoundBegan(round=number, position=here, neighbors=0, sensed={}, observed=()))
         if number == 1:
             agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
-        *said, ask = agent.handle(NegotiationEnded())
+        *said, ask = agent.handle(AgreementEnded())
         assert isinstance(ask, AskStep)
         kinds += notes(said)
         goals.append(ask.question.goal)

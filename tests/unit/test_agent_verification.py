@@ -6,25 +6,25 @@ import pytest
 from one_agent import MISSION, PLAN, began, foreign, make, origin
 
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.codec import decode
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     MoveTo,
-    NegotiationEnded,
     Note,
     Origin,
     Planned,
     Received,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.judge import REMEMBERED, Judge
-from llm_flock.protocol.messages import Pedigree
+from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.message import Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.protocol.verification.validator import REMEMBERED, Validator
 
 IDEAL = Plan.of(MISSION.ideal or ())
 TURNED = Plan.of([[50.0, 44.23], [45.0, 52.89], [55.0, 52.89]])
@@ -32,14 +32,14 @@ CRUDE = Plan.of([[50.3, 44.2], [44.7, 52.9], [55.0, 53.2]])
 
 
 def checking(robot: int = 0, *, shield_on: bool = True) -> Agent:
-    return Agent(robot, MISSION, PedigreeConsensus(), AuctionAssignment(), shield_on=shield_on, verify=True)
+    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on, verify=True)
 
 
 def deciding(agent: Agent, plan: Plan = IDEAL) -> Agent:
     """The agent at (48, 50) with a goal, waiting for the answer to its step question."""
     agent.handle(began())
     agent.handle(Planned(PlanAnswer(plan=plan, slot=0)))
-    agent.handle(NegotiationEnded())
+    agent.handle(AgreementEnded())
     return agent
 
 
@@ -56,7 +56,7 @@ def test_a_received_plan_that_fails_dies_with_its_author() -> None:
     agent = checking()
     agent.handle(began())
     agent.handle(Planned(PlanAnswer(plan=IDEAL, slot=0)))
-    agent.handle(TickBegan())
+    agent.handle(CommRoundBegan())
     for k in range(3):
         effects = agent.handle(Received(foreign(1, PLAN, origin(2), sequence=k)))
         if k == 0:
@@ -65,8 +65,8 @@ def test_a_received_plan_that_fails_dies_with_its_author() -> None:
             assert note.detail["reason"] == "unverified_plan" and "mean of its points" in note.detail["detail"]
         else:
             assert effects == [], "noted once"
-        assert agent.handle(TickEnded()) == []
-        (said,) = agent.handle(TickBegan())
+        assert agent.handle(CommRoundEnded()) == []
+        (said,) = agent.handle(CommRoundBegan())
         assert isinstance(said, Broadcast) and decode(said.payload, 3, 2).plan_digest == IDEAL.digest
     assert agent.plan == IDEAL
     assert agent.rejected == {"unverified_plan": 3}
@@ -77,9 +77,9 @@ def test_a_robot_without_a_plan_takes_over_no_bad_one_and_names_its_fallback() -
     agent.handle(began())
     agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
     agent.handle(Received(foreign(1, PLAN, origin(1))))
-    assert agent.handle(TickEnded()) == [] and agent.plan is None
+    assert agent.handle(CommRoundEnded()) == [] and agent.plan is None
     agent.handle(Received(foreign(2, IDEAL, origin(2))))
-    fallback, adopted, _ = agent.handle(TickEnded())
+    fallback, adopted, _ = agent.handle(CommRoundEnded())
     assert fallback == Note("fallback", {"question": "plan", "by": "neighbour", "cause": "answer", "reason": "none"})
     assert adopted == Note("adopted", {"plan": IDEAL.digest, "from": 2})
 
@@ -89,13 +89,13 @@ def test_an_exact_plan_beats_a_crude_one_of_higher_influence() -> None:
     agent.handle(began(r1=(58.0, 50.0)))
     agent.handle(Planned(PlanAnswer(plan=CRUDE, slot=0)))
     assert agent.plan == CRUDE
-    low = Pedigree(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
+    low = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
     agent.handle(Received(foreign(1, CRUDE, origin(1))))
     agent.handle(Received(foreign(0, TURNED, low)))
-    agent.handle(TickEnded())
+    agent.handle(CommRoundEnded())
     assert agent.plan == TURNED
     agent.handle(Received(foreign(1, CRUDE, origin(1), sequence=1)))
-    assert agent.handle(TickEnded()) == []
+    assert agent.handle(CommRoundEnded()) == []
 
 
 @pytest.mark.parametrize("accepted", [True, False])
@@ -138,7 +138,7 @@ def test_a_fallback_is_noted_and_counted_as_one() -> None:
     note, proposed = agent.handle(Planned(PlanAnswer(plan=IDEAL, slot=0, instead_of=failure)))
     assert note == Note("fallback", {"question": "plan", "by": "geometry", "cause": "answer", "reason": "3 tries"})
     assert isinstance(proposed, Note) and proposed.kind == "proposed"
-    agent.handle(NegotiationEnded())
+    agent.handle(AgreementEnded())
     assert agent.goal is not None
     note, move = agent.handle(Decided(StepAnswer(waypoint=agent.goal, instead_of=failure)))
     assert isinstance(note, Note) and note.kind == "fallback" and note.detail["question"] == "step"
@@ -146,7 +146,7 @@ def test_a_fallback_is_noted_and_counted_as_one() -> None:
 
 
 def test_refused_plans_do_not_fill_the_memory() -> None:
-    judge = Judge(MISSION, verify=True, shield_on=True)
+    validator = Validator(MISSION, verify=True, shield_on=True)
     plans = [Plan.of([[float(k), 0.0]]) for k in range(REMEMBERED + 1)]
-    assert all(judge.is_new(plan) for plan in plans)
-    assert not judge.is_new(plans[-1]) and judge.is_new(plans[0])
+    assert all(validator.is_new(plan) for plan in plans)
+    assert not validator.is_new(plans[-1]) and validator.is_new(plans[0])

@@ -2,28 +2,28 @@
 
 import pytest
 
-from llm_flock.protocol.assignment import (
+from llm_flock.protocol.agreement.assignment import (
+    AssignmentInput,
     AssignmentRule,
     Claim,
     IndexAssignment,
-    Moment,
     NearestAssignment,
     NearestFreeAssignment,
     nearest,
 )
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.messages import Message, Pedigree
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.testing import check_assignment_rule
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0]])
-ORIGIN = Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
 
 
 def at(
     robot: int, x: float, *, chosen: int | None = None, adopted: bool = True, heard: tuple[Message, ...] = ()
-) -> Moment:
-    return Moment(
+) -> AssignmentInput:
+    return AssignmentInput(
         robot=robot,
         position=(x, 0.0),
         plan=PLAN,
@@ -36,7 +36,7 @@ def at(
 
 
 def says(sender: int, slot: int | None) -> Message:
-    return Message(sender=sender, sequence=0, neighbors=0, plan=PLAN, pedigree=ORIGIN, slot=slot)
+    return Message(sender=sender, sequence=0, neighbors=0, plan=PLAN, provenance=ORIGIN, slot=slot)
 
 
 @pytest.mark.parametrize("rule", [IndexAssignment(), NearestAssignment(), NearestFreeAssignment(), AuctionAssignment()])

@@ -6,19 +6,19 @@ import pytest
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.assignment import Claim, Moment
-from llm_flock.protocol.auction import BOUND_TICKS, AuctionAssignment, gain, merge, vacant
-from llm_flock.protocol.messages import Message, Offer, Pedigree, Table
+from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol.agreement.auction import BOUND_TICKS, AuctionAssignment, gain, merge, vacant
+from llm_flock.protocol.messages.message import Message, Offer, Provenance, Table
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0]])
-ORIGIN = Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
 RULE = AuctionAssignment()
 FREE: Table = ((0, 0.0, -1), (0, 0.0, -1), (0, 0.0, -1))
 
 
-def at(robot: int, x: float, *heard: Message, sensed: dict[int, Point] | None = None) -> Moment:
-    return Moment(
+def at(robot: int, x: float, *heard: Message, sensed: dict[int, Point] | None = None) -> AssignmentInput:
+    return AssignmentInput(
         robot=robot,
         position=(x, 0.0),
         plan=PLAN,
@@ -36,7 +36,7 @@ def says(sender: int, claim: Claim) -> Message:
         sequence=0,
         neighbors=0,
         plan=PLAN,
-        pedigree=ORIGIN,
+        provenance=ORIGIN,
         slot=claim.slot,
         table=claim.table,
         offer=claim.offer,
@@ -170,7 +170,8 @@ def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks()
 
 
 def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_out() -> None:
-    """Robot 0 accepts the offer of robot 1, which is free again in that very tick and accepts the offer of robot 2."""
+    """Robot 0 accepts the offer of robot 1, which is free again in that very communication round and accepts the offer
+    of robot 2."""
     table: Table = ((0, 0.0, 0), (0, 0.0, 1), (0, 0.0, 2))
     places = {0: 25.0, 1: 12.0, 2: -1.0}
     bids = {i: tuple(-abs(x - 10.0 * a) for a in range(3)) for i, x in places.items()}
@@ -183,19 +184,19 @@ def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_
         for i in places
     }
 
-    def tick() -> list[int | None]:
+    def comm_round() -> list[int | None]:
         said = [says(i, claims[i]) for i in places]
         for i, x in places.items():
             sensed: dict[int, Point] = {j: (y, 0.0) for j, y in places.items() if j != i}
             claims[i] = RULE.update(claims[i], at(i, x, *(m for m in said if m.sender != i), sensed=sensed))
         return [claims[i].slot for i in places]
 
-    assert tick() == [1, 2, 2], "two acceptances about slot 1, of the same version"
+    assert comm_round() == [1, 2, 2], "two acceptances about slot 1, of the same version"
     zeros, ones = claims[0].table, claims[1].table
     assert zeros is not None and ones is not None and zeros[1][0] == ones[1][0] == 1
     for _ in range(20):
-        tick()
-    assert tick() == [2, 1, 0]
+        comm_round()
+    assert comm_round() == [2, 1, 0]
     assert claims[0].table == claims[1].table == claims[2].table
 
 

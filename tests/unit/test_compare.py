@@ -21,7 +21,7 @@ SUMMARY = Summary(
     shape="circle",
     n_robots=10,
     seed=0,
-    consensus="pedigree",
+    consensus="provenance",
     assignment="auction",
     shield=True,
     models=("simulated:ideal",),
@@ -85,7 +85,7 @@ def test_cells_are_teams_by_protocols_and_share_every_option() -> None:
         ("circle", 10, "paper"),
     ]
     assert {(c.config.links.loss, c.config.trial.rounds) for c in cells} == {(0.3, 40)}
-    assert cells[0].config.protocol.consensus == "pedigree" and cells[1].config.protocol.consensus == "influence"
+    assert cells[0].config.protocol.consensus == "provenance" and cells[1].config.protocol.consensus == "influence"
     assert cells[0].with_seed(7) == build_config(shape="triangle", n_robots=3, loss=0.3, rounds=40, seed=7)
 
 

@@ -7,8 +7,8 @@ import pytest
 from pydantic import BaseModel
 
 from llm_flock.errors import InputError
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.consensus import InfluenceConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import InfluenceConsensus
 from llm_flock.runtime.config import RunConfig, build_config, load_config
 from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
 
@@ -34,8 +34,8 @@ def test_presets_fill_what_was_left_open(preset: str) -> None:
 
 
 def test_single_options_override_the_preset() -> None:
-    protocol = build_config(protocol="paper", consensus="pedigree", shield=True).protocol
-    assert (protocol.consensus, protocol.assignment, protocol.shield) == ("pedigree", "nearest", True)
+    protocol = build_config(protocol="paper", consensus="provenance", shield=True).protocol
+    assert (protocol.consensus, protocol.assignment, protocol.shield) == ("provenance", "nearest", True)
 
 
 def test_flags_override_the_file(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_points_come_from_a_file(tmp_path: Path) -> None:
 
 def test_rules_are_found_by_name_or_by_address() -> None:
     assert consensus_rule("influence") == InfluenceConsensus()
-    assert assignment_rule("llm_flock.protocol.auction:AuctionAssignment") == AuctionAssignment()
-    for name in ("best", "no.such.module:Rule", "llm_flock.protocol.consensus:NoSuchRule", "os:getcwd"):
+    assert assignment_rule("llm_flock.protocol.agreement.auction:AuctionAssignment") == AuctionAssignment()
+    for name in ("best", "no.such.module:Rule", "llm_flock.protocol.agreement.consensus:NoSuchRule", "os:getcwd"):
         with pytest.raises(InputError, match="consensus"):
             consensus_rule(name)

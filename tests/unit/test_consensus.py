@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from llm_flock.protocol.consensus import (
+from llm_flock.protocol.agreement.consensus import (
     ConsensusRule,
     InfluenceConsensus,
     NoConsensus,
-    PedigreeConsensus,
+    ProvenanceConsensus,
     Standing,
 )
-from llm_flock.protocol.messages import Message, Pedigree
+from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.testing import check_consensus_rule
 
@@ -18,22 +18,22 @@ A = Plan.of([[0, 0], [10, 0], [5, 8]])
 B = Plan.of([[1, 1], [11, 1], [6, 9]])
 
 
-def origin(proposer: int, neighbors: int) -> Pedigree:
-    return Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0)
+def origin(proposer: int, neighbors: int) -> Provenance:
+    return Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0)
 
 
-def says(sender: int, neighbors: int, plan: Plan | None, pedigree: Pedigree | None = None) -> Message:
-    if plan is not None and pedigree is None:
-        pedigree = origin(sender, neighbors)
-    return Message(sender=sender, sequence=0, neighbors=neighbors, plan=plan, pedigree=pedigree)
+def says(sender: int, neighbors: int, plan: Plan | None, provenance: Provenance | None = None) -> Message:
+    if plan is not None and provenance is None:
+        provenance = origin(sender, neighbors)
+    return Message(sender=sender, sequence=0, neighbors=neighbors, plan=plan, provenance=provenance)
 
 
 def holds(plan: Plan | None, neighbors: int, proposer: int = 0) -> Standing:
-    return Standing(plan=plan, pedigree=None if plan is None else origin(proposer, neighbors), neighbors=neighbors)
+    return Standing(plan=plan, provenance=None if plan is None else origin(proposer, neighbors), neighbors=neighbors)
 
 
 @pytest.mark.parametrize(
-    "rule", [NoConsensus(), InfluenceConsensus(), InfluenceConsensus(tie="highest"), PedigreeConsensus()]
+    "rule", [NoConsensus(), InfluenceConsensus(), InfluenceConsensus(tie="highest"), ProvenanceConsensus()]
 )
 def test_rules_keep_the_contract(rule: ConsensusRule) -> None:
     check_consensus_rule(rule)
@@ -76,7 +76,7 @@ def test_pedigree_resolves_the_tie_of_all() -> None:
     ends: list[Plan] = []
     for i in range(3):
         heard = [says(j, 2, plans[j]) for j in range(3) if j != i]
-        choice = PedigreeConsensus().choose(holds(plans[i], 2, proposer=i), heard)
+        choice = ProvenanceConsensus().choose(holds(plans[i], 2, proposer=i), heard)
         ends.append(plans[i] if choice is None or choice.plan is None else choice.plan)
     assert ends == [plans[2]] * 3
 
@@ -84,7 +84,7 @@ def test_pedigree_resolves_the_tie_of_all() -> None:
 def test_among_equals_the_proposer_decides_and_then_the_digest() -> None:
     """Both ways round, so that the outcome is no accident of the digests."""
     low, high = sorted([A, B], key=lambda plan: plan.digest)
-    rule = PedigreeConsensus()
+    rule = ProvenanceConsensus()
     for mine, theirs in ((low, high), (high, low)):
         assert rule.choose(holds(mine, 2, proposer=0), [says(1, 2, theirs)]) == says(1, 2, theirs)
         assert rule.choose(holds(mine, 2, proposer=2), [says(1, 2, theirs)]) is None
@@ -96,7 +96,7 @@ def test_pedigree_is_decided_by_the_proposer_not_the_carrier() -> None:
     """A hub that carries a weak robot's plan does not lend it its own influence."""
     weak_plan_on_hub = says(2, 9, A, origin(proposer=1, neighbors=1))
     strong_plan_on_loner = says(3, 1, B, origin(proposer=0, neighbors=5))
-    choice = PedigreeConsensus().choose(holds(None, 0), [weak_plan_on_hub, strong_plan_on_loner])
+    choice = ProvenanceConsensus().choose(holds(None, 0), [weak_plan_on_hub, strong_plan_on_loner])
     assert choice == strong_plan_on_loner
 
 
@@ -104,11 +104,11 @@ def test_pedigree_converges_within_the_diameter_on_a_path() -> None:
     n = 9
     rng = np.random.default_rng(3)
     plans = [Plan.of(rng.uniform(0, 50, (n, 2)).tolist()) for _ in range(n)]
-    standing = [Standing(plan=plans[i], pedigree=origin(i, 1), neighbors=1) for i in range(n)]
+    standing = [Standing(plan=plans[i], provenance=origin(i, 1), neighbors=1) for i in range(n)]
     for _ in range(n - 1):
-        spoken = [says(i, s.neighbors, s.plan, s.pedigree) for i, s in enumerate(standing)]
+        spoken = [says(i, s.neighbors, s.plan, s.provenance) for i, s in enumerate(standing)]
         for i in range(n):
-            choice = PedigreeConsensus().choose(standing[i], [spoken[j] for j in (i - 1, i + 1) if 0 <= j < n])
+            choice = ProvenanceConsensus().choose(standing[i], [spoken[j] for j in (i - 1, i + 1) if 0 <= j < n])
             if choice is not None:
-                standing[i] = Standing(plan=choice.plan, pedigree=choice.pedigree, neighbors=1)
+                standing[i] = Standing(plan=choice.plan, provenance=choice.provenance, neighbors=1)
     assert {s.plan for s in standing} == {plans[n - 1]}

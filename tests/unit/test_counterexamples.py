@@ -14,7 +14,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.verification import check_plan
+from llm_flock.protocol.verification.plans import check_plan
 
 FOR_EVER = 100
 """Ticks; nothing changes from one to the next in what is shown to last, so any number would do."""
@@ -23,9 +23,9 @@ THREE = Mission(shape="triangle", n_robots=3)
 IN_RANGE: tuple[Point, ...] = ((40.0, 40.0), (50.0, 40.0), (45.0, 48.0))
 
 
-def settle(team: Team, ticks: int = FOR_EVER) -> None:
-    for _ in range(ticks):
-        team.tick()
+def settle(team: Team, comm_rounds: int = FOR_EVER) -> None:
+    for _ in range(comm_rounds):
+        team.comm_round()
 
 
 def one_plan_and_distinct_places(team: Team) -> bool:
@@ -101,7 +101,7 @@ def plans_of_the_shuttle(preset: str, rounds: int) -> tuple[Team, list[Plan], li
     held: list[Plan | None] = []
     for x in shuttle(rounds):
         team.begin(groups(x))
-        team.tick()
+        team.comm_round()
         held.append(team.agents[2].plan)
         team.end()
     return team, plans, held

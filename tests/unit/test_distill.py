@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from llm_flock.distill.adapter import Adapter, turned_rows, write_gguf
-from llm_flock.distill.evaluation import Examiner, best_waypoint, judge, motion_figures
+from llm_flock.distill.evaluation import Examiner, best_waypoint, motion_figures, validator
 from llm_flock.distill.examples import (
     HELD_OUT_TEAMS,
     REACH,
@@ -29,7 +29,7 @@ from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
-from llm_flock.protocol.verification import PlanClass, plan_class
+from llm_flock.protocol.verification.plans import PlanClass, plan_class
 
 BRIEF = PromptSet.named("brief")
 
@@ -141,13 +141,13 @@ STEP = StepQuestion(
 def test_answers_are_judged_raw_and_as_they_would_be_flown() -> None:
     assert STEP.goal == (45.0, 50.0) and best_waypoint(STEP) == (36.0, 50.0)
     assert best_waypoint(replace(STEP, position=STEP.goal)) == STEP.goal
-    right = judge(STEP, StepAnswer(waypoint=(35.9, 50.0)))
+    right = validator(STEP, StepAnswer(waypoint=(35.9, 50.0)))
     assert right.parsed and right.within and right.passed and right.error == pytest.approx(0.1)
-    far = judge(STEP, StepAnswer(waypoint=(39.0, 50.0)))
+    far = validator(STEP, StepAnswer(waypoint=(39.0, 50.0)))
     assert not far.within and not far.passed and far.error == 3.0 and far.shielded_error < 1e-9
-    back = judge(STEP, StepAnswer(waypoint=(28.0, 50.0)))
+    back = validator(STEP, StepAnswer(waypoint=(28.0, 50.0)))
     assert back.within and not back.passed and back.error == 8.0 and back.shielded_error == 6.0
-    none = judge(STEP, NoAnswer(cause="answer", reason="nothing"))
+    none = validator(STEP, NoAnswer(cause="answer", reason="nothing"))
     assert not none.parsed and not none.within and none.error == none.shielded_error == 6.0
     figures = motion_figures([right, far, back, none])
     assert (figures.asked, figures.parsed, figures.within, figures.passed) == (4, 0.75, 0.5, 0.25)

@@ -7,9 +7,9 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import Claim, IndexAssignment
-from llm_flock.protocol.consensus import NoConsensus
-from llm_flock.protocol.messages import Pedigree, Table
+from llm_flock.protocol.agreement.assignment import Claim, IndexAssignment
+from llm_flock.protocol.agreement.consensus import NoConsensus
+from llm_flock.protocol.messages.message import Provenance, Table
 from llm_flock.protocol.plan import Plan
 from llm_flock.runtime.episode import Episode, blocked_places
 
@@ -23,10 +23,10 @@ class Mind(Agent):
 
     def __init__(self, plan: Plan | None, mission: Mission = LINE, table: Table | None = None) -> None:
         super().__init__(0, mission, NoConsensus(), IndexAssignment(), shield_on=False)
-        talks = self._talks
-        talks.plan, talks.claim = plan, Claim(slot=0, table=table)
+        agreement = self._agreement
+        agreement.plan, agreement.claim = plan, Claim(slot=0, table=table)
         if plan is not None:
-            talks.pedigree = Pedigree(
+            agreement.provenance = Provenance(
                 mission=0, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=0, sequence=0
             )
 

@@ -7,7 +7,7 @@ import pytest
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol.foresight import Foresight, Reason
+from llm_flock.protocol.motion.committed_path import CommittedPath, Reason
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 
@@ -33,39 +33,39 @@ def asked(position: Point = START, **changes: object) -> StepQuestion:
     return StepQuestion(**fields | changes)  # pyright: ignore[reportArgumentType]
 
 
-def foresee(*way: Point, failure: NoAnswer | None = None, mission: Mission = MISSION) -> Foresight:
+def foresee(*way: Point, failure: NoAnswer | None = None, mission: Mission = MISSION) -> CommittedPath:
     answer = StepAnswer(waypoint=way[0], path=way[1:], instead_of=failure)
-    return Foresight.of(asked(mission=mission), answer, FAR)
+    return CommittedPath.of(asked(mission=mission), answer, FAR)
 
 
-def flown(foresight: Foresight, *places: Point) -> Foresight:
+def flown(committed: CommittedPath, *places: Point) -> CommittedPath:
     """The robot was at START and flew to these places, one a round."""
     here = START
     for place in places:
-        foresight, here = foresight.flown(here, place), place
-    return foresight
+        committed, here = committed.flown(here, place), place
+    return committed
 
 
 def test_a_path_flown_as_foreseen_needs_no_question_and_holds_at_the_goal() -> None:
-    foresight = foresee(*WAY)
+    committed = foresee(*WAY)
     here = START
     for k, waypoint in enumerate(WAY):
-        assert foresight.answer == StepAnswer(waypoint=waypoint, path=WAY[k + 1 :])
-        foresight = foresight.flown(here, waypoint)
+        assert committed.answer == StepAnswer(waypoint=waypoint, path=WAY[k + 1 :])
+        committed = committed.flown(here, waypoint)
         here = waypoint
-        assert foresight.surprise(asked(here), FAR) is None
+        assert committed.surprise(asked(here), FAR) is None
     for _ in range(3):
-        assert foresight.answer == StepAnswer(waypoint=GOAL)
-        foresight = foresight.flown(GOAL, GOAL)
-        assert foresight.surprise(asked(GOAL), {**FAR, 2: (62.0, 50.0)}) is None, "whoever comes near"
+        assert committed.answer == StepAnswer(waypoint=GOAL)
+        committed = committed.flown(GOAL, GOAL)
+        assert committed.surprise(asked(GOAL), {**FAR, 2: (62.0, 50.0)}) is None, "whoever comes near"
 
 
 FAILURE = NoAnswer(cause="answer", reason="none")
 
 
 def test_a_failed_question_is_asked_again_even_at_the_goal() -> None:
-    for foresight in (Foresight.of(asked(), FAILURE, FAR), foresee(*WAY, failure=FAILURE)):
-        assert foresight.flown(START, WAY[0]).surprise(asked(GOAL), FAR) is Reason.NO_ANSWER
+    for committed in (CommittedPath.of(asked(), FAILURE, FAR), foresee(*WAY, failure=FAILURE)):
+        assert committed.flown(START, WAY[0]).surprise(asked(GOAL), FAR) is Reason.NO_ANSWER
 
 
 @pytest.mark.parametrize(
@@ -86,8 +86,8 @@ def test_another_goal_is_a_reason_unless_it_lies_the_same_way(question: StepQues
 
 
 def test_a_goal_that_lies_farther_the_same_way_is_asked_about_where_the_path_ends() -> None:
-    foresight = flown(foresee(*WAY), *WAY)
-    assert foresight.surprise(asked(GOAL, target=(80.0, 50.0)), FAR) is Reason.NEW_GOAL
+    committed = flown(foresee(*WAY), *WAY)
+    assert committed.surprise(asked(GOAL, target=(80.0, 50.0)), FAR) is Reason.NEW_GOAL
     over = flown(foresee(WAY[0]), WAY[0])
     assert over.surprise(asked(WAY[0], target=(80.0, 50.0)), FAR) is Reason.NEW_GOAL
 
@@ -106,10 +106,10 @@ def test_a_goal_that_lies_farther_the_same_way_is_asked_about_where_the_path_end
 def test_a_step_flown_otherwise_is_a_reason_if_it_differs_by_more_than_a_little(
     place: Point, reason: Reason | None
 ) -> None:
-    foresight = flown(foresee(*WAY), place)
-    assert foresight.surprise(asked(place), FAR) is reason
+    committed = flown(foresee(*WAY), place)
+    assert committed.surprise(asked(place), FAR) is reason
     if reason is not None:
-        after = foresight.flown(place, WAY[1])
+        after = committed.flown(place, WAY[1])
         assert after.surprise(asked(WAY[1]), FAR) is None, "the last step counts, not an earlier one"
 
 
@@ -121,13 +121,13 @@ def test_only_a_new_obstacle_in_the_way_that_is_left_is_a_reason() -> None:
     def with_disc(*center: float) -> Mission:
         return MISSION.model_copy(update={"obstacles": (Obstacle(center=center, radius=1.0),)})
 
-    def meets(foresight: Foresight, *center: float) -> Reason | None:
-        return foresight.surprise(asked(WAY[0], mission=with_disc(*center)), FAR)
+    def meets(committed: CommittedPath, *center: float) -> Reason | None:
+        return committed.surprise(asked(WAY[0], mission=with_disc(*center)), FAR)
 
-    foresight = flown(foresee(*WAY), WAY[0])
-    assert meets(foresight, 54.0, 52.0) is Reason.OBSTACLE
-    assert meets(foresight, 54.0, 52.6) is None
-    assert meets(foresight, 44.0, 50.0) is None
+    committed = flown(foresee(*WAY), WAY[0])
+    assert meets(committed, 54.0, 52.0) is Reason.OBSTACLE
+    assert meets(committed, 54.0, 52.6) is None
+    assert meets(committed, 44.0, 50.0) is None
     knowing = flown(foresee(*WAY, mission=with_disc(54.0, 52.0)), WAY[0])
     assert meets(knowing, 54.0, 52.0) is None
 
@@ -144,5 +144,5 @@ def test_only_a_new_obstacle_in_the_way_that_is_left_is_a_reason() -> None:
 def test_a_robot_that_was_not_in_sight_and_comes_near_the_way_is_a_reason(
     robot: int, place: Point, reason: Reason | None
 ) -> None:
-    foresight = flown(foresee(*WAY), WAY[0])
-    assert foresight.surprise(asked(WAY[0]), {robot: place}) is reason
+    committed = flown(foresee(*WAY), WAY[0])
+    assert committed.surprise(asked(WAY[0]), {robot: place}) is reason

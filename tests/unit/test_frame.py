@@ -17,8 +17,8 @@ from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import check_answer
-from llm_flock.protocol.verification import check_plan
+from llm_flock.protocol.verification.plans import check_plan
+from llm_flock.protocol.verification.steps import check_answer
 
 MISSION = build_mission(shape="circle", n_robots=5, center=(40.0, 55.0), velocity=(1.0, -0.5), obstacles=[
     {"center": [10.0, 10.0], "radius": 2.0}, {"polygon": [[90.0, 90.0], [95.0, 90.0], [90.0, 95.0]]}

@@ -10,27 +10,27 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskStep,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
-    NegotiationEnded,
     Note,
     Planned,
     Received,
     RoundBegan,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.gathering import HOLD, LINK, WITHIN, landing, meeting_places, meeting_point
-from llm_flock.protocol.messages import NO_OWNER, Entry, Message, Pedigree
+from llm_flock.protocol.membership.all_to_all import ROUNDS, VERSION
+from llm_flock.protocol.membership.rendezvous import HOLD, LINK, WITHIN, landing, meeting_places, meeting_point
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import NO_OWNER, Entry, Message, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.protocol.rollcall import ROUNDS, VERSION
 
 SQUARE = Mission(shape="square", n_robots=40, arena=((-100, -100), (200, 200)))
 PLAN = Plan.of(SQUARE.ideal or ())
@@ -81,13 +81,13 @@ def test_an_obstacle_on_the_circle_keeps_the_places_where_they_are() -> None:
 
 
 def test_a_robot_that_misses_most_of_a_large_team_goes_there() -> None:
-    agent = Agent(0, SQUARE, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[0]
     agent.handle(RoundBegan(round=1, position=here, sensed={}, observed=(), neighbors=0))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
-    for event in (TickBegan(), TickEnded()):
+    for event in (CommRoundBegan(), CommRoundEnded()):
         agent.handle(event)
-    effects = agent.handle(NegotiationEnded())
+    effects = agent.handle(AgreementEnded())
     ask = effects[-1]
     assert isinstance(ask, AskStep) and agent.claim.slot == 0
     assert ask.question.target == meeting_places(SQUARE, PLAN, owned(1)).points[0] != here
@@ -176,10 +176,10 @@ def test_who_is_not_on_the_circle_does_not_count() -> None:
 
 def message(sender: int, version: int) -> bytes:
     """A robot at its own place of the plan; all claims are of this version."""
-    origin = Pedigree(mission=0, mission_digest=SQUARE.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
+    origin = Provenance(mission=0, mission_digest=SQUARE.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
     table = tuple((version, -1.0, (a + 1) % len(PLAN)) for a in range(len(PLAN)))
     slot = (sender - 1) % len(PLAN)
-    return encode(Message(sender=sender, sequence=0, neighbors=1, plan=PLAN, pedigree=origin, slot=slot, table=table))
+    return encode(Message(sender=sender, sequence=0, neighbors=1, plan=PLAN, provenance=origin, slot=slot, table=table))
 
 
 def flown(agent: Agent, number: int, here: Point, *heard: bytes) -> list[Effect]:
@@ -187,11 +187,11 @@ def flown(agent: Agent, number: int, here: Point, *heard: bytes) -> list[Effect]
     asked = agent.handle(RoundBegan(round=number, position=here, sensed={}, observed=(), neighbors=len(heard)))
     if asked:
         agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
-    agent.handle(TickBegan())
+    agent.handle(CommRoundBegan())
     for payload in heard:
         agent.handle(Received(payload))
-    agent.handle(TickEnded())
-    effects = agent.handle(NegotiationEnded())
+    agent.handle(CommRoundEnded())
+    effects = agent.handle(AgreementEnded())
     if isinstance(effects[-1], AskStep):
         agent.handle(Decided(StepAnswer(waypoint=here)))
     agent.handle(Arrived())
@@ -204,7 +204,7 @@ def target(effects: list[Effect]) -> Point | None:
 
 
 def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
-    agent = Agent(0, SQUARE, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = meeting_places(SQUARE, PLAN, owned(1)).points[5]
     effects = list[Effect]()
     for number in range(1, ROUNDS + 1):
@@ -217,7 +217,7 @@ def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
 
 
 def test_it_leaves_when_the_roll_has_given_places_to_all_that_it_hears() -> None:
-    agent = Agent(0, SQUARE, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[5]
     for number in range(1, ROUNDS + 1):
         flown(agent, number, here)
@@ -229,7 +229,7 @@ def test_it_leaves_when_the_roll_has_given_places_to_all_that_it_hears() -> None
 def test_where_there_is_no_circle_it_searches_on() -> None:
     there = meeting_places(SQUARE, PLAN, owned(1)).points[3]
     walled = SQUARE.model_copy(update={"obstacles": (Obstacle(center=there, radius=1.0),)})
-    agent = Agent(0, walled, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    agent = Agent(0, walled, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     effects = list[Effect]()
     for number in range(1, ROUNDS + 2):
         effects = flown(agent, number, PLAN.points[5])

@@ -1,11 +1,11 @@
 """What a robot has heard: the newest of each, understood once, and never more than it can hold."""
 
-from llm_flock.protocol.inbox import NO_PROOFS, REMEMBERED, Inbox
-from llm_flock.protocol.messages import Message, Stamp
+from llm_flock.protocol.messages.inbox import NO_PROOFS, REMEMBERED, Inbox
+from llm_flock.protocol.messages.message import Message, MissionStamp
 
 
 def message(sender: int, sequence: int = 0) -> Message:
-    return Message(sender=sender, sequence=sequence, neighbors=0, mission=Stamp(0, "0" * 16))
+    return Message(sender=sender, sequence=sequence, neighbors=0, mission=MissionStamp(0, "0" * 16))
 
 
 def test_the_newest_message_of_each_sender_is_handed_over_once() -> None:

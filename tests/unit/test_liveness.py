@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from llm_flock.protocol.liveness import Liveness, patience
+from llm_flock.protocol.membership.liveness import Liveness, patience
 
 NOBODY = frozenset[int]()
 

@@ -7,12 +7,21 @@ import msgspec.structs
 import pytest
 
 from llm_flock.errors import MessageError
-from llm_flock.protocol.codec import WIRE_VERSION, decode, encode, max_payload_bytes
-from llm_flock.protocol.messages import BLOCKED, LAST_STAMP, UNSAID, Message, Offer, Pedigree, Stamp, table_digest
+from llm_flock.protocol.messages.codec import WIRE_VERSION, decode, encode, max_payload_bytes
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    LAST_STAMP,
+    UNSAID,
+    Message,
+    MissionStamp,
+    Offer,
+    Provenance,
+    table_digest,
+)
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
-ORIGIN = Pedigree(mission=0, mission_digest="ab" * 8, epoch=0, neighbors=1, proposer=1, sequence=0)
+ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, neighbors=1, proposer=1, sequence=0)
 TABLE = ((0, -1.5, 1), UNSAID)
 FULL = Message(
     sender=1,
@@ -20,7 +29,7 @@ FULL = Message(
     neighbors=1,
     mission_text='{"shape": "circle"}',
     plan=PLAN,
-    pedigree=ORIGIN,
+    provenance=ORIGIN,
     slot=0,
     table=TABLE,
     table_digest=table_digest(TABLE),
@@ -35,7 +44,7 @@ FIELDS = [
     "mission",
     "mission_digest",
     "mission_text",
-    "pedigree",
+    "provenance",
     "places",
     "plan_digest",
     "plan",
@@ -56,7 +65,7 @@ def spoiled(version: int = WIRE_VERSION, **changes: Any) -> bytes:
     return bytes([version]) + msgspec.msgpack.encode(list((wire | changes).values()))
 
 
-def pedigree(**changes: Any) -> list[Any]:
+def provenance(**changes: Any) -> list[Any]:
     return list((dict(zip(PEDIGREE, (0, 1, 1, 0), strict=True)) | changes).values())
 
 
@@ -65,14 +74,14 @@ def pedigree(**changes: Any) -> list[Any]:
     [
         FULL,
         Message(sender=0, sequence=0, neighbors=0),
-        Message(sender=0, sequence=0, neighbors=0, mission=Stamp(4, "cd" * 8)),
-        Message(sender=0, sequence=1, neighbors=1, plan_digest=PLAN.digest, places=2, pedigree=ORIGIN, slot=1),
+        Message(sender=0, sequence=0, neighbors=0, mission=MissionStamp(4, "cd" * 8)),
+        Message(sender=0, sequence=1, neighbors=1, plan_digest=PLAN.digest, places=2, provenance=ORIGIN, slot=1),
         Message(
             sender=0,
             sequence=1,
             neighbors=1,
             plan=PLAN,
-            pedigree=ORIGIN,
+            provenance=ORIGIN,
             table=(UNSAID, (3, 0.0, BLOCKED)),
             table_digest="0f" * 8,
         ),
@@ -86,14 +95,14 @@ def test_what_is_said_is_heard(message: Message) -> None:
 def test_slots_left_out_cost_nothing() -> None:
     table = ((1, -2.0, 0), *(UNSAID for _ in range(99)))
     plan = Plan.of([[float(k), 0.0] for k in range(100)])
-    said = Message(sender=0, sequence=0, neighbors=0, plan=plan, pedigree=ORIGIN, table=table, table_digest="00" * 8)
+    said = Message(sender=0, sequence=0, neighbors=0, plan=plan, provenance=ORIGIN, table=table, table_digest="00" * 8)
     named = Message(
         sender=0,
         sequence=0,
         neighbors=0,
         plan_digest=plan.digest,
         places=100,
-        pedigree=ORIGIN,
+        provenance=ORIGIN,
         table=table,
         table_digest="00" * 8,
     )
@@ -124,10 +133,10 @@ def test_slots_left_out_cost_nothing() -> None:
         (spoiled(neighbors=2), "unknown_id"),
         (spoiled(claims=[[0, 0, -1.0, 7]]), "unknown_id"),
         (spoiled(claims=[[0, 0, -1.0, -3]]), "malformed"),
-        (spoiled(pedigree=pedigree(proposer=9)), "unknown_id"),
-        (spoiled(pedigree=pedigree(neighbors=2)), "unknown_id"),
-        (spoiled(pedigree=None), "malformed"),
-        (spoiled(plan=None, plan_digest=None, pedigree=None), "malformed"),
+        (spoiled(provenance=provenance(proposer=9)), "unknown_id"),
+        (spoiled(provenance=provenance(neighbors=2)), "unknown_id"),
+        (spoiled(provenance=None), "malformed"),
+        (spoiled(plan=None, plan_digest=None, provenance=None), "malformed"),
         (spoiled(plan_digest=None), "malformed"),
         (spoiled(table_digest=None), "malformed"),
         (spoiled(places=0, plan=None), "wrong_length"),
@@ -171,7 +180,7 @@ def test_a_full_table_of_a_large_team_fits() -> None:
         neighbors=n - 1,
         mission_text=str(plan.points),
         plan=plan,
-        pedigree=ORIGIN,
+        provenance=ORIGIN,
         slot=0,
         table=table,
         table_digest=table_digest(table),

@@ -7,27 +7,27 @@ from one_flight import LINE, PLAN, Flight, make, says
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import Claim, Moment
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskStep,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
-    Looked,
     MissionGiven,
     MoveTo,
-    NegotiationEnded,
     Note,
     Received,
-    TickBegan,
-    TickEnded,
+    Sensed,
 )
-from llm_flock.protocol.messages import UNSAID, Table, table_digest
+from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS, mission_text
+from llm_flock.protocol.messages.message import UNSAID, Table, table_digest
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer
-from llm_flock.protocol.speech import REMEMBERED_PLANS, mission_text
 
 
 def kinds(effects: list[Effect]) -> list[str]:
@@ -42,7 +42,7 @@ def test_a_mission_over_the_radio_voids_what_belonged_to_the_one_before() -> Non
     (note,) = flight.agent.handle(Received(says(1, mission=new, counter=1, text=mission_text(new))))
     assert isinstance(note, Note) and note.kind == "mission" and note.detail["counter"] == 1
     assert flight.agent.mission == new and flight.agent.plan is None and flight.agent.claim.slot is None
-    flight.tick()
+    flight.comm_round()
     effects = flight.end()
     assert kinds(effects) == ["held"], "this round it has no plan any more"
     flight.begin()
@@ -59,7 +59,7 @@ def test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first(coun
         flight = Flight(make())
         flight.begin()
         for mission in order:
-            flight.tick(says(1, mission=mission, counter=stamps[mission.digest], text=mission_text(mission)))
+            flight.comm_round(says(1, mission=mission, counter=stamps[mission.digest], text=mission_text(mission)))
         assert flight.agent.mission == wanted
 
 
@@ -69,16 +69,16 @@ def test_a_plan_counts_only_with_its_mission() -> None:
     ahead = Plan.of(new.ideal or ())
     flight = Flight(make())
     flight.begin()
-    flight.tick(says(1, mission=new, counter=1, plan=ahead))
+    flight.comm_round(says(1, mission=new, counter=1, plan=ahead))
     assert flight.agent.plan == PLAN and flight.agent.mission == LINE
     flight.end()
     flight.agent.handle(MissionGiven(mission=new))
     flight.begin()
     assert flight.agent.plan == PLAN, "the stand-in planner proposes it again"
-    flight.tick(says(1, plan=ahead))
-    assert flight.agent.plan == PLAN and flight.agent.pedigree is not None
-    assert flight.agent.pedigree.mission_digest == new.digest
-    flight.tick(says(2, mission=new, counter=1, plan=ahead, beats=None))
+    flight.comm_round(says(1, plan=ahead))
+    assert flight.agent.plan == PLAN and flight.agent.provenance is not None
+    assert flight.agent.provenance.mission_digest == new.digest
+    flight.comm_round(says(2, mission=new, counter=1, plan=ahead, beats=None))
     assert flight.agent.plan == ahead
 
 
@@ -87,13 +87,13 @@ def test_a_plan_that_is_only_named_is_followed_if_it_was_said_in_full_before() -
     flight = Flight(make(), plan=Plan.of([[x, y + 1.0] for x, y in PLAN.points]))
     flight.begin()
     own = flight.agent.plan
-    flight.tick(named)
+    flight.comm_round(named)
     assert flight.agent.plan == own, "nobody ever said which plan that is"
-    flight.tick(says(1, plan=PLAN))
+    flight.comm_round(says(1, plan=PLAN))
     assert flight.agent.plan == PLAN
     wrong = says(2, plan=PLAN, named_only=True, places=2)
     before = flight.agent.claim
-    flight.tick(wrong)
+    flight.comm_round(wrong)
     assert flight.agent.plan == PLAN and flight.agent.claim == before
 
 
@@ -103,9 +103,9 @@ def test_whoever_floods_the_radio_with_plans_does_not_fill_the_memory() -> None:
     for k in range(REMEMBERED_PLANS + 1):
         flight.agent.handle(Received(says(1, plan=Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]))))
     first, last = (Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]) for k in (0, REMEMBERED_PLANS))
-    flight.agent.handle(TickEnded())
+    flight.agent.handle(CommRoundEnded())
     assert flight.agent.plan == last
-    flight.tick(says(2, plan=first, named_only=True))
+    flight.comm_round(says(2, plan=first, named_only=True))
     assert flight.agent.plan == last
 
 
@@ -117,9 +117,9 @@ def test_a_moving_mission_heard_in_a_round_is_seen_from_its_own_frame_at_once() 
         flight.round()
     flight.begin()
     travelled = Plan.of(LINE.ideal or ())
-    flight.agent.handle(TickBegan())
+    flight.agent.handle(CommRoundBegan())
     flight.agent.handle(Received(says(1, mission=moving, counter=1, text=mission_text(moving), plan=travelled)))
-    flight.agent.handle(TickEnded())
+    flight.agent.handle(CommRoundEnded())
     # At the beginning of round 4 the centre has made two of its steps: in its frame the robot is 4 units back.
     assert flight.agent.plan == travelled and flight.agent.claim.bids is not None
     distances = [-bid for bid in flight.agent.claim.bids]
@@ -145,8 +145,8 @@ def test_along_a_path_in_a_moving_frame_the_robot_asks_once_and_keeps_its_place(
     asked = 0
     for number in range(1, 6):
         flight.begin()
-        flight.tick()
-        effects = flight.agent.handle(NegotiationEnded())
+        flight.comm_round()
+        effects = flight.agent.handle(AgreementEnded())
         if isinstance(effects[-1], AskStep):
             asked += 1
             effects = flight.agent.handle(Decided(StepAnswer(waypoint=effects[-1].question.goal)))
@@ -163,10 +163,10 @@ def test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for() -> 
     flight.begin()
     same = says(1, plan=PLAN)
     for _ in range(2):
-        flight.tick(same)
+        flight.comm_round(same)
     assert flight.agent.plan == PLAN
     flight.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2)))
-    flight.tick(same)
+    flight.comm_round(same)
     assert flight.agent.plan is None
 
 
@@ -176,7 +176,7 @@ def test_a_robot_is_quiet_when_another_exchange_would_change_nothing() -> None:
     same, bad = says(1, plan=PLAN), says(2, plan=Plan.of([[50.0, 50.0], [50.1, 50.0], [49.9, 50.0]]))
     quiet: list[bool] = []
     for heard in ([same], [same], [same], [same, bad], [same, bad], [same], [b"junk"], [same], [same]):
-        flight.tick(*heard)
+        flight.comm_round(*heard)
         quiet.append(flight.agent.quiet)
     assert quiet == [False, False, True, False, False, True, False, False, True]
     assert flight.agent.rejected == {"unverified_plan": 2, "version": 1}
@@ -190,46 +190,46 @@ class Counting:
     def __init__(self) -> None:
         self.asked = 0
 
-    def take(self, now: Moment) -> Claim:
+    def take(self, now: AssignmentInput) -> Claim:
         return AuctionAssignment().take(now)
 
-    def update(self, claim: Claim, now: Moment) -> Claim:
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
         self.asked += 1
         return AuctionAssignment().update(claim, now)
 
 
 def test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new() -> None:
     rule = Counting()
-    agent = Agent(0, LINE, PedigreeConsensus(), rule, shield_on=True, verify=False, time_out=2)
+    agent = Agent(0, LINE, ProvenanceConsensus(), rule, shield_on=True, verify=False, time_out=2)
     flight = Flight(agent)
     flight.begin({1: PLAN.points[2]})
     same = says(1, plan=PLAN)
     for _ in range(6):
-        flight.tick(same)
+        flight.comm_round(same)
     settled = rule.asked
     assert settled < 6
-    flight.tick(same)
-    flight.tick(says(1, (0, 5, 0), plan=PLAN))
+    flight.comm_round(same)
+    flight.comm_round(says(1, (0, 5, 0), plan=PLAN))
     assert rule.asked == settled, "heartbeats are no matter of rules"
     other = says(1, plan=PLAN, places=3, table=(UNSAID, UNSAID, (0, -1.0, 1)))
-    flight.tick(other)
+    flight.comm_round(other)
     assert rule.asked == settled + 1, "another claim"
-    flight.tick(other)
+    flight.comm_round(other)
     settled = rule.asked
-    agent.handle(Looked(position=(30.0, 50.0), neighbors=1, sensed={1: PLAN.points[2]}, observed=()))
-    flight.tick(other)
+    agent.handle(Sensed(position=(30.0, 50.0), neighbors=1, sensed={1: PLAN.points[2]}, observed=()))
+    flight.comm_round(other)
     assert rule.asked == settled + 1, "another position"
 
 
 def test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own() -> None:
     rule = Counting()
-    agent = Agent(0, LINE, PedigreeConsensus(), rule, shield_on=True, verify=False, time_out=2)
+    agent = Agent(0, LINE, ProvenanceConsensus(), rule, shield_on=True, verify=False, time_out=2)
     flight = Flight(agent)
     flight.begin()
 
     def hear(whole: Table, slots: set[int]) -> int:
         part = tuple(entry if a in slots else UNSAID for a, entry in enumerate(whole))
-        flight.tick(says(1, plan=PLAN, table=part, table_digest=table_digest(whole)))
+        flight.comm_round(says(1, plan=PLAN, table=part, table_digest=table_digest(whole)))
         return rule.asked
 
     table: Table = ((0, -0.0, 0), (0, -5.0, 2), (0, 0.0, 1))

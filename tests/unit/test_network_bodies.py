@@ -9,7 +9,7 @@ import pytest
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.shield_async import Sighting
+from llm_flock.protocol.motion.shield_async import Sighting
 from llm_flock.runtime.network.bodies import Bodies
 from llm_flock.runtime.network.body import Pilotage
 from llm_flock.runtime.network.wire import Body, Command

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from llm_flock.protocol.projection import HalfSpace, nearest_move, relaxed_move
+from llm_flock.protocol.motion.projection import HalfSpace, nearest_move, relaxed_move
 
 
 def axis(dim: int, k: int, sign: float = 1.0) -> tuple[float, ...]:

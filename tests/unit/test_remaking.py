@@ -6,14 +6,14 @@ import pytest
 from one_flight import LINE, PLAN, Flight, make, says
 
 from llm_flock.mission import Mission
+from llm_flock.protocol.membership.replanning import MOST_WAIT, REMAKE_PATIENCE, Gaps
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.remaking import MOST_WAIT, REMAKE_PATIENCE, Gaps
 
 
 @pytest.mark.parametrize(("robot", "waits"), [(0, 1), (2, 2)])
 def test_who_is_alive_and_has_the_lowest_id_remakes_the_plan_first(robot: int, waits: int) -> None:
     """Robot 1 is silent, so robot 2 counts as the second."""
-    flight = Flight(make(robot, gaps="remake"), here=PLAN.points[robot])
+    flight = Flight(make(robot, gaps="replan"), here=PLAN.points[robot])
     other = 2 - robot
     count = 0
     while len(flight.asked) < 2 and count < 40:
@@ -24,11 +24,11 @@ def test_who_is_alive_and_has_the_lowest_id_remakes_the_plan_first(robot: int, w
     # Robot 1 is silent from round 4 on; then the plan must not fit for more than REMAKE_PATIENCE rounds and a rank.
     assert flight.number == 4 + REMAKE_PATIENCE + waits
     assert waits <= MOST_WAIT
-    assert flight.agent.pedigree is not None and flight.agent.pedigree.epoch == 1
+    assert flight.agent.provenance is not None and flight.agent.provenance.epoch == 1
 
 
 def test_who_sees_the_body_that_is_in_the_way_remakes_the_plan_at_once_and_is_told_of_it() -> None:
-    flight = Flight(make(2, gaps="remake"), here=PLAN.points[2])
+    flight = Flight(make(2, gaps="replan"), here=PLAN.points[2])
     body = {1: PLAN.points[1]}
     for number in range(1, 4 + REMAKE_PATIENCE + 1):
         assert len(flight.asked) <= 1
@@ -39,7 +39,7 @@ def test_who_sees_the_body_that_is_in_the_way_remakes_the_plan_at_once_and_is_to
 CROSS = Mission(shape="cross", n_robots=5, comm_range=60)
 
 
-@pytest.mark.parametrize(("mission", "gaps"), [(LINE, "report"), (CROSS, "remake")])
+@pytest.mark.parametrize(("mission", "gaps"), [(LINE, "report"), (CROSS, "replan")])
 def test_gaps_are_kept_where_they_are_to_be_reported_and_where_no_smaller_shape_exists(
     mission: Mission, gaps: Gaps
 ) -> None:
@@ -55,13 +55,13 @@ def test_gaps_are_kept_where_they_are_to_be_reported_and_where_no_smaller_shape_
 def test_a_smaller_plan_is_followed_only_where_plans_are_remade() -> None:
     smaller = Plan.of(LINE.resized(2).ideal or ())
     origin = says(1, plan=smaller)
-    choices: tuple[tuple[Gaps, bool], ...] = (("remake", True), ("report", False))
+    choices: tuple[tuple[Gaps, bool], ...] = (("replan", True), ("report", False))
     for gaps, followed in choices:
         flight = Flight(make(gaps=gaps, verify=True))
         flight.begin()
-        flight.tick(origin)
+        flight.comm_round(origin)
         assert (flight.agent.plan == smaller) is followed
-    flight = Flight(make(gaps="remake", verify=True))
+    flight = Flight(make(gaps="replan", verify=True))
     flight.begin()
-    flight.tick(says(1, plan=Plan.of([[50.0, 50.0], [90.0, 90.0]])))
+    flight.comm_round(says(1, plan=Plan.of([[50.0, 50.0], [90.0, 90.0]])))
     assert flight.agent.plan == PLAN and flight.agent.rejected["unverified_plan"] == 1

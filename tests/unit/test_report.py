@@ -108,8 +108,8 @@ def test_figures_of_everything_that_was_measured(results: Results) -> None:
     assert "bootstrap" in captions["calls"] and "baseline: without consensus" in captions["error-by-protocol"]
 
 
-@pytest.mark.parametrize(("values", "ticks"), [(("0.1", "0.3"), False), (("none", "loss"), True)])
-def test_axes_of_the_grid_are_drawn(tmp_path: Path, values: tuple[str, str], ticks: bool) -> None:
+@pytest.mark.parametrize(("values", "comm_rounds"), [(("0.1", "0.3"), False), (("none", "loss"), True)])
+def test_axes_of_the_grid_are_drawn(tmp_path: Path, values: tuple[str, str], comm_rounds: bool) -> None:
     for number, value in enumerate(values):
         for seed in range(3):
             one = trial("circle", 10, "flock", seed)
@@ -118,11 +118,11 @@ def test_axes_of_the_grid_are_drawn(tmp_path: Path, values: tuple[str, str], tic
             )
             assert one.axes == {}
     found = Results.read(tmp_path)
-    assert found.axes == {"loss": values if not ticks else tuple(found.axes["loss"])}
+    assert found.axes == {"loss": values if not comm_rounds else tuple(found.axes["loss"])}
     drawn = {drawing.name: drawing for drawing in along_axes(found, "student")}
     assert set(drawn) == {"formed-along-loss", "error-along-loss", "calls-along-loss"}
     labels = [text.get_text() for text in drawn["formed-along-loss"].figure.axes[0].get_xticklabels()]
-    assert (set(labels) == set(values)) is ticks
+    assert (set(labels) == set(values)) is comm_rounds
 
 
 def test_one_trial_of_one_robot_is_enough(tmp_path: Path) -> None:

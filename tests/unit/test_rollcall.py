@@ -13,25 +13,34 @@ from msgspec.structs import replace
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import Claim, Moment
-from llm_flock.protocol.auction import AuctionAssignment, gain
-from llm_flock.protocol.codec import encode
-from llm_flock.protocol.consensus import PedigreeConsensus
+from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol.agreement.auction import AuctionAssignment, gain
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.events import Received, RoundBegan
-from llm_flock.protocol.messages import LAST_STAMP, NO_OWNER, UNSAID, Message, Pedigree, Roll, Sighting, Stamp
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.rollcall import (
+from llm_flock.protocol.membership.all_to_all import (
     LARGEST,
     MOVED,
     PATIENCE,
     ROUNDS,
     SECOND,
     VERSION,
-    RollCall,
+    AllToAll,
     assigned,
-    by_roll,
+    given_all_to_all,
 )
-from llm_flock.protocol.search import MANY
+from llm_flock.protocol.membership.search import MANY
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import (
+    LAST_STAMP,
+    NO_OWNER,
+    UNSAID,
+    Message,
+    MissionStamp,
+    Provenance,
+    Roll,
+    Sighting,
+)
+from llm_flock.protocol.plan import Plan
 
 N = MANY + 1
 ROW = Plan.of([[10.0 * k, 0.0] for k in range(N)])
@@ -47,27 +56,27 @@ def sightings(n: int, stamp: int = 0, mark: Point = ()) -> dict[int, Sighting]:
 
 
 def say(
-    call: RollCall, where: Point, *, greeting: bool = True, waits_at: Point | None = None, settled: bool = False
+    call: AllToAll, where: Point, *, greeting: bool = True, waits_at: Point | None = None, settled: bool = False
 ) -> dict[int, Sighting] | None:
     return call.say(where, waits_at=waits_at, greeting=greeting, settled=settled, spacing=SPACING)
 
 
-def later(n: int = N, rounds: int = ROUNDS + 1) -> RollCall:
-    call = RollCall(0, n)
+def later(n: int = N, rounds: int = ROUNDS + 1) -> AllToAll:
+    call = AllToAll(0, n)
     for _ in range(rounds):
         call.begin_round()
     return call
 
 
 def test_news_travel_a_robot_a_tick_and_everything_is_said_once_a_round() -> None:
-    calls = [RollCall(robot, N) for robot in range(N)]
-    for tick in range(N - 1):
-        said = [say(call, where, greeting=tick == 0) for call, where in zip(calls, starts(N), strict=True)]
+    calls = [AllToAll(robot, N) for robot in range(N)]
+    for comm_round in range(N - 1):
+        said = [say(call, where, greeting=comm_round == 0) for call, where in zip(calls, starts(N), strict=True)]
         for robot, call in enumerate(calls):
             for neighbor in (robot - 1, robot + 1):
                 if 0 <= neighbor < N:
                     call.hear(said[neighbor] or {})
-        assert tick == N - 2 or calls[0].complete(ROW) is None
+        assert comm_round == N - 2 or calls[0].complete(ROW) is None
     assert [call.complete(ROW) for call in calls] == [(VERSION, tuple(starts(N)))] * N
     assert say(calls[0], (5.0, 5.0), greeting=False) == {N - 1: (0, starts(N)[-1], ())}, "the last that it heard of"
     assert say(calls[0], (5.0, 5.0), greeting=False) is None, "and nothing is said twice"
@@ -75,7 +84,7 @@ def test_news_travel_a_robot_a_tick_and_everything_is_said_once_a_round() -> Non
 
 
 def test_the_places_are_given_out_once_for_each_plan() -> None:
-    call = RollCall(0, N)
+    call = AllToAll(0, N)
     call.hear(sightings(N))
     other = Plan.of([[10.0 * k, 5.0] for k in range(N)])
     assert call.complete(ROW) is not None and call.complete(ROW) is None
@@ -96,13 +105,13 @@ def test_positions_that_are_no_longer_true_are_forgotten_and_a_new_mission_calls
 
 
 def test_small_teams_call_no_roll() -> None:
-    call = RollCall(0, MANY)
+    call = AllToAll(0, MANY)
     call.begin_round()
     assert say(call, (0.0, 0.0)) is None
     call.hear(sightings(MANY))
     assert call.complete(ROW) is None
     assert not later(MANY).waiting
-    assert RollCall(0, 0).complete(ROW) is None, "nor does one whose claims are signed"
+    assert AllToAll(0, 0).complete(ROW) is None, "nor does one whose claims are signed"
 
 
 def test_later_on_those_who_wait_say_where_and_say_it_anew_when_they_have_moved() -> None:
@@ -145,7 +154,7 @@ def test_the_newest_is_believed_and_who_was_restarted_counts_on_from_its_former_
 
 def test_one_waits_until_nobody_new_is_heard_of_for_long() -> None:
     call = later()
-    assert not RollCall(0, N).waiting
+    assert not AllToAll(0, N).waiting
     for _ in range(2 * PATIENCE):
         call.wait(there=False)
     for _ in range(PATIENCE):
@@ -184,8 +193,8 @@ def test_places_that_are_left_over_are_free_and_robots_may_be_left_over_too() ->
     assert [owner for _, _, owner in assigned(few, (VERSION, ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0))))] == [1, 2]
 
 
-def moment(roll: Roll | None) -> Moment:
-    return Moment(
+def moment(roll: Roll | None) -> AssignmentInput:
+    return AssignmentInput(
         robot=1,
         position=(0.0, 0.0),
         plan=ROW,
@@ -201,19 +210,19 @@ def moment(roll: Roll | None) -> Moment:
 def test_the_auction_gives_way_to_the_roll_and_exchanges_go_on_from_there() -> None:
     rule = AuctionAssignment()
     claim = rule.take(moment(None))
-    assert claim.slot == 0 and not by_roll(claim.table, 0)
+    assert claim.slot == 0 and not given_all_to_all(claim.table, 0)
     # Robot 0 is nearer to the first place: by the roll it is not for robot 1, which had bid for it.
     roll = (VERSION, ((-5.0, 0.0), (0.0, 0.0), *((10.0 * k, 0.0) for k in range(2, N))))
     claim = rule.update(claim, moment(roll))
-    assert claim.slot == 1 and claim.table is not None and by_roll(claim.table, 1)
+    assert claim.slot == 1 and claim.table is not None and given_all_to_all(claim.table, 1)
     assert sorted(owner for _, _, owner in claim.table) == list(range(N))
     assert rule.update(claim, moment(None)) == claim
-    assert not by_roll(None, 0)
+    assert not given_all_to_all(None, 0)
 
 
 def test_places_of_a_roll_are_exchanged_by_straight_ways() -> None:
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
-    now = Moment(
+    now = AssignmentInput(
         robot=0,
         position=(99.0, 0.0),
         plan=ring,
@@ -237,25 +246,25 @@ def test_a_place_of_the_roll_is_not_handed_on_along_the_formation(version: int, 
     """Across a ring one flies straight to a place of the roll; one that was won by bids moves up, place by place."""
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     table = tuple((version, -1.0, {30: 0, 1: 1}.get(slot, k)) for slot, k in zip(range(60), range(2, 62), strict=True))
-    origin = Pedigree(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
-    heard = Message(sender=1, sequence=0, neighbors=0, plan=ring, pedigree=origin, slot=1, table=table)
+    origin = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+    heard = Message(sender=1, sequence=0, neighbors=0, plan=ring, provenance=origin, slot=1, table=table)
     now = replace(moment(None), robot=0, position=(99.0, 0.0), plan=ring, heard=(heard,), sensed={1: ring.points[1]})
     claim = AuctionAssignment().update(Claim(slot=30, table=table, bids=(-1.0,) * 60), now)
     assert claim.slot == 30 and (claim.offer is not None) == offered
 
 
 def test_an_entry_left_out_is_below_every_roll() -> None:
-    assert not by_roll((UNSAID,), 0) and not by_roll(((VERSION, 0.0, 3),), None)
+    assert not given_all_to_all((UNSAID,), 0) and not given_all_to_all(((VERSION, 0.0, 3),), None)
 
 
 def test_a_robot_keeps_what_it_hears_of_the_roll() -> None:
     mission = Mission(shape="circle", n_robots=N, spacing=6.0)
-    agent = Agent(0, mission, PedigreeConsensus(), AuctionAssignment(), shield_on=True)
+    agent = Agent(0, mission, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     agent.handle(RoundBegan(round=1, position=(48.0, 50.0), neighbors=1, sensed={1: (50.0, 50.0)}, observed=()))
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
-    message = Message(sender=1, sequence=0, neighbors=1, mission=Stamp(0, mission.digest), roll=heard)
+    message = Message(sender=1, sequence=0, neighbors=1, mission=MissionStamp(0, mission.digest), roll=heard)
     agent.handle(Received(encode(message)))
-    assert {robot: agent._talks.roll.known[robot] for robot in heard} == heard
-    elsewhere = msgspec.structs.replace(message, mission=Stamp(0, "0" * 16), roll={3: (0, (9.0, 9.0), ())})
+    assert {robot: agent._agreement.roll.known[robot] for robot in heard} == heard
+    elsewhere = msgspec.structs.replace(message, mission=MissionStamp(0, "0" * 16), roll={3: (0, (9.0, 9.0), ())})
     agent.handle(Received(encode(elsewhere)))
-    assert 3 not in agent._talks.roll.known
+    assert 3 not in agent._agreement.roll.known

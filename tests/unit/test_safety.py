@@ -10,9 +10,9 @@ from llm_flock.metrics import min_separation, segment_separation
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle, segment_clearance
 from llm_flock.protocol.events import Note, Origin
-from llm_flock.protocol.progress import LAP, PATIENCE, Progress, detour, watch
-from llm_flock.protocol.safety import Safety
-from llm_flock.protocol.shield import told_apart
+from llm_flock.protocol.motion.progress import LAP, PATIENCE, GoalProgress, detour, watch
+from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.shield import told_apart
 
 SAFE = 3.0
 
@@ -186,7 +186,7 @@ def test_noise_that_could_explain_it_is_no_crowd() -> None:
 
 
 def test_progress_is_counted_and_a_new_goal_begins_anew() -> None:
-    def seen(last: Progress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> Progress:
+    def seen(last: GoalProgress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> GoalProgress:
         return watch(last, (x, 0.0), goal, gain=0.3, within=0.5, lap=LAP)
 
     state = seen(None, 0.0)
@@ -204,7 +204,7 @@ def test_progress_is_counted_and_a_new_goal_begins_anew() -> None:
 
 
 def test_a_lap_without_success_changes_the_side_and_gives_it_longer() -> None:
-    state = Progress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE, lap=2)
+    state = GoalProgress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE, lap=2)
     sides: list[int] = []
     for _ in range(7):
         _, state = detour(state, (0.0, 0.0), lambda _: (0.0, 0.0), length=6.0, follow=False)
@@ -213,7 +213,7 @@ def test_a_lap_without_success_changes_the_side_and_gives_it_longer() -> None:
 
 
 def test_a_detour_turns_no_more_than_it_must() -> None:
-    state = Progress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE)
+    state = GoalProgress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE)
     to, _ = detour(state, (0.0, 0.0), lambda target: target, length=6.0, follow=False)
     assert to == pytest.approx((6.0, 0.0))
 

@@ -1,8 +1,16 @@
 """The search that ends frozen partitions: who goes, where, and when it stops."""
 
-from llm_flock.protocol.messages import NO_OWNER, Table
+from llm_flock.protocol.membership.search import (
+    LOOKS,
+    LOOKS_FOR_SILENT,
+    MANY,
+    PATIENCE,
+    PATIENCE_PER_PLACE,
+    Search,
+    advance,
+)
+from llm_flock.protocol.messages.message import NO_OWNER, Table
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.search import LOOKS, LOOKS_FOR_SILENT, MANY, PATIENCE, PATIENCE_PER_PLACE, Search, advance
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)

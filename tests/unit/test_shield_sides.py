@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from llm_flock.protocol.projection import HalfSpace, nearest_move
-from llm_flock.protocol.shield import project, separation_half_spaces
-from llm_flock.protocol.shield_async import Sighting, async_half_spaces, project_async
+from llm_flock.protocol.motion.projection import HalfSpace, nearest_move
+from llm_flock.protocol.motion.shield import project, separation_half_spaces
+from llm_flock.protocol.motion.shield_async import Sighting, async_half_spaces, project_async
 
 AHEAD = (1.0, 0.0, 0.0)
 

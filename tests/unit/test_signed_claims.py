@@ -11,15 +11,15 @@ from signed_team import Liar, SignedTeam, line_up
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.assignment import Claim
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Entry, Message, Offer
-from llm_flock.protocol.warrants import (
+from llm_flock.protocol.agreement.assignment import Claim
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Entry, Message, Offer
+from llm_flock.protocol.signed.certificates import (
+    Certificate,
     Context,
-    Exchanged,
-    Freed,
+    ExchangeGrant,
     Proofs,
-    Warrant,
-    Word,
+    ReleaseGrant,
+    Attestation,
     most_claims,
     offer_statement,
     unwrap,
@@ -40,7 +40,7 @@ def versions(team: SignedTeam) -> int:
 
 
 def test_honest_robots_settle_as_they_do_without_signatures(team: SignedTeam) -> None:
-    assert team.counts("unwarranted") == 0
+    assert team.counts("uncertified") == 0
     assert team.held_by_liar() == 0
 
 
@@ -63,12 +63,12 @@ def test_who_claims_every_place_holds_one_at_most(team: SignedTeam, liar: Liar) 
     for _ in range(30):
         team.fly(1, everything)
         for agent in team.agents:
-            ledger = agent._talks._signing.ledger  # type: ignore[union-attr]
-            last = ledger._last.get(team.liar)
+            evidence = agent._agreement._signing.evidence  # type: ignore[union-attr]
+            last = evidence._last.get(team.liar)
             holding = [
-                (ledger._held[a, e].number, a)
+                (evidence._held[a, e].number, a)
                 for a, e in enumerate(agent.claim.table or ())
-                if e[2] == team.liar and ledger.order(a, e) == last
+                if e[2] == team.liar and evidence.order(a, e) == last
             ]
             assert len(holding) <= 1
     team.fly(12)
@@ -82,8 +82,8 @@ def test_one_message_takes_one_place() -> None:
     liar = Liar(team)
     team.begin()
     for _ in range(4):
-        team.tick()  # one plan
-    team.tick([liar.says({a: liar.claim(a) for a in range(5)})])
+        team.comm_round()  # one plan
+    team.comm_round([liar.says({a: liar.claim(a) for a in range(5)})])
     assert team.held_by_liar() == 1
 
 
@@ -91,7 +91,7 @@ def test_claims_have_an_end(team: SignedTeam, liar: Liar) -> None:
     slot = free_slot(team)
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, number=most_claims(5) + 1)})])
     assert team.held_by_liar() == 0
-    assert team.counts("unwarranted") > 0
+    assert team.counts("uncertified") > 0
 
 
 @pytest.mark.parametrize("version", [1, 7, 2**39])
@@ -106,7 +106,7 @@ def test_nobody_raises_a_version_alone(team: SignedTeam, liar: Liar, version: in
 def test_places_of_the_living_are_not_released_by_one(team: SignedTeam, liar: Liar) -> None:
     before, owners, table = team.slots, team.owners(0), team.agents[0].claim.table
     assert table is not None
-    # One a tick: a robot decides on the newest message of each sender.
+    # One a communication round: a robot decides on the newest message of each sender.
     turn = itertools.cycle(
         [
             lambda words, twice, forged: liar.says(words=words),
@@ -120,12 +120,17 @@ def test_places_of_the_living_are_not_released_by_one(team: SignedTeam, liar: Li
         twice = {
             a: (
                 (table[a][0] + 1, 0.0, NO_OWNER),
-                Warrant(number=0, grant=Freed(((team.liar, words[a].signature), (team.liar, words[a].signature)))),
+                Certificate(
+                    number=0, grant=ReleaseGrant(((team.liar, words[a].signature), (team.liar, words[a].signature)))
+                ),
             )
             for a in range(5)
         }
         forged = {
-            a: (entry, Warrant(number=0, grant=Freed(((0, words[a].signature), (team.liar, words[a].signature)))))
+            a: (
+                entry,
+                Certificate(number=0, grant=ReleaseGrant(((0, words[a].signature), (team.liar, words[a].signature)))),
+            )
             for a, (entry, _) in twice.items()
         }
         return [next(turn)(words, twice, forged)]
@@ -133,7 +138,7 @@ def test_places_of_the_living_are_not_released_by_one(team: SignedTeam, liar: Li
     team.fly(3, silence)
     assert team.slots == before
     assert team.owners(0) == owners
-    assert team.counts("unwarranted") > 0
+    assert team.counts("uncertified") > 0
 
 
 def test_two_witnesses_free_a_place_of_the_dead(team: SignedTeam) -> None:
@@ -162,47 +167,47 @@ def test_false_words_do_not_count(team: SignedTeam, liar: Liar) -> None:
     assert table is not None
     good = liar.word(0, table[0][0] + 1)
     for word in (
-        Word(0, table[0][0] + 1, NO_OWNER, bytes(64)),
-        Word(0, table[0][0] + 2, NO_OWNER, good.signature),
-        Word(99, 1, NO_OWNER, good.signature),
+        Attestation(0, table[0][0] + 1, NO_OWNER, bytes(64)),
+        Attestation(0, table[0][0] + 2, NO_OWNER, good.signature),
+        Attestation(99, 1, NO_OWNER, good.signature),
     ):
         team.tell(0, liar.says(words=[word]), team.liar)
-        team.tick()
+        team.comm_round()
     team.tell(1, liar.says(words=[good, good]), team.liar)
-    team.tick()
-    ledgers = [agent._talks._signing.ledger for agent in team.agents]  # type: ignore[union-attr]
-    assert ledgers[0]._words == {}
-    assert ledgers[0].refused["unwarranted"] == 1
-    assert [list(words) for words in ledgers[1]._words.values()] == [[team.liar]]
+    team.comm_round()
+    evidence_of = [agent._agreement._signing.evidence for agent in team.agents]  # type: ignore[union-attr]
+    assert evidence_of[0]._words == {}
+    assert evidence_of[0].refused["uncertified"] == 1
+    assert [list(words) for words in evidence_of[1]._words.values()] == [[team.liar]]
 
 
 def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
     agent = team.agents[0]
-    table, ledger = agent.claim.table, agent._talks._signing.ledger  # type: ignore[union-attr]
+    table, evidence = agent.claim.table, agent._agreement._signing.evidence  # type: ignore[union-attr]
     assert table is not None
     before, owned = team.slots, [entry for entry in table if entry[2] >= 0]
     lies = {}
     for a, entry in enumerate(table):
         if entry[2] >= 0:
-            lies[a] = ((entry[0], 0.0, entry[2]), ledger._held[a, entry])
+            lies[a] = ((entry[0], 0.0, entry[2]), evidence._held[a, entry])
     team.fly(2, lambda: [liar.says(lies)])
     assert team.slots == before
     assert [entry for entry in agent.claim.table or () if entry[2] >= 0] == owned
-    assert team.counts("unwarranted") > 0
+    assert team.counts("uncertified") > 0
 
 
 def test_old_claims_of_others_are_no_news() -> None:
     """Everything ever said is said again by the liar, as it was."""
     team = SignedTeam(MISSION, line_up(5))
     liar = Liar(team)
-    seen: list[dict[int, tuple[Entry, Warrant]]] = []
+    seen: list[dict[int, tuple[Entry, Certificate]]] = []
     for _ in range(6):
         team.begin()
         for _ in range(5):
-            team.tick()
+            team.comm_round()
             for agent in team.agents:
-                ledger = agent._talks._signing.ledger  # type: ignore[union-attr]
-                held = {a: (e, ledger._held[a, e]) for a, e in enumerate(agent.claim.table or ()) if e[2] >= 0}
+                evidence = agent._agreement._signing.evidence  # type: ignore[union-attr]
+                held = {a: (e, evidence._held[a, e]) for a, e in enumerate(agent.claim.table or ()) if e[2] >= 0}
                 seen.append(held)
         team.end()
     assert team.settled()
@@ -232,21 +237,21 @@ def test_one_place_offered_to_two_is_one_exchange(team: SignedTeam, liar: Liar) 
             take_version=table[theirs][0],
             bid=-1.0,
         )
-        # For this tick the victim believes to be where the exchange pays.
+        # For this communication round the victim believes to be where the exchange pays.
         assert team.agents[0].plan is not None
-        team.agents[victim]._talks._position = team.agents[0].plan.points[slot]
-        there = {**team.agents[victim]._talks._sensed, team.liar: team.agents[0].plan.points[theirs]}
-        team.agents[victim]._talks._sensed = there
+        team.agents[victim]._agreement._position = team.agents[0].plan.points[slot]
+        there = {**team.agents[victim]._agreement._sensed, team.liar: team.agents[0].plan.points[theirs]}
+        team.agents[victim]._agreement._sensed = there
         team.tell(victim, liar.says(offer=offer, offer_number=liar.number + victim, slot=slot), team.liar)
-    team.tick()
+    team.comm_round()
     assert [team.slots[1], team.slots[2]] == [slot, slot]
     for _ in range(4):
-        team.tick()
+        team.comm_round()
     team.end()
     team.fly(8)
     assert team.held_by_liar() <= 1
     assert team.settled()
-    assert team.counts("unwarranted") == 0
+    assert team.counts("uncertified") == 0
 
 
 def test_offers_without_a_signature_are_not_heard(team: SignedTeam, liar: Liar) -> None:
@@ -254,18 +259,18 @@ def test_offers_without_a_signature_are_not_heard(team: SignedTeam, liar: Liar) 
     good = unwrap(liar.says(offer=offer), 5)
     table = team.agents[0].claim.table
     assert table is not None
-    ledger = team.agents[0]._talks._signing.ledger  # type: ignore[union-attr]
+    evidence = team.agents[0]._agreement._signing.evidence  # type: ignore[union-attr]
     message = Message(
-        sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan, pedigree=team.agents[0].pedigree, offer=offer
+        sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan, provenance=team.agents[0].provenance, offer=offer
     )
-    assert ledger.admit(message, good[1], table).offer == offer
+    assert evidence.admit(message, good[1], table).offer == offer
     statement = offer_statement(team.context, 4, offer, 10**6)
     for proof in (None, (0, b""), (2, good[1].offer[1]), (10**6, ToyKeys(4).sign(statement))):  # type: ignore[index]
-        assert ledger.admit(message, Proofs(offer=proof), table).offer is None
+        assert evidence.admit(message, Proofs(offer=proof), table).offer is None
     generous = msgspec.structs.replace(
         message, offer=Offer(to=1, give=0, take=1, give_version=0, take_version=0, bid=1.0)
     )
-    assert ledger.admit(generous, good[1], table).offer is None
+    assert evidence.admit(generous, good[1], table).offer is None
 
 
 def test_exchanges_need_both(team: SignedTeam, liar: Liar) -> None:
@@ -287,16 +292,16 @@ def test_exchanges_need_both(team: SignedTeam, liar: Liar) -> None:
         "accepted": bytes(64),
     }
 
-    def of(**other: object) -> Exchanged:
-        done = Exchanged(**{**fields, **other})
+    def of(**other: object) -> ExchangeGrant:
+        done = ExchangeGrant(**{**fields, **other})
         signature = liar.keys.sign(offer_statement(team.context, done.maker, done.offer(), done.number))
         return msgspec.structs.replace(done, signature=signature)
 
     before = team.owners(0)
     for done in (of(), of(to=4), of(take=0), of(maker=2)):
-        lies = {a: (entry, Warrant(number=number, grant=done)) for a, (entry, number) in done.entries().items()}
+        lies = {a: (entry, Certificate(number=number, grant=done)) for a, (entry, number) in done.entries().items()}
         team.fly(1, lambda lies=lies: [liar.says(lies)])
-    other = {3: ((table[0][0] + 1, 0.0, 4), Warrant(number=1, grant=of()))}
+    other = {3: ((table[0][0] + 1, 0.0, 4), Certificate(number=1, grant=of()))}
     team.fly(1, lambda: [liar.says(other)])
     assert team.owners(0) == before
 
@@ -305,14 +310,14 @@ def test_entries_that_nobody_honest_writes_are_refused(team: SignedTeam, liar: L
     slot = free_slot(team)
     before = team.owners(0)
     for lie in (
-        ((0, 1e6, NO_OWNER), Warrant(number=0)),
-        ((0, -1.0, NO_OWNER), Warrant(number=0, grant=None)),
-        ((1, 0.0, BLOCKED), Warrant(number=0)),
-        ((1, 1.0, BLOCKED), Warrant(number=0)),
-        ((0, 0.0, BLOCKED), Warrant(number=0)),
-        ((0, 1.0, team.liar), Warrant(number=1)),
-        ((0, 0.0, team.liar), Warrant(number=1)),
-        ((0, 1.0, NO_OWNER), Warrant(number=0, grant=Freed(((0, b""), (1, b""))))),
+        ((0, 1e6, NO_OWNER), Certificate(number=0)),
+        ((0, -1.0, NO_OWNER), Certificate(number=0, grant=None)),
+        ((1, 0.0, BLOCKED), Certificate(number=0)),
+        ((1, 1.0, BLOCKED), Certificate(number=0)),
+        ((0, 0.0, BLOCKED), Certificate(number=0)),
+        ((0, 1.0, team.liar), Certificate(number=1)),
+        ((0, 0.0, team.liar), Certificate(number=1)),
+        ((0, 1.0, NO_OWNER), Certificate(number=0, grant=ReleaseGrant(((0, b""), (1, b""))))),
     ):
         team.fly(1, lambda lie=lie: [liar.says({slot: lie})])
         assert team.owners(0) == before
@@ -324,19 +329,19 @@ def test_entries_that_nobody_honest_writes_are_refused(team: SignedTeam, liar: L
 
 def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
     slot = free_slot(team)
-    team.fly(1, lambda: [liar.says({slot: ((0, 2.0, NO_OWNER), Warrant(number=0))})])
+    team.fly(1, lambda: [liar.says({slot: ((0, 2.0, NO_OWNER), Certificate(number=0))})])
     table = team.agents[0].claim.table
     assert table is not None and table[slot][1] >= 2.0
 
 
 def test_a_page_is_turned_for_another_plan_only(team: SignedTeam) -> None:
-    ledger, context = team.agents[0]._talks._signing.ledger, team.context  # type: ignore[union-attr]
-    number = ledger._number
-    ledger.attest(Claim(slot=None))
-    ledger.turn_to(context)
-    assert ledger._number == number > 0
-    ledger.turn_to(Context(context.mission, "another"))
-    assert ledger._number == 0
+    evidence, context = team.agents[0]._agreement._signing.evidence, team.context  # type: ignore[union-attr]
+    number = evidence._number
+    evidence.attest(Claim(slot=None))
+    evidence.turn_to(context)
+    assert evidence._number == number > 0
+    evidence.turn_to(Context(context.mission, "another"))
+    assert evidence._number == 0
 
 
 # ---------------------------------------------------------------- plans

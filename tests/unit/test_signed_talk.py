@@ -9,15 +9,14 @@ from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol.codec import encode
 from llm_flock.protocol.events import MissionGiven
-from llm_flock.protocol.messages import Message, Offer, Stamp
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import Message, MissionStamp, Offer
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.signing import Signing
-from llm_flock.protocol.warrants import (
+from llm_flock.protocol.signed.certificates import (
     MOST_EPOCHS,
     OPERATOR,
-    Order,
+    Authorization,
     Proofs,
     beat_statement,
     mission_statement,
@@ -26,6 +25,7 @@ from llm_flock.protocol.warrants import (
     word_statement,
     wrap,
 )
+from llm_flock.protocol.signed.signing import Signing
 
 MISSION = Mission(shape="circle", n_robots=5)
 
@@ -33,7 +33,7 @@ MISSION = Mission(shape="circle", n_robots=5)
 def test_a_hallucinated_plan_dies_with_its_author(team: SignedTeam, liar: Liar) -> None:
     plan = team.agents[0].plan
     heap = Plan.of([(50.0, 50.0 + 0.1 * k) for k in range(5)])
-    lie = liar.says(plan=heap, pedigree=liar.pedigree(epoch=3), table=None, slot=None)
+    lie = liar.says(plan=heap, provenance=liar.provenance(epoch=3), table=None, slot=None)
     team.fly(2, lambda: [lie])
     assert team.agents[0].plan == plan
     assert team.counts("unverified_plan") > 0
@@ -41,14 +41,14 @@ def test_a_hallucinated_plan_dies_with_its_author(team: SignedTeam, liar: Liar) 
 
 def test_a_plan_in_the_name_of_another_is_refused(team: SignedTeam, liar: Liar) -> None:
     plan = team.agents[0].plan
-    lie = liar.says(plan=good_plan(MISSION, 3), pedigree=liar.pedigree(epoch=3, proposer=0), table=None)
+    lie = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=3, proposer=0), table=None)
     assert team.tell(1, lie, team.liar) == ["forged_origin"]
     assert team.agents[1].plan == plan
 
 
 def test_a_true_plan_of_a_liar_is_a_plan(team: SignedTeam, liar: Liar) -> None:
     plan = good_plan(MISSION, 3)
-    lie = liar.says(plan=plan, pedigree=liar.pedigree(epoch=1), table=None)
+    lie = liar.says(plan=plan, provenance=liar.provenance(epoch=1), table=None)
     team.fly(6, lambda: [lie])
     assert team.agents[0].plan == plan
     assert team.settled()
@@ -56,21 +56,21 @@ def test_a_true_plan_of_a_liar_is_a_plan(team: SignedTeam, liar: Liar) -> None:
 
 @pytest.mark.parametrize(("epoch", "sequence"), [(MOST_EPOCHS + 1, 0), (1, 2), (2**40 - 1, 0)])
 def test_plans_are_remade_so_often_and_not_oftener(team: SignedTeam, liar: Liar, epoch: int, sequence: int) -> None:
-    lie = liar.says(plan=good_plan(MISSION, 3), pedigree=liar.pedigree(epoch=epoch, sequence=sequence), table=None)
+    lie = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=epoch, sequence=sequence), table=None)
     assert team.tell(1, lie, team.liar) == ["many_plans"]
 
 
 def test_origins_are_remembered_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("llm_flock.protocol.signing.REMEMBERED_ORIGINS", 2)
-    monkeypatch.setattr("llm_flock.protocol.ledger.REMEMBERED", 2)
+    monkeypatch.setattr("llm_flock.protocol.signed.signing.REMEMBERED_ORIGINS", 2)
+    monkeypatch.setattr("llm_flock.protocol.signed.evidence.REMEMBERED", 2)
     signing = Signing(0, ToyKeys(0))
     team = SignedTeam(MISSION, line_up(5))
     team.fly(1)
     for k in range(5):
-        signing.propose(Liar(team).pedigree(epoch=k), "00")
-        assert signing.ledger.signed_by(1, b"%d" % k, ToyKeys(1).sign(b"%d" % k))
+        signing.propose(Liar(team).provenance(epoch=k), "00")
+        assert signing.evidence.signed_by(1, b"%d" % k, ToyKeys(1).sign(b"%d" % k))
     assert len(signing._origins) <= 2
-    assert len(signing.ledger._good) <= 2
+    assert len(signing.evidence._good) <= 2
 
 
 # ---------------------------------------------------------------- who speaks
@@ -96,12 +96,12 @@ def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) 
 
 
 def test_hearts_are_neither_stopped_nor_kept_beating_by_others(team: SignedTeam, liar: Liar) -> None:
-    before = team.agents[0]._talks.liveness.beats
+    before = team.agents[0]._agreement.liveness.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
     team.begin()
-    team.tick()
-    after = team.agents[0]._talks.liveness.beats
+    team.comm_round()
+    after = team.agents[0]._agreement.liveness.beats
     assert after[4] == before[4]
     assert max(after) < 100
     team.fly(2)
@@ -114,10 +114,10 @@ def test_a_heart_that_beats_is_heard_through_others(team: SignedTeam, liar: Liar
     team.begin()
     team.tell(0, wrap(message, signed), team.liar)
     for _ in range(5):
-        team.tick()
+        team.comm_round()
     team.end()
     team.fly(2)
-    assert [agent._talks.liveness.beats[4] for agent in team.agents] == [9] * 4
+    assert [agent._agreement.liveness.beats[4] for agent in team.agents] == [9] * 4
 
 
 # ---------------------------------------------------------------- missions
@@ -125,8 +125,8 @@ def test_a_heart_that_beats_is_heard_through_others(team: SignedTeam, liar: Liar
 
 def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     square = MISSION.change(center=(52.0, 50.0))
-    stamp = Stamp(10**9, square.digest)
-    forged = Order(counter=stamp.counter, signature=liar.keys.sign(mission_statement(stamp)))
+    stamp = MissionStamp(10**9, square.digest)
+    forged = Authorization(counter=stamp.counter, signature=liar.keys.sign(mission_statement(stamp)))
     for order in (None, forged):
         (note,) = team.agents[0].handle(MissionGiven(mission=square, order=order))
         assert (note.kind, note.detail["reason"]) == ("rejected_message", "no_order")  # type: ignore[union-attr]
@@ -137,7 +137,7 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     assert team.agents[0].mission == MISSION
     team.end()
 
-    order = Order(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
+    order = Authorization(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
     (note,) = team.agents[0].handle(MissionGiven(mission=square, order=order))
     assert note.kind == "mission"  # type: ignore[union-attr]
     (note,) = team.agents[0].handle(MissionGiven(mission=square, order=order))

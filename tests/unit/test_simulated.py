@@ -26,7 +26,7 @@ from llm_flock.metrics import procrustes
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.verification import check_plan
+from llm_flock.protocol.verification.plans import check_plan
 
 ROOT = Path(__file__).parents[2]
 TEXT, JSON = PromptSet.load(), PromptSet.load(json=True)

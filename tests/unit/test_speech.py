@@ -10,11 +10,11 @@ from crew import Crew, connected_places
 from msgspec.structs import replace
 
 from llm_flock.mission import SAFETY_FIELDS, Mission
-from llm_flock.protocol.codec import decode
-from llm_flock.protocol.liveness import Liveness
-from llm_flock.protocol.messages import UNSAID, Entry, Message, Pedigree, Stamp, Table, table_digest
+from llm_flock.protocol.membership.liveness import Liveness
+from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.dissemination import MISSION_FIELDS, SMALL, Dissemination, mission_text
+from llm_flock.protocol.messages.message import UNSAID, Entry, Message, MissionStamp, Provenance, Table, table_digest
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.speech import MISSION_FIELDS, SMALL, Speech, mission_text
 
 WIDE = ((-5000.0, -5000.0), (5000.0, 5000.0))
 MISSION = Mission(shape="circle", n_robots=3, arena=WIDE)
@@ -45,34 +45,34 @@ def standing(
 ) -> Message:
     """A robot's whole standing, by default with one plan and an empty table."""
     plan = plan_of(mission) if plan is None else plan
-    origin = Pedigree(mission=counter, mission_digest=mission.digest, epoch=0, neighbors=1, proposer=0, sequence=0)
+    origin = Provenance(mission=counter, mission_digest=mission.digest, epoch=0, neighbors=1, proposer=0, sequence=0)
     return Message(
         sender=sender,
         sequence=0,
         neighbors=1,
-        mission=Stamp(counter, mission.digest),
+        mission=MissionStamp(counter, mission.digest),
         plan=plan,
-        pedigree=origin,
+        provenance=origin,
         slot=slot,
         table=table_of(mission) if table is None else table,
     )
 
 
 class Talker:
-    """One robot's speech, and what its neighbours understand."""
+    """One robot's dissemination, and what its neighbours understand."""
 
     def __init__(self, mission: Mission = MISSION, around: frozenset[int] = NOBODY) -> None:
-        self.mission, self.speech = mission, Speech()
+        self.mission, self.dissemination = mission, Dissemination()
         self.liveness = Liveness(0, mission.n_robots, 10)
         self.around = around
         self.begin()
 
     def begin(self, around: frozenset[int] | None = None, neighbors: int | None = None) -> None:
         self.around = self.around if around is None else around
-        self.speech.begin_round(self.around, len(self.around) if neighbors is None else neighbors)
+        self.dissemination.begin_round(self.around, len(self.around) if neighbors is None else neighbors)
 
     def say(self, whole: Message) -> Message:
-        payload = self.speech.say(whole, self.mission, self.liveness)
+        payload = self.dissemination.say(whole, self.mission, self.liveness)
         return decode(payload, self.mission.n_robots, self.mission.dim)
 
 
@@ -96,14 +96,14 @@ def test_a_greeting_says_everything_and_what_follows_only_names_it() -> None:
 def test_who_agrees_needs_no_greeting_in_a_large_team_and_a_newcomer_does() -> None:
     talker = Talker(LARGE, frozenset({1}))
     talker.say(standing(LARGE))
-    talker.speech.hear(standing(LARGE, sender=1))
+    talker.dissemination.hear(standing(LARGE, sender=1))
     talker.begin()
     greeting = talker.say(standing(LARGE))
     assert greeting.plan is None and said_slots(greeting) == set() and greeting.beats is not None
-    talker.speech.hear(standing(LARGE, sender=1))
+    talker.dissemination.hear(standing(LARGE, sender=1))
     talker.begin(frozenset({1, 2}))
     assert talker.say(standing(LARGE)).plan is not None, "robot 2 is near and was not heard"
-    talker.speech.hear(standing(LARGE, sender=1))
+    talker.dissemination.hear(standing(LARGE, sender=1))
     talker.begin(frozenset({1}), neighbors=2)
     assert talker.say(standing(LARGE)).plan is not None, "the radio counts somebody whom no sensor sees"
 
@@ -116,47 +116,47 @@ def test_what_was_said_is_repeated_only_while_nothing_is_new() -> None:
     def settle(whole: Message, claim: object) -> int:
         """Exchanges until the bytes repeat themselves."""
         for count in range(6):
-            if talker.speech.again(claim) is not None:
+            if talker.dissemination.again(claim) is not None:
                 return count
             talker.say(whole)
         raise AssertionError("the bytes are made anew in every exchange")
 
     whole = standing(LARGE, table=claims)
     assert settle(whole, claims) == 2, "a greeting, and what follows it"
-    assert talker.speech.again(claims) == talker.speech.again(claims)
+    assert talker.dissemination.again(claims) == talker.dissemination.again(claims)
     talker.begin()
     assert settle(whole, claims) == 2, "another round"
     whole = standing(LARGE, table=changed)
     assert settle(whole, changed) == 3, "a change is said twice, and then no more"
-    talker.speech.hear(standing(LARGE, sender=1, table=changed))
+    talker.dissemination.hear(standing(LARGE, sender=1, table=changed))
     assert settle(whole, changed) == 1, "a neighbour"
-    talker.speech.hear(standing(LARGE, sender=1, table=changed, slot=2))
+    talker.dissemination.hear(standing(LARGE, sender=1, table=changed, slot=2))
     assert settle(whole, changed) == 0, "a neighbour that knows no more and no less than before"
-    talker.speech.hear(standing(LARGE, sender=1, plan=plan_of(LARGE, 1.0), table=changed))
+    talker.dissemination.hear(standing(LARGE, sender=1, plan=plan_of(LARGE, 1.0), table=changed))
     assert settle(whole, changed) == 1, "a neighbour on another plan"
-    assert talker.speech.again(claims) is None, "another claim"
+    assert talker.dissemination.again(claims) is None, "another claim"
 
 
 def test_a_roll_is_said_once() -> None:
     talker = Talker()
     talker.say(standing())
     talker.say(standing())
-    assert talker.speech.again() is not None
+    assert talker.dissemination.again() is not None
     talker.say(replace(standing(), roll={0: (0, (1.0, 2.0), ())}))
-    assert talker.speech.again() is None
+    assert talker.dissemination.again() is None
 
 
 def test_in_a_small_team_every_round_begins_with_a_greeting() -> None:
     talker = Talker(around=frozenset({1}))
     talker.say(standing())
-    talker.speech.hear(standing(sender=1))
+    talker.dissemination.hear(standing(sender=1))
     talker.begin()
     assert talker.say(standing()).plan is not None
 
 
 def test_who_was_not_heard_in_a_round_is_met_anew() -> None:
     talker = Talker(LARGE, frozenset({1}))
-    talker.speech.hear(standing(LARGE, sender=1))
+    talker.dissemination.hear(standing(LARGE, sender=1))
     talker.begin()
     talker.say(standing(LARGE))
     talker.begin()
@@ -166,12 +166,12 @@ def test_who_was_not_heard_in_a_round_is_met_anew() -> None:
 def test_a_plan_is_spelled_out_when_it_was_just_taken_up_and_to_who_follows_another() -> None:
     talker, new = Talker(), plan_of(MISSION, 1.0)
     talker.say(standing())
-    talker.speech.hear(standing(sender=1))
+    talker.dissemination.hear(standing(sender=1))
     assert talker.say(standing()).plan is None
     assert talker.say(standing(plan=new)).plan == new, "robot 1 names another one, and it was just taken up"
-    talker.speech.hear(standing(sender=1, plan=new))
+    talker.dissemination.hear(standing(sender=1, plan=new))
     assert talker.say(standing(plan=new)).plan is None
-    talker.speech.hear(standing(sender=1))
+    talker.dissemination.hear(standing(sender=1))
     assert talker.say(standing(plan=new)).plan == new
     assert talker.say(standing(plan=new)).plan == new, "until it names the same: what was said may be lost"
 
@@ -179,7 +179,7 @@ def test_a_plan_is_spelled_out_when_it_was_just_taken_up_and_to_who_follows_anot
 def test_a_plan_just_taken_up_is_passed_on_whoever_is_known_to_follow_it() -> None:
     talker, new = Talker(), plan_of(MISSION, 1.0)
     talker.say(standing())
-    talker.speech.hear(standing(sender=1, plan=new))
+    talker.dissemination.hear(standing(sender=1, plan=new))
     assert talker.say(standing(plan=new)).plan == new
 
 
@@ -188,12 +188,12 @@ def test_a_mission_is_spelled_out_only_for_who_lags_behind() -> None:
     talker = Talker(new)
     ahead = standing(new, counter=1)
     assert talker.say(ahead).mission_text is None, "nobody is known to need it"
-    talker.speech.hear(standing(old, sender=1))
+    talker.dissemination.hear(standing(old, sender=1))
     text = talker.say(ahead).mission_text
     assert text is not None and old.change(**json.loads(text)) == new
-    talker.speech.hear(standing(new, sender=1, counter=1))
+    talker.dissemination.hear(standing(new, sender=1, counter=1))
     assert talker.say(ahead).mission_text is None
-    talker.speech.hear(standing(old, sender=2, counter=2))
+    talker.dissemination.hear(standing(old, sender=2, counter=2))
     assert talker.say(ahead).mission_text is None, "robot 2 is ahead"
 
 
@@ -211,13 +211,13 @@ def test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a
     talker.say(standing(mission, table=table, slot=2))
     for _ in range(3):  # those whose slots changed are said twice
         talker.say(standing(mission, table=table, slot=2))
-    talker.speech.hear(standing(mission, sender=1))
+    talker.dissemination.hear(standing(mission, sender=1))
     expected = {0, 2} if whole else {2}
     assert said_slots(talker.say(standing(mission, table=table, slot=2))) == expected
     talker.begin()
     assert said_slots(talker.say(standing(mission, table=table, slot=2))) == {0, 2}
     other = standing(mission, sender=1, plan=plan_of(mission, 1.0))
-    talker.speech.hear(other)
+    talker.dissemination.hear(other)
     assert said_slots(talker.say(standing(mission, table=table, slot=2))) == {2}, "claims on another plan mean nothing"
 
 
@@ -235,7 +235,7 @@ def test_what_changed_in_a_large_table_is_said_in_two_broadcasts() -> None:
 
 def test_without_a_table_or_a_plan_there_is_little_to_say() -> None:
     talker = Talker()
-    bare = Message(sender=0, sequence=0, neighbors=1, mission=Stamp(0, MISSION.digest))
+    bare = Message(sender=0, sequence=0, neighbors=1, mission=MissionStamp(0, MISSION.digest))
     said = talker.say(bare)
     assert said.plan is said.table is said.plan_digest is said.table_digest is None and said.places == 0
 
@@ -260,7 +260,7 @@ def test_a_team_of_ten_that_agrees_says_a_few_dozen_bytes() -> None:
     crew.transport.broadcast = spy
     crew.rounds(14)
     said = [size for number, size in sizes if number == 14]
-    ticks = [said[k : k + 10] for k in range(0, len(said), 10)]
-    assert len(ticks) == 5
-    assert max(ticks[0]) > 250, "the greeting"
-    assert max(map(max, ticks[1:])) < 90, max(map(max, ticks[1:]))
+    comm_rounds = [said[k : k + 10] for k in range(0, len(said), 10)]
+    assert len(comm_rounds) == 5
+    assert max(comm_rounds[0]) > 250, "the greeting"
+    assert max(map(max, comm_rounds[1:])) < 90, max(map(max, comm_rounds[1:]))

@@ -11,7 +11,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer, StepQuestion
-from llm_flock.protocol.steps import Fault, blocked, check_answer, check_step, mended, step_faults
+from llm_flock.protocol.verification.steps import Fault, blocked, check_answer, check_step, mended, step_faults
 
 MISSION = Mission(shape="triangle", n_robots=3)
 

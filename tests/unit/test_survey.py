@@ -8,16 +8,16 @@ from one_flight import PLAN, Flight, make, says
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskStep,
     Decided,
     MoveTo,
-    NegotiationEnded,
     Note,
 )
-from llm_flock.protocol.messages import BLOCKED, NO_OWNER, Table
+from llm_flock.protocol.membership.search import LOOKS
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Table
 from llm_flock.protocol.planning import StepAnswer
-from llm_flock.protocol.search import LOOKS
 
 FAR: Point = (50.0, 90.0)
 
@@ -100,8 +100,8 @@ def test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free
     flight = Flight(make(mission=near), here=(40.0, 90.0))
     for _ in range(10):
         flight.begin()
-        flight.tick(says(1, mission=near, plan=PLAN, table=told))
-        effects = flight.agent.handle(NegotiationEnded())
+        flight.comm_round(says(1, mission=near, plan=PLAN, table=told))
+        effects = flight.agent.handle(AgreementEnded())
         if not isinstance(effects[-1], AskStep):
             break
         toward = StepAnswer(waypoint=effects[-1].question.goal)
@@ -138,8 +138,8 @@ def test_a_place_that_was_looked_at_in_vain_is_a_gap_that_names_who_is_missing()
     notes: list[Note] = []
     for _ in range(120):
         flight.begin()
-        flight.tick()
-        effects = flight.agent.handle(NegotiationEnded())
+        flight.comm_round()
+        effects = flight.agent.handle(AgreementEnded())
         notes += [effect for effect in effects if isinstance(effect, Note)]
         ask = effects[-1]
         assert isinstance(ask, AskStep)

@@ -11,7 +11,7 @@ import pytest
 from llm_flock import formations
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.verification import PlanClass, blocked_within, check_plan, check_proposal, plan_class
+from llm_flock.protocol.verification.plans import PlanClass, blocked_within, check_plan, check_proposal, plan_class
 
 SQUARE = Mission(shape="square", n_robots=8)
 TEXT = Mission(shape="text:a ring", n_robots=4)

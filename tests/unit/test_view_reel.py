@@ -13,7 +13,7 @@ from llm_flock.record.tail import RecordTail
 from llm_flock.record.words import understood, verdict
 from llm_flock.record.writer import RecordWriter
 from llm_flock.viewer.gallery import Gallery, feed, play
-from llm_flock.viewer.mind import claims, pedigree
+from llm_flock.viewer.mind import claims, provenance
 from llm_flock.viewer.named import newest_in, records_in, title_of
 from llm_flock.viewer.reel import Reel
 
@@ -98,13 +98,13 @@ def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:
     plan = reel.states[3].plan_ids[0]
     for number, robot, kind, source in ((1, 0, "proposed", None), (2, 1, "adopted", 0), (3, 2, "adopted", 1)):
         detail = {"plan": plan, "slot": 0} if source is None else {"plan": plan, "from": source}
-        reel.event(ProtocolEvent(round=number, tick=0, robot=robot, kind=kind, detail=detail))
-    assert [(step.robot, step.source, step.round) for step in pedigree(reel, 2, 3)] == [
+        reel.event(ProtocolEvent(round=number, comm_round=0, robot=robot, kind=kind, detail=detail))
+    assert [(step.robot, step.source, step.round) for step in provenance(reel, 2, 3)] == [
         (0, None, 1),
         (1, 0, 2),
         (2, 1, 3),
     ]
-    assert pedigree(reel, 2, 0) == []
+    assert provenance(reel, 2, 0) == []
 
 
 def test_claims_are_those_in_radio_range_the_own_first(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_a_live_reel_shows_no_half_round(tmp_path: Path) -> None:
         fake = FakeRun(n=2, rounds=3)
         fake.rounds = 1
         fake.write(writer, finish=False)
-        writer.event(ProtocolEvent(round=2, tick=0, robot=0, kind="killed", detail={}))
+        writer.event(ProtocolEvent(round=2, comm_round=0, robot=0, kind="killed", detail={}))
         reel = replayed(tmp_path / "run.mcap")
     assert reel.rounds == 1 and "2" not in reel.news(0, 0, 0)["marks"]
 

@@ -6,9 +6,9 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
+from llm_flock.protocol.membership.occupancy import sight
+from llm_flock.protocol.membership.waiting import CLEARANCE, waiting_place
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.survey import sight
-from llm_flock.protocol.waiting import CLEARANCE, waiting_place
 
 MISSION = Mission(shape="line", n_robots=4, places=3)
 PLAN = Plan.of(MISSION.ideal or ())

@@ -5,8 +5,8 @@ from itertools import permutations
 
 import pytest
 
+from llm_flock.protocol.agreement.path_length import BESIDE, FAR, LARGEST, REACH, stop_on_the_way, way_lengths
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.ways import BESIDE, FAR, LARGEST, REACH, stop_on_the_way, way_lengths
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 

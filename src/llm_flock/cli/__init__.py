@@ -26,6 +26,7 @@ from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
 from llm_flock.cli.view import view
 from llm_flock.errors import FlockError, InputError
+from llm_flock.renamed import current_flag
 
 EXIT_FAILED = 1
 EXIT_INPUT = 2
@@ -253,6 +254,7 @@ def _labels(runs: list[Any]) -> list[str]:
 def main() -> None:
     """Entry point: turn expected errors into one line on stderr and an exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    sys.argv[1:] = map(current_flag, sys.argv[1:])
     try:
         app()
     except InputError as error:

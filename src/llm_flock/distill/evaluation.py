@@ -22,8 +22,8 @@ from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import check_answer, mended
-from llm_flock.protocol.verification import LENGTH_TOLERANCE, check_plan
+from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
+from llm_flock.protocol.verification.steps import check_answer, mended
 
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 T = TypeVar("T")
@@ -83,7 +83,7 @@ def best_waypoint(question: StepQuestion) -> Point:
     return tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
 
 
-def judge(question: StepQuestion, answer: StepAnswer | NoAnswer) -> Judged:
+def validator(question: StepQuestion, answer: StepAnswer | NoAnswer) -> Judged:
     """Compare an answer with the best one. Other robots are left out: they are the shield's part."""
     alone = replace(question, neighbors=())
     here, best = question.position, best_waypoint(question)
@@ -143,7 +143,7 @@ class Examiner:
                 questions.append(question)
 
         async def ask(planner: LanguagePlanner, question: StepQuestion) -> Judged:
-            return judge(question, await planner.step(question))
+            return validator(question, await planner.step(question))
 
         return motion_figures(asyncio.run(self._all(questions, ask)))
 

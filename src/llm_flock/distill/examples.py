@@ -21,11 +21,11 @@ from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.wording import place_text
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.foresight import HORIZON
+from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import check_answer
-from llm_flock.protocol.verification import check_plan
+from llm_flock.protocol.verification.plans import check_plan
+from llm_flock.protocol.verification.steps import check_answer
 
 Split: TypeAlias = Literal["train", "held-out"]
 

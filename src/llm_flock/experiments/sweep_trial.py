@@ -16,7 +16,7 @@ from llm_flock.llm.providers import parse_model
 from llm_flock.llm.sharing import Lane
 from llm_flock.record.schema import MetricsRow
 from llm_flock.record.writer import NullWriter
-from llm_flock.runtime import provenance
+from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
 from llm_flock.runtime.trial import Progress
 
@@ -128,5 +128,5 @@ def round_columns(rows: list[MetricsRow]) -> dict[str, list[float | int | None]]
 @cache
 def code_version() -> str:
     """Version of this package, and revision of its checkout where it runs from one; asked for once a process."""
-    version, revision = provenance.versions()["llm-flock"], provenance.git_revision()
+    version, revision = versions.versions()["llm-flock"], versions.git_revision()
     return version if revision is None else f"{version}+g{revision[:12]}{'.dirty' if '+' in revision else ''}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import mended
+from llm_flock.protocol.verification.steps import mended
 
 
 class FallbackPlanner:

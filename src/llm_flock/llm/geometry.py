@@ -10,7 +10,7 @@ from llm_flock import formations
 from llm_flock.arrays import Point, Points
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.verification import check_proposal
+from llm_flock.protocol.verification.plans import check_proposal
 
 
 def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:

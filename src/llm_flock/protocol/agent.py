@@ -13,41 +13,41 @@ from typing import assert_never
 
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
-from llm_flock.protocol.assignment import AssignmentRule, Claim
-from llm_flock.protocol.consensus import ConsensusRule
+from llm_flock.protocol.agreement.agreement import Agreement
+from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
+from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.protocol.events import (
     TRANSITIONS,
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
     Event,
-    Looked,
+    HeartbeatDue,
     MissionGiven,
-    NegotiationEnded,
     Note,
-    PeriodBegan,
     Phase,
     Planned,
     Received,
     RoundBegan,
+    Sensed,
     Stopped,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.judge import Judge
-from llm_flock.protocol.liveness import TIME_OUT, Liveness
-from llm_flock.protocol.lookout import Lookout
-from llm_flock.protocol.messages import BLOCKED, Pedigree, Stamp
-from llm_flock.protocol.negotiation import Negotiation
-from llm_flock.protocol.pilot import Pilot, Scene
+from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
+from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
+from llm_flock.protocol.membership.replanning import Gaps
+from llm_flock.protocol.membership.waiting import waiting_place
+from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
+from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
-from llm_flock.protocol.remaking import Gaps
-from llm_flock.protocol.waiting import waiting_place
-from llm_flock.protocol.warrants import Notary
+from llm_flock.protocol.signed.certificates import Authenticator
+from llm_flock.protocol.verification.validator import Validator
 
 
 class IllegalEvent(AssertionError):
@@ -68,8 +68,8 @@ class Agent:
         time_out: rounds without a heartbeat after which a robot is taken for dead.
         gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
         on_event: let the planner give a path, and ask it again only when something unforeseen happens.
-        own_clock: the runtime counts heartbeats by `PeriodBegan`; they are counted with the rounds otherwise.
-        notary: signs what this robot says and checks what others say; without one nothing is signed.
+        own_clock: the runtime counts heartbeats by `HeartbeatDue`; they are counted with the rounds otherwise.
+        authenticator: signs what this robot says and checks what others say; without one nothing is signed.
     """
 
     def __init__(
@@ -86,24 +86,24 @@ class Agent:
         gaps: Gaps = "report",
         on_event: bool = False,
         own_clock: bool = False,
-        notary: Notary | None = None,
+        authenticator: Authenticator | None = None,
     ) -> None:
         self.robot = robot
         self._own_clock = own_clock
         self.phase = Phase.IDLE
-        self._judge = Judge(mission, verify=verify, shield_on=shield_on, any_size=gaps == "remake")
+        self._validator = Validator(mission, verify=verify, shield_on=shield_on, any_size=gaps == "replan")
         liveness = Liveness(robot, mission.n_robots, time_out)
-        self._talks = Negotiation(
-            robot, mission, consensus, assignment, self._judge, liveness, gaps=gaps, notary=notary
+        self._agreement = Agreement(
+            robot, mission, consensus, assignment, self._validator, liveness, gaps=gaps, authenticator=authenticator
         )
         self._pilot = Pilot(
-            robot, mission, self._judge, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event
+            robot, mission, self._validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event
         )
-        self._scene: Scene | None = None
-        self._seen: tuple[int, RoundBegan | Looked] | None = None
+        self._scene: Observation | None = None
+        self._seen: tuple[int, RoundBegan | Sensed] | None = None
         self._asked: PlanQuestion | None = None
         self._asked_about: object = None
-        self._lookout = Lookout(self._talks)
+        self._connectivity = ConnectivityRecovery(self._agreement)
 
     @property
     def position(self) -> Point:
@@ -118,42 +118,42 @@ class Agent:
     @property
     def mission(self) -> Mission:
         """The mission in force, as this robot knows it."""
-        return self._talks.mission
+        return self._agreement.mission
 
     @property
     def mission_counter(self) -> int:
         """How many missions came before it, as this robot knows."""
-        return self._talks.stamp.counter
+        return self._agreement.stamp.counter
 
     @property
     def plan(self) -> Plan | None:
         """The plan it follows, in the frame of the mission: where its places are when the centre is at `center`."""
-        return self._talks.plan
+        return self._agreement.plan
 
     @property
-    def pedigree(self) -> Pedigree | None:
+    def provenance(self) -> Provenance | None:
         """Origin of that plan."""
-        return self._talks.pedigree
+        return self._agreement.provenance
 
     @property
     def claim(self) -> Claim:
         """The place it claims in the plan, and all that goes with it."""
-        return self._talks.claim
+        return self._agreement.claim
 
     @property
     def neighbors(self) -> int:
         """Robots within its radio range, |N_i|."""
-        return self._talks.neighbors
+        return self._agreement.neighbors
 
     @property
     def rejected(self) -> Counter[str]:
         """Messages refused on receipt, by reason."""
-        return self._talks.rejected
+        return self._agreement.rejected
 
     @property
     def quiet(self) -> bool:
-        """Whether another tick in which all say again what they said in the last one would change nothing here."""
-        return self._talks.quiet
+        """Whether repeating the last communication round would change nothing here."""
+        return self._agreement.quiet
 
     @property
     def influence(self) -> float:
@@ -182,21 +182,21 @@ class Agent:
         match event:
             case Received():
                 phase, effects = self.phase, self._receive(event)
-            case TickBegan():
-                phase, effects = self.phase, [Broadcast(self._talks.broadcast())]
-            case TickEnded():
+            case CommRoundBegan():
+                phase, effects = self.phase, [Broadcast(self._agreement.broadcast())]
+            case CommRoundEnded():
                 phase, effects = self._settle()
-            case Looked():
+            case Sensed():
                 phase, effects = self.phase, self._look_about(event)
-            case PeriodBegan():
+            case HeartbeatDue():
                 phase, effects = self.phase, self._begin_period(event.period)
             case MissionGiven():
-                phase, effects = self.phase, [self._talks.obey(event.mission, event.order)]
+                phase, effects = self.phase, [self._agreement.obey(event.mission, event.order)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
-                phase, effects = Phase.NEGOTIATING, self._take_plan(event.answer)
-            case NegotiationEnded():
+                phase, effects = Phase.AGREEING, self._take_plan(event.answer)
+            case AgreementEnded():
                 phase, effects = self._decide()
             case Decided():
                 phase, effects = self._take_step(event.answer)
@@ -212,41 +212,41 @@ class Agent:
 
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
         listening = self._scene is None and event.round > 1 and event.neighbors > 0
-        talks, mission = self._talks, self.mission
+        agreement, mission = self._agreement, self.mission
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
-        places = talks.places
+        places = agreement.places
         if places is None or listening:
             # Who joins a team that is at work hears it out before it proposes a plan of its own.
-            return Phase.NEGOTIATING, []
+            return Phase.AGREEING, []
         self._asked = PlanQuestion(
             mission=mission.at(event.round).resized(places),
             robot=self.robot,
             round=event.round,
             position=event.position,
             neighbors=event.observed,
-            still=talks.bodies,
+            still=agreement.bodies,
         )
         self._asked_about = self._topic[:2]
         return Phase.PLANNING, [AskPlan(self._asked)]
 
     @property
-    def _topic(self) -> tuple[Stamp, Plan | None, int | None]:
+    def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
         """What questions are about: an answer is of use as long as this is the same."""
-        return self._talks.stamp, self.plan, self.claim.slot
+        return self._agreement.stamp, self.plan, self.claim.slot
 
     def _begin_period(self, number: int) -> list[Effect]:
         """Count a heartbeat, look who is alive, and greet who is near."""
         assert self._seen is not None, "a robot looks before it greets"
-        talks, event = self._talks, self._seen[1]
+        agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
-        talks.begin_round(number, near, event.neighbors)
-        talks.watch_team(may_shrink=self._lookout.given_up)
+        agreement.begin_round(number, near, event.neighbors)
+        agreement.watch_team(may_shrink=self._connectivity.given_up)
         return []
 
-    def _look_about(self, event: Looked) -> list[Effect]:
+    def _look_about(self, event: Sensed) -> list[Effect]:
         """Another look, in whatever phase; a step that is being decided on is flown from what is seen now."""
         self._look(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
@@ -255,7 +255,7 @@ class Agent:
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. A step in question whose plan or place has changed by that is asked for anew."""
-        notes: list[Effect] = [*self._talks.settle()]
+        notes: list[Effect] = [*self._agreement.settle()]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()
@@ -268,11 +268,11 @@ class Agent:
         phase, effects = self._decide()
         return phase, [Note("stale_answer", {"about": "step"}), *effects]
 
-    def _look(self, number: int, event: RoundBegan | Looked) -> None:
+    def _look(self, number: int, event: RoundBegan | Sensed) -> None:
         """See the world of this round, and see it again from the frame of a mission that has come up since."""
         mission = self.mission
         moving = mission.velocity is not None
-        self._scene = scene = Scene(
+        self._scene = scene = Observation(
             round=number,
             position=event.position,
             sensed=event.sensed,
@@ -282,13 +282,13 @@ class Agent:
         )
         self._seen = number, event
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
-        self._talks.look(scene.here, sensed)
+        self._agreement.look(scene.here, sensed)
 
     def _receive(self, event: Received) -> list[Effect]:
-        talks = self._talks
-        before = talks.mission
-        notes: list[Effect] = [*talks.receive(event.payload, event.sender)]
-        if talks.mission is not before and self._seen is not None:
+        agreement = self._agreement
+        before = agreement.mission
+        notes: list[Effect] = [*agreement.receive(event.payload, event.sender)]
+        if agreement.mission is not before and self._seen is not None:
             self._look(*self._seen)
         return notes
 
@@ -297,10 +297,10 @@ class Agent:
         assert self._asked is not None and self._scene is not None, "only a robot that asked is answered"
         if self._topic[:2] != self._asked_about:
             return [Note("stale_answer", {"about": "plan"})]
-        answer, ahead = self._judge.plan(self._asked, answer), self._scene.ahead
+        answer, ahead = self._validator.plan(self._asked, answer), self._scene.ahead
         if isinstance(answer, PlanAnswer) and ahead:
             answer = replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
-        return [*self._talks.propose(answer)]
+        return [*self._agreement.propose(answer)]
 
     def _decide(self) -> tuple[Phase, list[Effect]]:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
@@ -315,7 +315,7 @@ class Agent:
             target = waiting_place(self.mission, scene.here, plan, others, blocked)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            target, notes = self._lookout.where_to(scene.here, plan, slot)
+            target, notes = self._connectivity.where_to(scene.here, plan, slot)
             effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()

@@ -14,7 +14,7 @@ import msgspec
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.warrants import Order
+from llm_flock.protocol.signed.certificates import Authorization
 
 
 class Phase(StrEnum):
@@ -22,7 +22,7 @@ class Phase(StrEnum):
 
     IDLE = "idle"
     PLANNING = "planning"
-    NEGOTIATING = "negotiating"
+    AGREEING = "agreeing"
     DECIDING = "deciding"
     MOVING = "moving"
     STOPPED = "stopped"
@@ -60,7 +60,7 @@ class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
     observed: tuple[Point, ...]
 
 
-class Looked(msgspec.Struct, frozen=True, kw_only=True):
+class Sensed(msgspec.Struct, frozen=True, kw_only=True):
     """What the sensors say between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
 
     position: Point
@@ -69,7 +69,7 @@ class Looked(msgspec.Struct, frozen=True, kw_only=True):
     observed: tuple[Point, ...]
 
 
-class PeriodBegan(msgspec.Struct, frozen=True):
+class HeartbeatDue(msgspec.Struct, frozen=True):
     """A new heartbeat period, after a look, of a robot whose heart beats by its clock and not by its rounds.
 
     `period` counts from 1.
@@ -87,7 +87,7 @@ class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     mission: Mission
-    order: Order | None = None
+    order: Authorization | None = None
 
 
 class Planned(msgspec.Struct, frozen=True):
@@ -96,7 +96,7 @@ class Planned(msgspec.Struct, frozen=True):
     answer: PlanAnswer | NoAnswer
 
 
-class TickBegan(msgspec.Struct, frozen=True):
+class CommRoundBegan(msgspec.Struct, frozen=True):
     """Time to broadcast."""
 
 
@@ -112,11 +112,11 @@ class Received(msgspec.Struct, frozen=True):
     sender: int | None = None
 
 
-class TickEnded(msgspec.Struct, frozen=True):
-    """All messages of this tick are in: decide on them together (snapshot semantics)."""
+class CommRoundEnded(msgspec.Struct, frozen=True):
+    """All messages of this communication round are in: decide on them together (snapshot semantics)."""
 
 
-class NegotiationEnded(msgspec.Struct, frozen=True):
+class AgreementEnded(msgspec.Struct, frozen=True):
     """No more exchanges before the move."""
 
 
@@ -136,14 +136,14 @@ class Stopped(msgspec.Struct, frozen=True):
 
 Event: TypeAlias = (
     RoundBegan
-    | Looked
-    | PeriodBegan
+    | Sensed
+    | HeartbeatDue
     | MissionGiven
     | Planned
-    | TickBegan
+    | CommRoundBegan
     | Received
-    | TickEnded
-    | NegotiationEnded
+    | CommRoundEnded
+    | AgreementEnded
     | Decided
     | Arrived
     | Stopped
@@ -187,17 +187,17 @@ class Note(msgspec.Struct, frozen=True):
 
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
 
-AT_ANY_TIME = (Looked, PeriodBegan, MissionGiven, TickBegan, Received, TickEnded)
-"""A robot talks, listens and looks in every phase, while its model thinks and while its body flies as well."""
+AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, CommRoundBegan, Received, CommRoundEnded)
+"""A robot sends, receives and senses in every phase, while its model thinks and while its body flies as well."""
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
-    (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.NEGOTIATING}),
-    (Phase.PLANNING, Planned): frozenset({Phase.NEGOTIATING}),
-    (Phase.NEGOTIATING, NegotiationEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
+    (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.AGREEING}),
+    (Phase.PLANNING, Planned): frozenset({Phase.AGREEING}),
+    (Phase.AGREEING, AgreementEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
     (Phase.DECIDING, Decided): frozenset({Phase.DECIDING, Phase.MOVING}),
     (Phase.MOVING, Arrived): frozenset({Phase.IDLE}),
     **{(phase, event): frozenset({phase}) for phase in Phase if phase is not Phase.STOPPED for event in AT_ANY_TIME},
-    (Phase.DECIDING, TickEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
+    (Phase.DECIDING, CommRoundEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
     **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
 }
 """Every legal (phase, event) and the phases it may lead to; anything else is a fault of the runtime."""

@@ -5,7 +5,15 @@ from __future__ import annotations
 from functools import cache
 from typing import Annotated, Any, cast
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+
+from llm_flock.renamed import RECORD_FIELDS
+
+
+def renamed_field(topic: str, name: str) -> AliasChoices:
+    """A field under its name and those that it had before."""
+    return AliasChoices(name, *(old for old, new in RECORD_FIELDS[topic].items() if new == name))
+
 
 FORMAT_VERSION = 1
 """Raised whenever a reader of older records would misread a newer one."""
@@ -89,7 +97,11 @@ class ProtocolEvent(Entry):
     """Something that a robot decided or met, when it happened."""
 
     round: int = Field(description="Motion round")
-    tick: int | None = Field(None, description="Message exchange in the round; left out between exchanges")
+    comm_round: int | None = Field(
+        None,
+        validation_alias=renamed_field("/protocol", "comm_round"),
+        description="Communication round within the motion round; left out between two of them",
+    )
     robot: int = Field(description="Whose event it is")
     kind: str = Field(description="What happened: proposed, adopted, claimed, shielded, ...")
     detail: dict[str, Any] = Field(description="What belongs to this kind of event")

@@ -13,12 +13,12 @@ from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import Lane
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.assignment import AssignmentRule
-from llm_flock.protocol.consensus import ConsensusRule
+from llm_flock.protocol.agreement.assignment import AssignmentRule
+from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import check_start, draw_start
-from llm_flock.runtime import provenance
+from llm_flock.runtime import versions
 from llm_flock.runtime.bodies import AtOnce
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.journal import Journal
@@ -164,7 +164,7 @@ def open_books(
                 cassette.unlink()  # this run made it a moment ago, and nothing is in it
             raise
         journal = Journal(
-            config.mission, writer if sink is None else Tee(writer, sink), remakes=config.protocol.gaps == "remake"
+            config.mission, writer if sink is None else Tee(writer, sink), replans=config.protocol.gaps == "replan"
         )
         thinkers.listen(journal.attempt)
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
@@ -178,10 +178,10 @@ def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:
     return RunInfo(
         format_version=1,
         config=config.model_dump(mode="json", exclude=places),
-        versions={**provenance.versions(), **thinkers.weights},
-        git_revision=provenance.git_revision(),
+        versions={**versions.versions(), **thinkers.weights},
+        git_revision=versions.git_revision(),
         seed=config.trial.seed,
         simulated=thinkers.simulated,
-        created_at=provenance.now(),
-        environment=provenance.environment(),
+        created_at=versions.now(),
+        environment=versions.environment(),
     )

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from llm_flock import formations
+from llm_flock import formations, renamed
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import FrameName
 from llm_flock.mission import Coordinate, Mission, input_error
-from llm_flock.protocol.liveness import TIME_OUT
+from llm_flock.protocol.membership.liveness import TIME_OUT
 from llm_flock.runtime.rules import PRESETS
 from llm_flock.runtime.schedule import Change, Schedule, build_schedule
 from llm_flock.runtime.seeds import Stream, stream
@@ -35,7 +35,7 @@ class ProtocolConfig(Section):
 
     protocol: Literal["flock", "paper", "baseline"] = Field(default="flock", description="Preset of the options below")
     consensus: str | None = Field(
-        default=None, description="Plan consensus: none, influence, pedigree, or package.module:Class [preset's]"
+        default=None, description="Plan consensus: none, influence, provenance, or package.module:Class [preset's]"
     )
     assignment: str | None = Field(
         default=None,
@@ -49,10 +49,10 @@ class ProtocolConfig(Section):
         default="hold",
         description="When a model's plan or step stays unusable: hold (wait for a neighbour's plan), or plain geometry",
     )
-    ticks: Count | None = Field(default=None, description="Message exchanges per motion round [preset's]")
-    gaps: Literal["report", "remake"] = Field(
+    comm_rounds: Count | None = Field(default=None, description="Communication rounds per motion round [preset's]")
+    gaps: Literal["report", "replan"] = Field(
         default="report",
-        description="When fewer robots are alive than the plan has places: report the gaps, or remake the plan",
+        description="When fewer robots are alive than the plan has places: report the gaps, or plan again",
     )
     time_out: Count = Field(
         default=TIME_OUT, description="Rounds without a heartbeat, by whatever way, after which a robot counts as dead"
@@ -227,8 +227,8 @@ def build_config_of(kind: type[Config], base: Mapping[str, Any] | None = None, *
             raise InputError(name, "...", f"one of the sections {', '.join(kind.model_fields)}")
         if not isinstance(section, Mapping):
             raise InputError(name, section, "a table")
-        data[name] = dict(cast("Mapping[str, Any]", section))
-    for field, value in overrides.items():
+        data[name] = renamed.current(cast("Mapping[str, Any]", section))
+    for field, value in renamed.current(overrides).items():
         if value is not None:
             data.setdefault(section_of(field, kind), {})[field] = value
     _load_points(data.get("mission", {}))

@@ -11,7 +11,7 @@ from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.messages import NO_OWNER
+from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.plan import Plan
 
 
@@ -84,7 +84,7 @@ class Episode:
 
     def follows(self, agent: Agent) -> bool:
         """Whether a robot follows a plan that was made for this mission."""
-        return agent.pedigree is not None and agent.pedigree.mission_digest == self.mission.digest
+        return agent.provenance is not None and agent.provenance.mission_digest == self.mission.digest
 
     def fits(self, plan: Plan, robots: int) -> bool:
         """Whether a plan has the places that one remade for so many robots would have, if there is such a shape."""

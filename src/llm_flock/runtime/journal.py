@@ -44,12 +44,12 @@ class Journal:
     Args:
         mission: the first mission.
         writer: takes the record.
-        remakes: whether the team has its plan remade when robots die: only such a plan counts as formed then.
+        replans: whether the team has its plan remade when robots die: only such a plan counts as formed then.
     """
 
-    def __init__(self, mission: Mission, writer: RecordSink, *, remakes: bool = False) -> None:
+    def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False) -> None:
         self.mission = mission
-        self._remakes = remakes
+        self._replans = replans
         self.writer = writer
         # What nobody reads is not put together. A class derived from NullWriter may read what it likes.
         self._read = type(writer) is not NullWriter
@@ -120,11 +120,13 @@ class Journal:
                 self.writer.llm(llm_entry(attempt))
         self._attempts.clear()
 
-    def note(self, round_number: int, tick: int | None, robot: int, note: Note) -> None:
+    def note(self, round_number: int, comm_round: int | None, robot: int, note: Note) -> None:
         """Record something that a robot decided or met."""
         if self._read:
             self.writer.event(
-                ProtocolEvent(round=round_number, tick=tick, robot=robot, kind=note.kind, detail=dict(note.detail))
+                ProtocolEvent(
+                    round=round_number, comm_round=comm_round, robot=robot, kind=note.kind, detail=dict(note.detail)
+                )
             )
 
     def plan(self, round_number: int, plan: Plan, proposer: int) -> None:
@@ -210,7 +212,7 @@ class Journal:
         if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or self.at_goal == min(usable, len(minds)):
             self.measure_error(roster)
         error = self.errors[-1]
-        fits = not self._remakes or plan is None or episode.fits(plan, len(minds))
+        fits = not self._replans or plan is None or episode.fits(plan, len(minds))
         to_goals = [distance for distance, slot in zip(distances, slots, strict=True) if slot is not None]
         if error is not None or episode.mission.ideal is None or not to_goals:
             residual = None if error is None else error[0]

@@ -8,19 +8,19 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from llm_flock.errors import InputError
-from llm_flock.protocol.assignment import (
+from llm_flock.protocol.agreement.assignment import (
     AssignmentRule,
     IndexAssignment,
     NearestAssignment,
     NearestFreeAssignment,
 )
-from llm_flock.protocol.auction import AuctionAssignment
-from llm_flock.protocol.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, PedigreeConsensus
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
 
 Rule = TypeVar("Rule")
 
 CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
-    {"none": NoConsensus, "influence": InfluenceConsensus, "pedigree": PedigreeConsensus}
+    {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}
 )
 ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
     {
@@ -32,9 +32,15 @@ ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
 )
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "flock": {"consensus": "pedigree", "assignment": "auction", "shield": True, "verify": True, "ticks": 5},
-        "paper": {"consensus": "influence", "assignment": "nearest", "shield": False, "verify": False, "ticks": 1},
-        "baseline": {"consensus": "none", "assignment": "index", "shield": False, "verify": False, "ticks": 1},
+        "flock": {"consensus": "provenance", "assignment": "auction", "shield": True, "verify": True, "comm_rounds": 5},
+        "paper": {
+            "consensus": "influence",
+            "assignment": "nearest",
+            "shield": False,
+            "verify": False,
+            "comm_rounds": 1,
+        },
+        "baseline": {"consensus": "none", "assignment": "index", "shield": False, "verify": False, "comm_rounds": 1},
     }
 )
 

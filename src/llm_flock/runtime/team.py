@@ -26,8 +26,8 @@ from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import Lane
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.steps import check_answer
-from llm_flock.protocol.verification import check_proposal
+from llm_flock.protocol.verification.plans import check_proposal
+from llm_flock.protocol.verification.steps import check_answer
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 

@@ -14,24 +14,24 @@ from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
     MissionGiven,
     MoveTo,
-    NegotiationEnded,
     Note,
     Planned,
     Received,
     RoundBegan,
     Stopped,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.liveness import patience
+from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
@@ -180,13 +180,13 @@ class Trial:
     async def _fly_round(self, number: int) -> None:
         self._let_happen(number)
         await self._think_plans(number)
-        ticks = self.config.protocol.ticks or 1
-        for tick in range(ticks):
+        comm_rounds = self.config.protocol.comm_rounds or 1
+        for comm_round in range(comm_rounds):
             before = replace(self.transport.traffic)
-            self._exchange(number, tick)
+            self._exchange(number, comm_round)
             if self.transport.clear and all(agent.quiet for _, agent in self._minds()):
                 # Nobody has anything new to say: the other exchanges of this round are like this one.
-                self.transport.repeat(before, ticks - tick - 1)
+                self.transport.repeat(before, comm_rounds - comm_round - 1)
                 break
         moves = await self._think_steps(number)
         await self._move(moves)
@@ -223,28 +223,28 @@ class Trial:
             if isinstance(answer, PlanAnswer):
                 self.journal.plan(number, answer.plan, robot)
 
-    def _exchange(self, number: int, tick: int) -> None:
+    def _exchange(self, number: int, comm_round: int) -> None:
         """One message exchange: all broadcast, then all receive, then all decide on the same snapshot."""
         minds = self._minds()
         for robot, agent in minds:
-            for effect in self._perform(number, tick, robot, agent.handle(TickBegan())):
+            for effect in self._perform(number, comm_round, robot, agent.handle(CommRoundBegan())):
                 if isinstance(effect, Broadcast):
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
         listening = dict(minds)
         for robot, payload in self.transport.deliver():
             # What was sent before a robot died may arrive later.
             if robot in listening and (notes := listening[robot].handle(Received(payload))):
-                self._perform(number, tick, robot, notes)
+                self._perform(number, comm_round, robot, notes)
         for robot, agent in minds:
-            if notes := agent.handle(TickEnded()):
-                self._perform(number, tick, robot, notes)
+            if notes := agent.handle(CommRoundEnded()):
+                self._perform(number, comm_round, robot, notes)
 
     async def _think_steps(self, number: int) -> dict[int, MoveTo]:
         """Robots with a goal ask for a waypoint, all at once; returns the move of each that is awake."""
         asking: dict[int, Coroutine[Any, Any, StepAnswer | NoAnswer]] = {}
         moves: dict[int, MoveTo] = {}
         for robot, agent in self._minds():
-            for effect in self._perform(number, None, robot, agent.handle(NegotiationEnded())):
+            for effect in self._perform(number, None, robot, agent.handle(AgreementEnded())):
                 if isinstance(effect, AskStep):
                     asking[robot] = self.thinkers.planners[robot].step(effect.question)
                 elif isinstance(effect, MoveTo):
@@ -264,11 +264,11 @@ class Trial:
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
         await self.bodies.fly(displacements)
 
-    def _perform(self, number: int, tick: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
+    def _perform(self, number: int, comm_round: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
         """Record the notes among the effects; return the rest."""
         notes = [effect for effect in effects if isinstance(effect, Note)]
         for note in notes:
-            self.journal.note(number, tick, robot, note)
+            self.journal.note(number, comm_round, robot, note)
         return [effect for effect in effects if not isinstance(effect, Note)] if notes else effects
 
     def _report(self) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from llm_flock.protocol.assignment import AssignmentRule, Claim, Moment
-from llm_flock.protocol.codec import decode, encode
-from llm_flock.protocol.consensus import ConsensusRule, Standing
-from llm_flock.protocol.messages import Message, Pedigree
+from llm_flock.protocol.agreement.assignment import AssignmentInput, AssignmentRule, Claim
+from llm_flock.protocol.agreement.consensus import ConsensusRule, Standing
+from llm_flock.protocol.messages.codec import decode, encode
+from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.plan import Plan
 
 DIGEST = "0" * 16
@@ -19,10 +19,10 @@ def random_plan(n: int, rng: np.random.Generator, dim: int = 2) -> Plan:
 
 
 def random_message(sender: int, n: int, plan: Plan | None, rng: np.random.Generator) -> Message:
-    """A legal message of one robot, with a random influence and pedigree."""
+    """A legal message of one robot, with a random influence and provenance."""
     origin = None
     if plan is not None:
-        origin = Pedigree(
+        origin = Provenance(
             mission=0,
             mission_digest=DIGEST,
             epoch=0,
@@ -31,7 +31,9 @@ def random_message(sender: int, n: int, plan: Plan | None, rng: np.random.Genera
             sequence=0,
         )
     slot = None if plan is None or rng.random() < 0.2 else int(rng.integers(0, n))
-    return Message(sender=sender, sequence=0, neighbors=int(rng.integers(0, n)), plan=plan, pedigree=origin, slot=slot)
+    return Message(
+        sender=sender, sequence=0, neighbors=int(rng.integers(0, n)), plan=plan, provenance=origin, slot=slot
+    )
 
 
 def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 0) -> None:
@@ -47,7 +49,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
         n = int(rng.integers(1, 8))
         plans = [random_plan(n, rng), random_plan(n, rng), None]
         own_message = random_message(0, n, plans[int(rng.integers(0, 3))], rng)
-        own = Standing(plan=own_message.plan, pedigree=own_message.pedigree, neighbors=own_message.neighbors)
+        own = Standing(plan=own_message.plan, provenance=own_message.provenance, neighbors=own_message.neighbors)
         assert rule.choose(own, []) is None, f"{rule.name} chose although nothing was heard"
         heard = [random_message(j, n, plans[int(rng.integers(0, 3))], rng) for j in range(1, n)]
         choice = rule.choose(own, heard)
@@ -59,7 +61,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
         shuffled = [heard[int(k)] for k in rng.permutation(len(heard))]
         again = rule.choose(own, shuffled)
         assert again is not None and again.plan == choice.plan, f"{rule.name} depends on the order of messages"
-        settled = Standing(plan=choice.plan, pedigree=choice.pedigree, neighbors=own.neighbors)
+        settled = Standing(plan=choice.plan, provenance=choice.provenance, neighbors=own.neighbors)
         assert rule.choose(settled, [choice]) is None, f"{rule.name} adopts again what it just adopted"
 
 
@@ -81,8 +83,8 @@ def _check_team(rule: AssignmentRule, n: int, rng: np.random.Generator) -> None:
     places = [tuple(float(x) for x in row) for row in rng.uniform(0, 100, (n, 2))]
     chosen = [int(rng.integers(0, n)) for _ in range(n)]
 
-    def moment(i: int, heard: list[Message]) -> Moment:
-        return Moment(
+    def moment(i: int, heard: list[Message]) -> AssignmentInput:
+        return AssignmentInput(
             robot=i,
             position=places[i],
             plan=plan,
@@ -116,13 +118,13 @@ def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
 
 def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     """The claim as others hear it, through the wire format."""
-    origin = Pedigree(mission=0, mission_digest=DIGEST, epoch=0, neighbors=0, proposer=0, sequence=0)
+    origin = Provenance(mission=0, mission_digest=DIGEST, epoch=0, neighbors=0, proposer=0, sequence=0)
     message = Message(
         sender=robot,
         sequence=0,
         neighbors=0,
         plan=plan,
-        pedigree=origin,
+        provenance=origin,
         slot=claim.slot,
         table=claim.table,
         offer=claim.offer,

@@ -19,10 +19,12 @@ class LinkFaults(BaseModel):
 
     loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
     delay: int = Field(
-        default=0, ge=0, le=1000, description="Longest delay [ticks]; each message draws 0..delay uniformly"
+        default=0, ge=0, le=1000, description="Longest delay [comm_rounds]; each message draws 0..delay uniformly"
     )
     duplicate: Share = Field(default=0.0, description="Probability that a message arrives twice")
-    reorder: Share = Field(default=0.0, description="Probability that a robot gets a tick's messages in random order")
+    reorder: Share = Field(
+        default=0.0, description="Probability that a robot gets a comm_round's messages in random order"
+    )
 
     @property
     def any(self) -> bool:
@@ -80,7 +82,7 @@ class MemoryTransport:
         return not self.faults.any and not self._due
 
     def repeat(self, before: Traffic, times: int) -> None:
-        """As if all that was sent since `before` were sent, and arrived, so many times more; a tick each."""
+        """Count what was sent since `before` once more for each of so many communication rounds."""
         traffic = self.traffic
         traffic.sent += times * (traffic.sent - before.sent)
         traffic.bytes += times * (traffic.bytes - before.bytes)
@@ -88,7 +90,7 @@ class MemoryTransport:
         self._tick += times
 
     def deliver(self) -> list[tuple[int, bytes]]:
-        """What arrives in this tick, as (receiver, payload) in the order of arrival; then the next tick begins."""
+        """What arrives in this communication round, as (receiver, payload) in the order of arrival; begins the next."""
         arriving = self._due.pop(self._tick, [])
         self._tick += 1
         self.traffic.delivered += len(arriving)

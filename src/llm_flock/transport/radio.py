@@ -15,7 +15,7 @@ import numpy as np
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.shield_async import Sighting
+from llm_flock.protocol.motion.shield_async import Sighting
 from llm_flock.transport.memory import LinkFaults
 
 FRESH_BEACONS = 5.0

@@ -46,7 +46,7 @@ class Claim:
     rival: bool
 
 
-def pedigree(reel: Reel, robot: int, number: int) -> Sequence[Descent]:
+def provenance(reel: Reel, robot: int, number: int) -> Sequence[Descent]:
     """How the plan that a robot follows in a round came to it, from the proposal on; empty without a plan."""
     plan_id = reel.states[number].plan_ids[robot]
     way: list[Descent] = []

@@ -6,7 +6,7 @@ from nicegui import ui
 
 from llm_flock.record.schema import LlmEntry
 from llm_flock.record.words import verdict
-from llm_flock.viewer.mind import claims, pedigree, price
+from llm_flock.viewer.mind import claims, price, provenance
 from llm_flock.viewer.reel import Reel
 
 MOST_CLAIMS = 30
@@ -23,7 +23,7 @@ def show_mind(reel: Reel, robot: int, number: int) -> None:
             f"{state.phases[robot].replace('_', ' ')} · moved by {state.origins[robot]}"
         ).classes("flock-facts")
         _conversation(reel, robot, number)
-        _pedigree(reel, robot, number)
+        _provenance(reel, robot, number)
         _claims(reel, robot, number)
 
 
@@ -70,11 +70,11 @@ def _call(entry: LlmEntry) -> None:
         ui.label(price(entry)).classes("flock-hint")
 
 
-def _pedigree(reel: Reel, robot: int, number: int) -> None:
-    way = pedigree(reel, robot, number)
+def _provenance(reel: Reel, robot: int, number: int) -> None:
+    way = provenance(reel, robot, number)
     if not way:
         return
-    ui.label("Pedigree of its plan").classes("flock-role")
+    ui.label("Provenance of its plan").classes("flock-role")
     words = [
         f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})" for step in way
     ]

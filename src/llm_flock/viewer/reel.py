@@ -120,7 +120,9 @@ class Reel:
         if event.kind not in ROUTINE:
             self._marks[event.round]["faults"] += 1
         if event.robot is not None:
-            told = ProtocolEvent(round=event.round, tick=None, robot=event.robot, kind=event.kind, detail=event.detail)
+            told = ProtocolEvent(
+                round=event.round, comm_round=None, robot=event.robot, kind=event.kind, detail=event.detail
+            )
             self._events[event.round].append(told)
 
     def end_round(self, number: int) -> None:

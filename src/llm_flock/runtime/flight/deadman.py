@@ -1,7 +1,7 @@
 """The deadman: a process of its own that lands the drones when the flight process dies or hangs.
 
-A drone that is under way when nobody talks to it any more flies on to its set-point and hovers there: no firmware is
-counted on to land it. So the flight process tells this one again and again that it is alive, and who is in the air.
+A drone that is under way when nobody talks to it any more flies on to its set-point and hovers there: no firmware
+is counted on to land it. So the flight process tells this one again and again that it is alive, and who is in the air.
 When that ends without a farewell, this process ends the flight process, which may hold the radio, opens its own links,
 and lands everybody who is in the air.
 """

@@ -117,7 +117,7 @@ async def rehearse(config: FlightConfig) -> Rehearsal:
     rules = consensus_rule(protocol.consensus or ""), assignment_rule(protocol.assignment or "")
     schedule = config.schedule()
     thinkers = Thinkers(config)
-    journal = Journal(mission, NullWriter(), remakes=protocol.gaps == "remake")
+    journal = Journal(mission, NullWriter(), replans=protocol.gaps == "replan")
     thinkers.listen(journal.attempt)
     journal.mission_given(mission, 0, aims)
     trial = Trial(

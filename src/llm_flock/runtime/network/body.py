@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.projection import clip
-from llm_flock.protocol.shield_async import Sighting, project_async
-from llm_flock.protocol.surroundings import static_half_spaces
+from llm_flock.protocol.motion.projection import clip
+from llm_flock.protocol.motion.shield_async import Sighting, project_async
+from llm_flock.protocol.motion.surroundings import static_half_spaces
 from llm_flock.runtime.network.wire import Body, Command
 
 STILL = 1e-6

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
-from llm_flock.protocol.messages import Stamp
-from llm_flock.protocol.speech import MISSION_FIELDS
-from llm_flock.protocol.warrants import mission_statement
+from llm_flock.protocol.messages.dissemination import MISSION_FIELDS
+from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.signed.certificates import mission_statement
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.wire import Order
 from llm_flock.transport.seal import OPERATOR, PlainSeal
@@ -78,5 +78,5 @@ def ordered(config: SwarmConfig, fields: dict[str, Any]) -> Order:
         return Order(fields=fields)
     mission, counter = config.mission.change(**fields), int(time.time())
     whole = mission.model_dump(mode="json", include=set(MISSION_FIELDS))
-    signature = keys.sign(mission_statement(Stamp(counter, mission.digest)))
+    signature = keys.sign(mission_statement(MissionStamp(counter, mission.digest)))
     return Order(fields=whole, counter=counter, signature=signature)

@@ -21,31 +21,31 @@ from llm_flock.errors import InputError
 from llm_flock.metrics import AT_GOAL
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import (
+    AgreementEnded,
     Arrived,
     AskPlan,
     AskStep,
     Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
     Decided,
     Effect,
     Event,
-    Looked,
+    HeartbeatDue,
     MissionGiven,
     MoveTo,
-    NegotiationEnded,
     Note,
     Origin,
-    PeriodBegan,
     Phase,
     Planned,
     Received,
     RoundBegan,
+    Sensed,
     Stopped,
-    TickBegan,
-    TickEnded,
 )
-from llm_flock.protocol.messages import NO_OWNER
+from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
-from llm_flock.protocol.warrants import Order
+from llm_flock.protocol.signed.certificates import Authorization
 from llm_flock.runtime.network import wire
 from llm_flock.runtime.network.body import STILL, Pilotage
 from llm_flock.runtime.network.config import SwarmConfig
@@ -56,7 +56,7 @@ from llm_flock.transport.radio import Radio
 T = TypeVar("T")
 
 QUIET_TICKS = 2
-"""Exchanges without another place for this robot after which its talks about a plan that is new have settled."""
+"""Exchanges without another place for this robot after which its agreement about a plan that is new have settled."""
 
 PATIENCE = 2.0
 """A move ends at the latest after so many times as long as it would take unhindered."""
@@ -96,7 +96,7 @@ class Mind:
         self._radio = radio
         self._body = body
         self._say = say
-        self._ticks = 0
+        self._comm_rounds = 0
         self._settled_at = 0
         self._place: object = None
         self._order: AskStep | MoveTo | None = None
@@ -113,7 +113,9 @@ class Mind:
         for effect in self.agent.handle(event):
             match effect:
                 case Note():
-                    self.notes.append(Happened(kind=effect.kind, detail=dict(effect.detail), tick=self._ticks))
+                    self.notes.append(
+                        Happened(kind=effect.kind, detail=dict(effect.detail), comm_round=self._comm_rounds)
+                    )
                 case Broadcast():
                     self._say(effect.payload)
                 case AskStep() | MoveTo():
@@ -126,7 +128,7 @@ class Mind:
     def look(self) -> None:
         """Tell the agent what the sensors say now."""
         if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
-            self.handle(Looked(**self._sight()))
+            self.handle(Sensed(**self._sight()))
 
     def receive(self, payload: bytes, sender: int) -> None:
         """A message of another robot."""
@@ -140,7 +142,7 @@ class Mind:
         except (InputError, TypeError) as error:
             self.notes.append(Happened(kind="rejected_message", detail={"reason": "mission", "detail": str(error)}))
             return
-        signed = Order(counter=order.counter, signature=order.signature) if order.signature else None
+        signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
         self.handle(MissionGiven(mission=mission, order=signed))
 
     def _sight(self) -> dict[str, Any]:
@@ -170,14 +172,14 @@ class Mind:
         self.look()
         if not self.agent.position:
             return
-        self.handle(TickEnded())
-        if self._ticks % (self._config.protocol.ticks or 1) == 0:
+        self.handle(CommRoundEnded())
+        if self._comm_rounds % (self._config.protocol.comm_rounds or 1) == 0:
             self.period += 1
-            self.handle(PeriodBegan(self.period))
-        self.handle(TickBegan())
-        self._ticks += 1
+            self.handle(HeartbeatDue(self.period))
+        self.handle(CommRoundBegan())
+        self._comm_rounds += 1
         if self._topic != self._place:
-            self._place, self._settled_at = self._topic, self._ticks
+            self._place, self._settled_at = self._topic, self._comm_rounds
             self._changed.set()
             if self._body.waypoint is not None and self._topic != self._going_for:
                 self._body.waypoint = None  # it stops within a control period, and sets out for the new place
@@ -207,7 +209,7 @@ class Mind:
         await self._settle()
         self._order = None
         self.look()
-        self.handle(NegotiationEnded())
+        self.handle(AgreementEnded())
         move = await self._decide()
         await self._land()
         self.waypoints[move.origin.value] += 1
@@ -217,10 +219,10 @@ class Mind:
         await self._rest(move)
 
     async def _settle(self) -> None:
-        """Let the talks about a place that is new come to rest, for a heartbeat period at most."""
+        """Let the agreement about a place that is new come to rest, for a heartbeat period at most."""
         network = self._config.network
-        for _ in range(self._config.protocol.ticks or 1):
-            if self._ticks - self._settled_at >= QUIET_TICKS:
+        for _ in range(self._config.protocol.comm_rounds or 1):
+            if self._comm_rounds - self._settled_at >= QUIET_TICKS:
                 return
             await asyncio.sleep(network.gossip_s)
 
@@ -291,7 +293,7 @@ class Mind:
             return
         await self._land()
         self._changed.clear()
-        rest_s = network.gossip_s * (self._config.protocol.ticks or 1)
+        rest_s = network.gossip_s * (self._config.protocol.comm_rounds or 1)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._changed.wait(), rest_s)
 
@@ -300,7 +302,7 @@ class Mind:
     def report(self, *, known: set[str], calls: list[dict[str, Any]], latencies_s: list[float]) -> dict[str, Any]:
         """The fields of a report that the mind knows; plans and missions in `known` are not said again."""
         agent = self.agent
-        plan, origin, mission = agent.plan, agent.pedigree, agent.mission
+        plan, origin, mission = agent.plan, agent.provenance, agent.mission
         news = plan is not None and plan.digest not in known
         shape = None if mission.digest in known else mission.model_dump(mode="json")
         known.update({mission.digest} if plan is None else {mission.digest, plan.digest})

@@ -108,7 +108,7 @@ class Observer:
             proposer = report.proposer or 0
             self._sink.plan(PlanInfo(round=self._now, plan_id=report.plan_id, proposer=proposer, points=points))
         for event in report.happened:
-            told = ProtocolEvent(round=self._now, tick=None, robot=robot, kind=event.kind, detail=event.detail)
+            told = ProtocolEvent(round=self._now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
             self._sink.event(told)
         for call in report.calls:
             entry = LlmEntry.model_validate({**call, "round": self._now})

@@ -64,7 +64,7 @@ class Robot:
             time_out=protocol.time_out,
             gaps=protocol.gaps,
             own_clock=True,
-            notary=load_keys(config, robot),
+            authenticator=load_keys(config, robot),
         )
         self.radio = Radio(
             robot,

@@ -11,7 +11,7 @@ from pathlib import Path
 from llm_flock.errors import MessageError
 from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
-from llm_flock.runtime import provenance
+from llm_flock.runtime import versions
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.joining import open_link, ordered
 from llm_flock.runtime.network.observer import Observer
@@ -59,12 +59,12 @@ def run_info(config: SwarmConfig) -> RunInfo:
     return RunInfo(
         format_version=1,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
-        versions=provenance.versions(),
-        git_revision=provenance.git_revision(),
+        versions=versions.versions(),
+        git_revision=versions.git_revision(),
         seed=config.trial.seed,
         simulated=config.simulated,
-        created_at=provenance.now(),
-        environment=provenance.environment(),
+        created_at=versions.now(),
+        environment=versions.environment(),
     )
 
 

@@ -91,7 +91,7 @@ class Happened(msgspec.Struct, frozen=True):
 
     kind: str
     detail: dict[str, Any]
-    tick: int | None = None
+    comm_round: int | None = None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True):

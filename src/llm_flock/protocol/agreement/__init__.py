@@ -1,0 +1,1 @@
+"""Which plan the team follows, and who takes which slot: the paper's subject."""

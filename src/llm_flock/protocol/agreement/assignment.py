@@ -1,0 +1,165 @@
+"""Which place of the plan is mine: rules that look at one's own claim and at what was just heard on the same plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import msgspec
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.messages.message import Entry, Message, Offer, Roll, Table
+from llm_flock.protocol.plan import Plan
+
+
+class Claim(msgspec.Struct, frozen=True, kw_only=True):
+    """A robot's place in its present plan.
+
+    Attributes:
+        slot: index of the place, None while the robot has none.
+        table: everybody's claims as far as known (auction only).
+        bids: this robot's bid for every slot, fixed when the plan was adopted (auction only).
+        offer: the exchange of places that this robot has offered and is bound to (auction only).
+        bound: communication rounds for which it stays bound to its offer.
+    """
+
+    slot: int | None
+    table: Table | None = None
+    bids: tuple[float, ...] | None = None
+    offer: Offer | None = None
+    bound: int = 0
+
+
+class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot knows when it claims a place of the plan it follows.
+
+    Attributes:
+        robot: own id.
+        position: own believed position [units; world frame].
+        plan: the plan that is followed.
+        spacing: wanted distance between neighbouring robots [units].
+        chosen: the index that its own model named for itself, None where the model gave no plan.
+        adopted: whether the plan is another robot's.
+        heard: this communication round's newest message of each robot on the same plan, in ascending order of ids.
+        sensed: believed positions of the robots within sensing range, by id [units; world frame].
+        silent: robots that were heard of and are no more.
+        blocked: places that nobody can take, because a body that does not move is on them.
+        clear: places that surely have no such body.
+        granted: entries that enough robots have signed together (signed claims only).
+        roll: where everybody is; None where that is not known, or no news.
+        order: of several places of one's own the one with the highest of these is kept (signed claims only).
+    """
+
+    robot: int
+    position: Point
+    plan: Plan
+    spacing: float
+    chosen: int | None
+    adopted: bool
+    heard: Sequence[Message]
+    sensed: Mapping[int, Point]
+    silent: frozenset[int] = frozenset()
+    blocked: frozenset[int] = frozenset()
+    clear: frozenset[int] = frozenset()
+    granted: Table | None = None
+    roll: Roll | None = None
+    order: Callable[[int, Entry], tuple[int, int]] | None = None
+
+
+class AssignmentRule(Protocol):
+    """Chooses a robot's own slot.
+
+    A rule is a pure function of its arguments. What it looks at in a message is who sends it, `neighbors`, `plan`,
+    `provenance`, `plan_class`, `slot`, `table` and `offer`: it is not asked anew while these stay as they are.
+    `llm_flock.testing.check_assignment_rule` tests a new rule.
+    """
+
+    @property
+    def name(self) -> str:
+        """The word for the command line and records."""
+        ...
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """First claim on a plan that was just proposed or adopted."""
+        ...
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """The claim after a communication round's messages on the same plan."""
+        ...
+
+
+def nearest(position: Point, plan: Plan, taken: frozenset[int] = frozenset()) -> int:
+    """Index of the plan's point closest to `position` that is not in `taken`; lowest index among equals.
+
+    With every point taken, the closest of all.
+    """
+    free = [a for a in range(len(plan)) if a not in taken] or range(len(plan))
+    return min(free, key=lambda a: (math.dist(position, plan.points[a]), a))
+
+
+def _own_choice(now: AssignmentInput) -> int:
+    """The model's own index; the robot's id where the model named none."""
+    return now.robot if now.chosen is None else now.chosen
+
+
+@dataclass(frozen=True, slots=True)
+class IndexAssignment:
+    """The model's own choice (paper, line 119), kept whatever others claim; the baseline's rule."""
+
+    name: str = "index"
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """The index that this robot's model named with its own plan, also in a plan adopted from another."""
+        return Claim(slot=_own_choice(now))
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Unchanged."""
+        return claim
+
+
+@dataclass(frozen=True, slots=True)
+class NearestAssignment:
+    """The paper's rule, literally (lines 136-139 and 155-157).
+
+    On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is never
+    looked at again: nobody hears of it, so two robots may take the same goal. A robot's own plan keeps the index
+    that its model named.
+    """
+
+    name: str = "nearest"
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """The model's index on its own plan; the nearest of all points on an adopted one."""
+        return Claim(slot=_own_choice(now) if not now.adopted else nearest(now.position, now.plan))
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Unchanged: equal plans never trigger a new assignment."""
+        return claim
+
+
+@dataclass(frozen=True, slots=True)
+class NearestFreeAssignment:
+    """The paper's evident intention: claims are broadcast, and a goal claimed by a neighbour on the same plan is taken.
+
+    Two robots may still claim one goal in the same communication round, or meet later; then the higher id yields to the
+    lower and takes the nearest goal that no neighbour claims. A robot knows its neighbours' claims only, so distinct
+    goals in the whole team are not assured.
+    """
+
+    name: str = "nearest-free"
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """The model's index on its own plan; the nearest unclaimed point on an adopted one."""
+        if not now.adopted:
+            return Claim(slot=_own_choice(now))
+        taken = frozenset(m.slot for m in now.heard if m.slot is not None)
+        return Claim(slot=nearest(now.position, now.plan, taken))
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Yield to a neighbour of lower id on the same goal."""
+        if not any(m.slot == claim.slot and m.sender < now.robot for m in now.heard):
+            return claim
+        taken = frozenset(m.slot for m in now.heard if m.slot is not None)
+        return Claim(slot=nearest(now.position, now.plan, taken))

@@ -1,0 +1,284 @@
+"""Consensus-based auction over the slots of the agreed plan, with exchanges between neighbours.
+
+CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO 2009). Exchanges
+follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for multiple robots
+(IJRR 2014), with ways instead of distances. Nobody holds the table: every robot has its own, and tables meet by
+merging.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import compress
+from typing import TypeAlias
+
+import numpy as np
+from msgspec.structs import replace
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol.agreement.path_length import way_lengths
+from llm_flock.protocol.membership.all_to_all import assigned, given_all_to_all
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
+
+BID_DECIMALS = 9
+
+Precedence: TypeAlias = Callable[[int, Entry], tuple[int, int]]
+
+SWAP_GAIN = 0.01
+"""An exchange must lower the sum of the squared ways by at least this share of the squared spacing."""
+
+BOUND_TICKS = 4
+"""How long an offer binds its maker; an answer takes two communication rounds where nothing is lost."""
+
+
+def rank(entry: Entry) -> tuple[int, bool, float, int]:
+    """Order of claims on one slot: higher version, then owned before free, then higher bid, then lower owner."""
+    version, bid, owner = entry
+    return (version, owner != NO_OWNER, bid, -owner)
+
+
+def merge(mine: Table, theirs: Table, said: Sequence[int] | None = None) -> Table:
+    """Slot by slot the claim of higher rank; associative, commutative and idempotent.
+
+    Args:
+        mine: one table.
+        theirs: another.
+        said: the slots of it that matter, where that is known.
+    """
+    return merged(mine, [(theirs, said)])[0]
+
+
+def merged(mine: Table, others: Iterable[tuple[Table, Sequence[int] | None]]) -> tuple[Table, set[int]]:
+    """`merge` with several tables and the slots of them that matter; also the slots that changed."""
+    entries, touched = list(mine), set[int]()
+    for theirs, said in others:
+        # Tables are long, and what is heard is mostly known: entries that were read from the same bytes are the same
+        # object (`llm_flock.protocol.messages.codec`), which costs the least to see.
+        if said is None:
+            said = compress(range(len(entries)), map(operator.is_not, entries, theirs))
+        for a in said:
+            their, my = theirs[a], entries[a]
+            if their is my or their is UNSAID or their[0] < my[0]:
+                continue
+            if their[0] > my[0] or ((their[1] >= my[1] or my[2] == NO_OWNER) and rank(their) > rank(my)):
+                entries[a] = their
+                touched.add(a)
+    return (tuple(entries) if touched else mine), touched
+
+
+def changed(table: Table, new: Mapping[int, Entry]) -> Table:
+    """The table with some entries replaced; the same object where there are none."""
+    if not new:
+        return table
+    entries = list(table)
+    for a, entry in new.items():
+        entries[a] = entry
+    return tuple(entries)
+
+
+def vacant(table: Table) -> list[int]:
+    """Slots that nobody is known to own."""
+    return [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
+
+
+@dataclass(frozen=True, slots=True)
+class AuctionAssignment:
+    """CBAA with exchanges.
+
+    A robot's bid for a slot is minus its distance to it, fixed when it adopts the plan: bids from moving positions
+    could leapfrog for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it can still
+    win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a connected
+    graph the team ends on distinct slots. The index named by the model is not used: it knows nobody's distance.
+
+    Two neighbours exchange slots when that lowers the sum of their squared ways, even if one then flies farther. The
+    ways lead along the formation (`llm_flock.protocol.agreement.path_length`): a far slot is not flown to across
+    everybody's range, but handed on from place to place, and the whole row moves up by one. Who has accepted may offer
+    the next exchange in the same communication round. The offer binds its maker until it is answered, refused or
+    expired: meanwhile it neither claims nor exchanges. The acceptance is written in the table, both versions raised,
+    and travels by merging; an entry with a raised version cannot be outbid by who has not heard of it. Whoever finds
+    itself on several slots, after a late acceptance for instance, keeps one by a fixed order and releases the rest.
+    """
+
+    name: str = "auction"
+    swaps: bool = True
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """Fix the bids for this plan and claim the best slot that can be won."""
+        distances = np.linalg.norm(now.plan.array - np.array(now.position), axis=1)
+        bids = tuple((-distances).round(BID_DECIMALS).tolist())
+        empty: Table = (UNSAID,) * len(now.plan)
+        return self.update(Claim(slot=None, table=empty, bids=bids), now)
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Merge the tables heard; keep the slot, exchange it, or claim another one if it was lost."""
+        table, bids = claim.table, claim.bids
+        assert table is not None and bids is not None, "an auction claim carries a table and bids"
+        table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
+        if now.roll is not None:
+            table, more = merged(table, [(assigned(now.plan, now.roll), None)])
+            touched |= more
+        if now.granted is None:
+            table = observed_occupancy(reclaimed(now.robot, claim, table), now)
+        else:
+            table = merge(table, now.granted)
+        offer, bound = claim.offer, claim.bound - 1
+        if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
+            offer = None
+        if table is claim.table and claim.slot is not None:
+            slot = claim.slot
+        else:
+            among = touched if claim.slot is None else touched | {claim.slot}
+            table, slot = keep_one(now.robot, table, among, now.order)
+            if slot is None and offer is None:
+                table, slot = best_won(now.robot, bids, table)
+        claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
+        if slot is None or not self.swaps:
+            return claim
+        claim = _accepted(claim, now) or claim
+        return claim if claim.offer is not None else _offered(claim, now)
+
+
+def reclaimed(robot: int, claim: Claim, table: Table) -> Table:
+    """Take back a slot that others released because they had not heard of this robot for long."""
+    slot = claim.slot
+    if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
+        return table
+    return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
+
+
+def observed_occupancy(table: Table, now: AssignmentInput) -> Table:
+    """The table after a look around: slots of the silent are free, and those under still bodies belong to nobody."""
+    if not (now.silent or now.blocked or now.clear):
+        return table
+    new: dict[int, Entry] = {}
+    for a, (version, _, owner) in enumerate(table):
+        if a in now.blocked:
+            if owner != BLOCKED:
+                new[a] = (version + 1, 0.0, BLOCKED)
+        elif owner in now.silent or (owner == BLOCKED and a in now.clear):
+            new[a] = (version + 1, 0.0, NO_OWNER)
+    return changed(table, new)
+
+
+def _ended(offer: Offer, robot: int, table: Table) -> bool:
+    """Whether an offer was answered or refused: either slot has moved on in the table."""
+    mine, theirs = table[offer.give], table[offer.take]
+    return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
+
+
+def keep_one(
+    robot: int, table: Table, among: Iterable[int], order: Precedence | None = None
+) -> tuple[Table, int | None]:
+    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
+
+    Signed claims have an order of their own, by which everybody knows which one counts: the others are freed together.
+
+    Args:
+        robot: own id.
+        table: all claims known.
+        among: slots that it may own: its own of before, and those in which something has changed since.
+        order: the order of signed claims; then any slot may be its own.
+    """
+    if order is not None:
+        every = [a for a, entry in enumerate(table) if entry[2] == robot]
+        return table, max(every, key=lambda a: order(a, table[a]), default=None)
+    owned = [a for a in among if table[a][2] == robot]
+    keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a), default=None)
+    return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
+
+
+def best_won(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
+    """Claim the best slot that can be won, or none."""
+    for a in _preferred(bids):
+        version, bid, owner = table[a]
+        # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
+        if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
+            return changed(table, {a: (version, bids[a], robot)}), a
+    return table, None
+
+
+@lru_cache(maxsize=4096)
+def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
+    """Slots by falling bid, those of equal bids by index."""
+    return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
+
+
+def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
+    """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2].
+
+    The ways lead along the formation, or are `straight`.
+    """
+
+    def ways(here: Point) -> list[float]:
+        if straight:
+            return [math.dist(here, now.plan.points[a]) for a in (mine, theirs)]
+        return way_lengths(here, now.plan, (mine, theirs), now.spacing)
+
+    (keep, take), (their_take, their_keep) = ways(now.position), ways(there)
+    return keep**2 + their_keep**2 - take**2 - their_take**2
+
+
+def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
+    """The gain of exchanging with a peer on `slot`; minus infinity where the peer is not sensed."""
+    there = now.sensed.get(peer)
+    if there is None or claim.slot is None:
+        return -math.inf
+    return gain(now, there, claim.slot, slot, straight=given_all_to_all(claim.table, claim.slot))
+
+
+def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
+    """Accept the best of the offers heard, if there is a good one and nothing binds this robot elsewhere."""
+    table = claim.table or ()
+    good: list[tuple[float, int, Offer]] = []
+    for message in now.heard:
+        offer = message.offer
+        if offer is None or offer.to != now.robot or offer.take != claim.slot:
+            continue
+        # Two that offer each other the same exchange: the offer of the lower id stands.
+        crossing = claim.offer is not None and claim.offer.to == message.sender and message.sender < now.robot
+        if claim.offer is not None and not crossing:
+            continue
+        if table[offer.give][::2] != (offer.give_version, message.sender) or table[offer.take][0] != offer.take_version:
+            continue
+        worth = _worth(claim, now, message.sender, offer.give)
+        if worth >= SWAP_GAIN * now.spacing**2:
+            good.append((worth, -message.sender, offer))
+    if not good:
+        return None
+    _, minus_sender, offer = max(good, key=lambda item: item[:2])
+    entries = list(table)
+    assert claim.bids is not None
+    entries[offer.give] = (offer.give_version + 1, claim.bids[offer.give], now.robot)
+    entries[offer.take] = (offer.take_version + 1, offer.bid, -minus_sender)
+    return Claim(slot=offer.give, table=tuple(entries), bids=claim.bids)
+
+
+def _offered(claim: Claim, now: AssignmentInput) -> Claim:
+    """Offer the best exchange to a neighbour that is bound to nobody, if there is a good one."""
+    table, slot = claim.table or (), claim.slot
+    assert slot is not None and claim.bids is not None
+    best: tuple[float, int] | None = None
+    chosen: Message | None = None
+    for message in now.heard:
+        theirs = message.slot
+        if theirs is None or theirs == slot or message.offer is not None or table[theirs][2] != message.sender:
+            continue
+        worth = _worth(claim, now, message.sender, theirs)
+        if worth >= SWAP_GAIN * now.spacing**2 and (best is None or (worth, -message.sender) > best):
+            best, chosen = (worth, -message.sender), message
+    if chosen is None or chosen.slot is None:
+        return claim
+    offer = Offer(
+        to=chosen.sender,
+        give=slot,
+        take=chosen.slot,
+        give_version=table[slot][0],
+        take_version=table[chosen.slot][0],
+        bid=claim.bids[chosen.slot],
+    )
+    return replace(claim, offer=offer, bound=BOUND_TICKS)

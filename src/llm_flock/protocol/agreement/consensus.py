@@ -1,0 +1,115 @@
+"""Which plan to follow: rules that look at one's own standing and at what was just heard, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+import msgspec
+
+from llm_flock.protocol.messages.message import Message, Provenance
+from llm_flock.protocol.plan import Plan
+
+PlanKey: TypeAlias = tuple[int, str, int, int, int, int, int, str]
+TieBreak: TypeAlias = Literal["lowest", "highest"]
+
+
+class Standing(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot brings into the comparison: its plan with origin and class, and its own influence times N."""
+
+    plan: Plan | None
+    provenance: Provenance | None
+    neighbors: int
+    plan_class: int = 0
+
+
+class ConsensusRule(Protocol):
+    """Chooses the message whose plan is to be adopted.
+
+    A rule is a pure function of its arguments: the same arguments give the same choice, in any order of `heard`
+    (one newest message per sender, ascending ids). What it looks at in a message is who sends it, `neighbors`, `plan`,
+    `provenance`, `plan_class`, `slot`, `table` and `offer`: it is not asked anew while these stay as they are.
+    `llm_flock.testing.check_consensus_rule` tests a new rule.
+    """
+
+    @property
+    def name(self) -> str:
+        """The word for the command line and records."""
+        ...
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """The message whose plan is to be adopted, or None to keep one's own."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class NoConsensus:
+    """The paper's baseline: every robot keeps its own plan (line 207)."""
+
+    name: str = "none"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """Never adopt."""
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class InfluenceConsensus:
+    """The paper's Algorithm 1, literally (lines 133 and 149-158).
+
+    Among all neighbours heard, k is the one of highest influence; its plan is adopted if I_k > I_i strictly and
+    P_k differs from P_i. The paper does not say which of several equally influential neighbours is k; `tie` does.
+    """
+
+    tie: TieBreak = "lowest"
+    name: str = "influence"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """Adopt the plan of the most influential neighbour if it outranks this robot."""
+        sign = -1 if self.tie == "lowest" else 1
+        k = max(heard, key=lambda m: (m.neighbors, sign * m.sender), default=None)
+        if k is None or k.plan is None or k.neighbors <= own.neighbors or k.plan == own.plan:
+            return None
+        return k
+
+
+def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
+    """The place of a plan in the total order: compared element by element, higher wins."""
+    return (
+        origin.mission,
+        origin.mission_digest,
+        origin.epoch,
+        plan_class,
+        origin.neighbors,
+        origin.proposer,
+        origin.sequence,
+        plan.digest,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ProvenanceConsensus:
+    """Max-consensus over a total order of plans (max-consensus: Cortes 2008; Nejad et al. 2009).
+
+    Among plans of one class (`verification.PlanClass`, which every receiver finds for itself) the proposer's influence
+    at the time of proposing decides first, so the paper's idea is kept, but it belongs to the plan and travels with it,
+    and ties are settled by the proposer's id. On a connected graph without loss all robots agree within its diameter in
+    communication rounds, because the highest key only spreads and never changes.
+    """
+
+    name: str = "provenance"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        """Adopt the plan of highest key, if it is higher than one's own."""
+        best: Message | None = None
+        best_key = (
+            None if own.plan is None or own.provenance is None else plan_key(own.plan, own.provenance, own.plan_class)
+        )
+        for message in heard:
+            if message.plan is None or message.provenance is None:
+                continue
+            key = plan_key(message.plan, message.provenance, message.plan_class)
+            if best_key is None or key > best_key:
+                best, best_key = message, key
+        return best

@@ -1,0 +1,1 @@
+"""Who is alive, who is missing, and what the team does about it."""

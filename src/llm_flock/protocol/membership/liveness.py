@@ -1,0 +1,134 @@
+"""Who is alive: heartbeats that everybody passes on, so that out of range is not dead.
+
+A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware
+1998). Every robot counts its own rounds; counters travel with the messages and meet by the element-wise maximum. A
+robot whose counter has stood still for longer than the time-out is taken for silent: dead, or cut off together with all
+who hear it. That is a suspicion and no more: whoever was suspected wrongly is heard of again, and alive again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+TIME_OUT = 10
+"""Rounds without a heartbeat, by whatever way, after which a robot is taken for dead; some flights lead out of
+everybody's range for a while."""
+
+
+BODY = 1
+"""Counter of a robot of which there is only a body that was never heard: the others hear of it, and need not look for
+it. Who is awake counts on from here."""
+
+FEW = 20
+"""A team of so many is small: heartbeats cross it well within the time-out."""
+
+ROUNDS_PER_ROBOT = 0.6
+"""So many rounds more for each further robot of the team. Heartbeats are handed on once a round: when a cluster spreads
+out into a ring of N, where the farthest is N / 2 robots away, they come late by nearly as many rounds."""
+
+
+def patience(time_out: int, n_robots: int) -> int:
+    """Rounds without a heartbeat after which a robot of a team of so many is taken for dead."""
+    return time_out + int(ROUNDS_PER_ROBOT * max(0, n_robots - FEW))
+
+
+class Liveness:
+    """What one robot knows of everybody's heartbeats.
+
+    `silent` are the robots that were heard of and are no more, `strangers` those that never were. A stranger whose body
+    stayed within radio range for the time-out without being heard is silent too.
+
+    Args:
+        robot: own id.
+        n_robots: team size N.
+        time_out: rounds that a counter may stand still; more in a large team (`patience`).
+    """
+
+    def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
+        self._robot = robot
+        self._time_out = patience(time_out, n_robots)
+        self._beats = np.zeros(n_robots, dtype=np.int64)
+        self._advanced = np.full(n_robots, -1, dtype=np.int64)
+        self._counted_on = np.zeros(n_robots, dtype=np.bool_)
+        self._beats[robot] = BODY
+        self._round = 0
+        self._mute_for: dict[int, int] = {}
+        self.silent: frozenset[int] = frozenset()
+        self.strangers: frozenset[int] = frozenset(range(n_robots)) - {robot}
+
+    @property
+    def beats(self) -> tuple[int, ...]:
+        """The highest counter known of each robot, by id."""
+        return tuple(self._beats.tolist())
+
+    @property
+    def alive(self) -> int:
+        """How many robots are taken for alive, this one included."""
+        return len(self._beats) - len(self.silent) - len(self.strangers)
+
+    @property
+    def living(self) -> frozenset[int]:
+        """Robots whose counter went on since they were first heard of, and which are not silent.
+
+        A counter alone is no sign of life: late joiners hear those of the dead as well. One that died may be among them
+        for up to the time-out.
+        """
+        return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
+
+    def begin_round(self, round_number: int, near: frozenset[int]) -> None:
+        """Count a heartbeat of one's own, and see whose counter has stood still for too long.
+
+        Args:
+            round_number: number of the round.
+            near: robots that are sensed within radio range.
+        """
+        self._round = round_number
+        self._beats[self._robot] += 1
+        self._advanced[self._robot] = round_number
+        self._mute_for = {j: self._mute_for.get(j, 0) + 1 for j in near & self.strangers}
+        mute = [j for j, rounds in self._mute_for.items() if rounds > self._time_out]
+        if mute:
+            self._beats[mute] = BODY
+            self._advanced[mute] = self._long_ago
+        self._look()
+
+    def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
+        """Take the counters of a communication round's messages, each of shape (N,).
+
+        Who was restarted, and hears of its own former life, counts on from there: otherwise nobody would notice its
+        new heartbeats.
+        """
+        if not heard:
+            return
+        highest = heard[0]
+        for beats in heard[1:]:
+            highest = np.maximum(highest, beats)
+        mine = int(highest[self._robot])
+        if mine > self._beats[self._robot]:
+            self._beats[self._robot] = mine + 1
+        newer = highest > self._beats
+        if not newer.any():
+            return
+        self._advanced[newer] = self._round
+        if self.strangers:  # of which there may be only a body
+            self._advanced[newer & (highest == BODY)] = self._long_ago
+        self._counted_on |= newer & (self._beats > BODY)
+        self._beats[newer] = highest[newer]
+        self._look()
+
+    @property
+    def _long_ago(self) -> int:
+        return self._round - self._time_out - 1
+
+    def _look(self) -> None:
+        if not (self.strangers or self.silent) and self._advanced.min() > self._long_ago:
+            return
+        never = self._beats == 0
+        late = ~never & (self._advanced <= self._long_ago)
+        if late.any() or self.silent:
+            self.silent = frozenset(np.flatnonzero(late).tolist())
+        if self.strangers:
+            self.strangers = frozenset(np.flatnonzero(never).tolist())

@@ -1,0 +1,158 @@
+"""Where a large team meets that is still in pieces.
+
+Every piece has a plan of its own, and the same shape in another turn has its places elsewhere: the corners of two
+squares are far from each other's sides, and pieces that sit on them do not meet. The circle about the centre with the
+mean radius of the places is the same in every turn. So while less than half of a plan's places have owners, a robot
+goes to where its place lies on that circle as seen from the centre, and looks for others along it.
+
+A large team whose first roll call (`llm_flock.protocol.membership.all_to_all`) has not come to an end in the plane does
+more: it waits near that circle, and spreads out along it until it is closed. Then everybody hears of everybody, and all
+places are taken at one stroke.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
+from llm_flock.protocol.messages.message import NO_OWNER, Entry
+from llm_flock.protocol.plan import Plan
+
+HOLLOW = 0.5
+"""Shapes whose nearest place to the centre is at this share of the farthest one's distance, or more, have a circle."""
+
+ENOUGH = 0.5
+"""With this share of a plan's places taken, its robots fly to them."""
+
+WITHIN = 0.95
+"""The circle on which robots wait for each other is smaller by this: there they stand closer, and find it easier to
+close it."""
+
+NEAR = 1.0
+"""Who is within so many spacings of the circle is on it."""
+
+HOLD = 0.8
+"""Those who wait spread out to at most this share of the radio range."""
+
+LINK = 0.95
+"""Nobody leaves a neighbour on the circle behind by more than this share of the radio range."""
+
+PLANE = 2
+
+
+def meeting_places(mission: Mission, plan: Plan, table: Sequence[Entry]) -> Plan:
+    """Where the places of a plan are for now: on the circle of the mean radius while most are nobody's.
+
+    Args:
+        mission: centre, and obstacles that no place may be on.
+        plan: the plan that is followed.
+        table: all claims known.
+    """
+    places = _on_circle(plan, mission.center)
+    if places is None or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
+        return plan
+    return places if _clear(mission, places) else plan
+
+
+def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
+    """Where a robot that waits for others comes to the circle; None where there is no such circle.
+
+    Args:
+        mission: centre, and obstacles that no place may be on.
+        plan: the plan that is followed.
+        here: own believed position [units; frame of the mission].
+    """
+    places = _on_circle(plan, mission.center)
+    if mission.dim != PLANE or places is None or not _clear(mission, places):
+        return None
+    radius = WITHIN * _polar(places.points[0], mission.center)[0]
+    return _at(mission.center, radius, _polar(here, mission.center)[1])
+
+
+def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
+    """Where to wait on the circle for those who are not known yet; None where there is no such circle.
+
+    Those known who follow each other on it within radio range spread out evenly around where they are on average, up to
+    `HOLD` apart, so that their ends meet others.
+
+    Args:
+        mission: centre, and obstacles that no place may be on.
+        plan: the plan that is followed.
+        here: own believed position [units; frame of the mission].
+        others: where the others are that are known [units; frame of the mission].
+    """
+    point = landing(mission, plan, here)
+    near = NEAR * mission.spacing
+    if point is None or math.dist(here, point) > near:
+        return point
+    radius, direction = _polar(point, mission.center)
+    seen = (_polar(place, mission.center) for place in others)
+    arcs = sorted(radius * _wrapped(angle - direction) for away, angle in seen if abs(away - radius) <= near)
+    along = _spread(arcs, math.tau * radius, mission.comm_range)
+    return _at(mission.center, radius, direction + min(max(along, -mission.spacing), mission.spacing) / radius)
+
+
+def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
+    """How far to go along the circle [units].
+
+    Args:
+        arcs: how far the others are along the circle, sorted [units].
+        around: length of the whole circle [units].
+        reach: radio range [units].
+    """
+    mine = bisect_left(arcs, 0.0)
+    once = [*arcs[:mine], 0.0, *arcs[mine:]]
+    unrolled = [arc + turn for turn in (-around, 0.0, around) for arc in once]
+    first = last = mine = mine + len(once)
+    while mine - first < len(once) and unrolled[first] - unrolled[first - 1] <= reach:
+        first -= 1
+    if mine - first == len(once):
+        return 0.0  # the circle is closed
+    while unrolled[last + 1] - unrolled[last] <= reach:
+        last += 1
+    chain = unrolled[first : last + 1]
+    apart = min(HOLD * reach, around / len(chain))
+    along = sum(chain) / len(chain) + (mine - first - (len(chain) - 1) / 2) * apart
+    # What is left of a link may be used up by who moves away from the middle of the chain.
+    if mine < last:
+        along = max(along, min(0.0, unrolled[mine + 1] - LINK * reach) if mine - first < last - mine else 0.0)
+    if mine > first:
+        along = min(along, max(0.0, unrolled[mine - 1] + LINK * reach) if mine - first > last - mine else 0.0)
+    return along
+
+
+def _polar(point: Point, center: Point) -> tuple[float, float]:
+    """Distance [units] and direction [rad] from the centre, in the plane."""
+    x, y = point[0] - center[0], point[1] - center[1]
+    return math.hypot(x, y), math.atan2(y, x)
+
+
+def _at(center: Point, radius: float, direction_rad: float) -> Point:
+    return center[0] + radius * math.cos(direction_rad), center[1] + radius * math.sin(direction_rad)
+
+
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % math.tau - math.pi
+
+
+def _clear(mission: Mission, places: Plan) -> bool:
+    return not mission.obstacles or all(
+        clearance(place, mission.obstacles) >= mission.body_radius for place in places.points
+    )
+
+
+@lru_cache(maxsize=256)
+def _on_circle(plan: Plan, center: Point) -> Plan | None:
+    """The places of a hollow plan, each moved to or from the centre onto the circle of their mean radius."""
+    offsets = plan.array - np.array(center)
+    radii = np.linalg.norm(offsets, axis=1, keepdims=True)
+    if radii.min() < HOLLOW * radii.max() or not radii.min():
+        return None
+    return Plan.of(tuple(place) for place in (np.array(center) + offsets * (radii.mean() / radii)).tolist())

@@ -1,0 +1,161 @@
+"""Ends frozen partitions: a robot that sits in its place while others' places stay empty goes and looks for the others.
+
+Random starts are rarely connected, and two groups can settle on places that never come into radio range of each
+other: each then knows of empty slots, and no message will ever fill them. So a robot at its goal that still knows of
+vacant slots after some rounds visits them, the nearest first, and the centre last, until it hears something new. Who
+sits nearest to a vacant slot goes first. How often somebody has looked at a vacant slot and met nobody is written in
+its table entry and spreads with it, so the team looks `LOOKS` times and not each robot; every look is followed by a
+longer wait. A slot that has been looked at so often is a gap: the team may simply be smaller than the plan.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.messages.message import NO_OWNER, Table
+from llm_flock.protocol.plan import Plan
+
+PATIENCE = 1
+"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every look in vain."""
+
+NEXT_TO = 1.5
+"""A vacant slot within this many spacings of the own one is next to it."""
+
+PATIENCE_PER_PLACE = 4
+"""More rounds to wait for each spacing that a vacant slot is farther away: who is nearer should go."""
+
+LOOKS = 4
+"""Looks at a vacant slot while robots are missing that nobody has ever heard of."""
+
+LOOKS_FOR_SILENT = 1
+"""Looks where all that are missing have been heard of before, and are probably dead."""
+
+MANY = 20
+"""While more robots than these are missing, news come in every round, and a search that each of them ended would never
+get anywhere: it goes on until its next place is taken."""
+
+ARRIVED = 0.5
+"""A point of the tour counts as visited within this share of the spacing."""
+
+
+class Search(msgspec.Struct, frozen=True, kw_only=True):
+    """How far a robot's search is.
+
+    Attributes:
+        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts afresh, unless
+            many robots are missing.
+        looks: how often the least looked at of these was looked at.
+        waited: rounds spent at the goal since the last tour or look.
+        way: points still to visit [units; frame of the mission]; empty while the robot waits.
+        gaps: vacant slots that nobody will look at any more.
+        looked: vacant slots that this robot has just looked at.
+    """
+
+    known: tuple[str, tuple[int, ...]] = ("", ())
+    looks: int = 0
+    waited: int = 0
+    way: tuple[Point, ...] = ()
+    gaps: tuple[int, ...] = ()
+    looked: tuple[int, ...] = ()
+
+    @property
+    def target(self) -> Point | None:
+        """Where the search leads next, None while there is none under way."""
+        return self.way[0] if self.way else None
+
+    @property
+    def given_up(self) -> bool:
+        """Whether every vacant slot is a gap."""
+        return bool(self.gaps) and self.gaps == self.known[1]
+
+
+def advance(
+    search: Search,
+    *,
+    position: Point,
+    plan: Plan,
+    slot: int,
+    table: Table,
+    center: Point,
+    spacing: float,
+    at_goal: bool,
+    strangers: int,
+    silent: int,
+) -> Search:
+    """The search one round later.
+
+    Args:
+        search: as it was.
+        position: own believed position [units; frame of the mission].
+        plan: the plan that is followed.
+        slot: own place in it.
+        table: all claims known; the bid for a vacant slot is how often it was looked at.
+        center: centre of the formation.
+        spacing: wanted distance between neighbours [units].
+        at_goal: whether the robot is at its own place.
+        strangers: how many robots of the team have never been heard of.
+        silent: how many have been, but not for long.
+    """
+    vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
+    search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)
+    if not vacant or not (strangers or silent):  # with everybody in touch the agreement will fill what is empty
+        return replace(search, way=(), waited=0, gaps=(), looked=())
+    most = LOOKS if strangers else LOOKS_FOR_SILENT
+    due = [a for a in vacant if table[a][1] < most]
+    gaps = tuple(a for a in vacant if table[a][1] >= most)
+    looks = int(min((table[a][1] for a in due), default=most))
+    waited = search.waited if looks == search.looks else 0
+    search = replace(search, gaps=gaps, looks=looks, waited=waited, looked=())
+    if search.way:
+        if math.dist(position, search.way[0]) > ARRIVED * spacing:
+            return search
+        here = tuple(a for a in vacant if plan.points[a] == search.way[0])
+        return replace(search, way=search.way[1:], waited=0, looked=here)
+    if not due or not at_goal:
+        return search
+    nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in due) / spacing
+    if waited < PATIENCE * 2**looks + int(PATIENCE_PER_PLACE * max(0.0, nearest - NEXT_TO)):
+        return replace(search, waited=waited + 1)
+    tour = _tour(plan, slot, due)
+    return replace(search, way=tour if looks < LOOKS // 2 else (*tour, center))
+
+
+def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
+    """The search in view of what was heard; `many`: news from afar neither call a robot home nor make it wait anew."""
+    digest, before = search.known
+    if digest != plan.digest or (vacant != before and not many):
+        return Search(known=(plan.digest, vacant))
+    if vacant == before:
+        return search
+    still = {plan.points[a] for a in vacant} | {center}
+    way = search.way if search.way and search.way[0] in still else ()
+    same = _nearest(plan, slot, vacant) == _nearest(plan, slot, before)
+    return replace(search, known=(digest, vacant), waited=search.waited if same else 0, way=way)
+
+
+@lru_cache(maxsize=4096)
+def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
+    """The vacant slot nearest to the own one; asked for again a round later, when others are vacant."""
+    points = plan.points
+    here = points[slot]
+    return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
+
+
+def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
+    """Vacant slots, each time the nearest to the one before."""
+    places = plan.array[due]
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    to_each = np.linalg.norm(places - plan.array[slot], axis=1)
+    way = list[Point]()
+    for _ in due:
+        following = int(to_each.argmin())
+        way.append(plan.points[due[following]])
+        apart[:, following] = math.inf  # it has been visited
+        to_each = apart[following]
+    return tuple(way)

@@ -1,0 +1,67 @@
+"""Where a robot waits that has no place in the plan: out of the others' way, as near as it can."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
+from llm_flock.protocol.membership.occupancy import sight
+from llm_flock.protocol.plan import Plan
+
+CLEARANCE = 2.0
+"""Safe distances that a waiting robot keeps from every place of the plan: another robot can pass in between."""
+
+ANGLES = 24
+RINGS = 40
+
+
+def waiting_place(
+    mission: Mission, position: Point, plan: Plan, others: Sequence[Point], blocked: Collection[int] = ()
+) -> Point:
+    """The nearest point to `position` that is clear of all places, of other robots, of walls and of obstacles.
+
+    Where places are blocked, which nobody else may be near enough to see come free, it is in sight of the nearest of
+    them, if any such point is.
+
+    Args:
+        mission: limits, arena and obstacles.
+        position: own believed position [units].
+        plan: the plan in which all places are taken.
+        others: positions of the robots that are sensed [units].
+        blocked: places that nobody may take, as a body stands on them.
+
+    Returns:
+        `position` itself where that will do, or where nothing near is clear.
+    """
+    clear = CLEARANCE * mission.safe_distance
+    watched = min((plan.points[a] for a in blocked), key=lambda place: math.dist(position, place), default=position)
+    reach = sight(mission)
+    low, high = mission.arena
+
+    def fits(point: Point) -> bool:
+        return (
+            all(math.dist(point, place) >= clear for place in plan.points)
+            and all(math.dist(point, other) >= mission.safe_distance for other in others)
+            and all(a <= x <= b for a, x, b in zip(low, point, high, strict=True))
+            and clearance(point, mission.obstacles) >= mission.body_radius
+        )
+
+    around = _rings(watched, mission.safe_distance) if blocked else ()
+    for point in chain(_rings(position, mission.safe_distance), around):
+        if math.dist(point, watched) <= reach and fits(point):
+            return point
+    return next(filter(fits, _rings(position, mission.safe_distance)), position)
+
+
+def _rings(center: Point, step: float) -> Iterator[Point]:
+    """Points around a centre, the nearest first; in the plane of the first two axes."""
+    yield center
+    for ring in range(1, RINGS + 1):
+        for k in range(ANGLES):
+            angle = 2.0 * math.pi * k / ANGLES
+            offset = (ring * step * math.cos(angle), ring * step * math.sin(angle))
+            yield (center[0] + offset[0], center[1] + offset[1], *center[2:])

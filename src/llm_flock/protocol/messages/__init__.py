@@ -1,0 +1,1 @@
+"""What robots say to each other: decoded once when it comes in, then a value."""

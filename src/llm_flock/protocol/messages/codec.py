@@ -1,0 +1,265 @@
+"""Messages as bytes: one version byte, then MessagePack; bounded in size, and validated when they come in."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from typing import Annotated
+
+import msgspec
+import msgspec.structs
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.errors import MessageError
+from llm_flock.mission import MAX_ROBOTS
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    LAST_STAMP,
+    MAX_BID,
+    UNSAID,
+    Entry,
+    Message,
+    MissionStamp,
+    Offer,
+    Provenance,
+    Table,
+)
+from llm_flock.protocol.plan import Plan
+
+WIRE_VERSION = 5
+
+FEW = 0.5
+"""Claims on up to this share of the slots are few."""
+
+Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
+Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
+"""Far more than any honest robot counts, and far enough from the integers of a machine to be raised without harm."""
+Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_STAMP)]
+Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
+
+
+class _WireProvenance(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    epoch: Counter
+    neighbors: Id
+    proposer: Id
+    sequence: Counter
+
+
+class _WireOffer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    to: Id
+    give: Id
+    take: Id
+    give_version: Counter
+    take_version: Counter
+    bid: Bid
+
+
+class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    sender: Id
+    sequence: Counter
+    neighbors: Id
+    mission: Counter
+    mission_digest: Digest
+    mission_text: str | None
+    provenance: _WireProvenance | None
+    places: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROBOTS)]
+    plan_digest: Digest | None
+    plan: tuple[tuple[Coordinate, ...], ...] | None
+    slot: Id | None
+    table_digest: Digest | None
+    claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
+    offer: _WireOffer | None
+    beats: tuple[Counter, ...] | None
+    roll: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
+
+
+_VERSION = bytes([WIRE_VERSION])
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(_WireMessage)
+_SLOT, _OWNER = operator.itemgetter(0), operator.itemgetter(3)
+
+
+def max_payload_bytes(n_robots: int) -> int:
+    """Largest payload that a team of N can legitimately need [bytes]."""
+    return 4096 + 256 * n_robots
+
+
+def encode(message: Message, sequence: int | None = None) -> bytes:
+    """The message as bytes, with its own sequence number or another: the wire version, then MessagePack."""
+    origin, offer = message.provenance, message.offer
+    wire = _WireMessage(
+        sender=message.sender,
+        sequence=message.sequence if sequence is None else sequence,
+        neighbors=message.neighbors,
+        mission=message.mission.counter,
+        mission_digest=bytes.fromhex(message.mission.digest),
+        mission_text=message.mission_text,
+        provenance=None
+        if origin is None
+        else _WireProvenance(origin.epoch, origin.neighbors, origin.proposer, origin.sequence),
+        places=message.places,
+        plan_digest=None if message.plan_digest is None else bytes.fromhex(message.plan_digest),
+        plan=None if message.plan is None else message.plan.points,
+        slot=message.slot,
+        table_digest=None if message.table_digest is None else bytes.fromhex(message.table_digest),
+        claims=_claims(message),
+        offer=None
+        if offer is None
+        else _WireOffer(offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid),
+        beats=message.beats,
+        roll=message.roll,
+    )
+    return _VERSION + _ENCODER.encode(wire)
+
+
+def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
+    table = message.table
+    if table is None:
+        return None
+    slots = range(len(table)) if message.said is None else message.said
+    return tuple([(a, *table[a]) for a in slots if table[a] != UNSAID])
+
+
+@functools.lru_cache(maxsize=256)
+def _plan(points: tuple[Point, ...]) -> Plan:
+    """The plan of these points: a few plans come in many messages, and rounding a long one takes milliseconds."""
+    return Plan(points)
+
+
+@functools.lru_cache(maxsize=64)
+def _unsaid(places: int) -> Table:
+    return (UNSAID,) * places
+
+
+@functools.lru_cache(maxsize=2**18)
+def _entry(version: int, bid: float, owner: int) -> Entry:
+    """One object for equal entries: they come in many messages, and whoever compares tables need not look inside."""
+    return version, bid, owner
+
+
+@functools.lru_cache(maxsize=4096)
+def decode(payload: bytes, n_robots: int, dim: int) -> Message:
+    """A message from bytes that anybody may have sent.
+
+    Pure, so equal payloads are decoded once (a broadcast has many receivers).
+
+    Raises:
+        MessageError: with reason `oversized`, `version`, `malformed`, `wrong_length` or `unknown_id`.
+    """
+    if len(payload) > max_payload_bytes(n_robots):
+        raise MessageError("oversized", f"{len(payload)} bytes, at most {max_payload_bytes(n_robots)} are allowed")
+    if payload[:1] != _VERSION:
+        raise MessageError("version", f"version {WIRE_VERSION} is spoken here")
+    try:
+        wire = _DECODER.decode(memoryview(payload)[1:])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MessageError("malformed", str(error)) from None
+    _check_ids(wire, n_robots)
+    _check_lengths(wire, n_robots, dim)
+    mission_digest, origin, offer = wire.mission_digest.hex(), wire.provenance, wire.offer
+    return Message(
+        sender=wire.sender,
+        sequence=wire.sequence,
+        neighbors=wire.neighbors,
+        mission=MissionStamp(wire.mission, mission_digest),
+        mission_text=wire.mission_text,
+        plan=None if wire.plan is None else _plan(wire.plan),
+        plan_digest=None if wire.plan_digest is None else wire.plan_digest.hex(),
+        places=wire.places,
+        provenance=None
+        if origin is None
+        else Provenance(
+            mission=wire.mission,
+            mission_digest=mission_digest,
+            epoch=origin.epoch,
+            neighbors=origin.neighbors,
+            proposer=origin.proposer,
+            sequence=origin.sequence,
+        ),
+        slot=wire.slot,
+        table=_table(wire),
+        said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(map(_SLOT, wire.claims)),
+        table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
+        offer=None
+        if offer is None
+        else Offer(
+            to=offer.to,
+            give=offer.give,
+            take=offer.take,
+            give_version=offer.give_version,
+            take_version=offer.take_version,
+            bid=offer.bid,
+        ),
+        beats=wire.beats,
+        roll=wire.roll,
+    )
+
+
+@functools.lru_cache(maxsize=4096)
+def completed(payload: bytes, n_robots: int, dim: int, plan: Plan, plan_class: int) -> Message:
+    """`decode`, with the plan that is named and how good it is: what all receivers that know both make of the bytes."""
+    return msgspec.structs.replace(decode(payload, n_robots, dim), plan=plan, plan_class=plan_class)
+
+
+@functools.lru_cache(maxsize=4096)
+def heartbeats(payload: bytes, n_robots: int, dim: int) -> NDArray[np.int64] | None:
+    """The heartbeats that `decode` finds, as an array of shape (N,); None where there are none."""
+    beats = decode(payload, n_robots, dim).beats
+    return None if beats is None else np.array(beats, dtype=np.int64)
+
+
+def _table(wire: _WireMessage) -> Table | None:
+    if not wire.claims:
+        return None if wire.claims is None else _unsaid(wire.places)
+    table = [UNSAID] * wire.places
+    slots, versions, bids, owners = zip(*wire.claims, strict=True)
+    for slot, entry in zip(slots, map(_entry, versions, bids, owners), strict=True):
+        table[slot] = entry
+    return tuple(table)
+
+
+def _check_ids(wire: _WireMessage, n_robots: int) -> None:
+    named = {wire.sender}
+    if wire.provenance is not None:
+        named.add(wire.provenance.proposer)
+    if wire.offer is not None:
+        named.add(wire.offer.to)
+    if wire.claims:
+        named.add(max(map(_OWNER, wire.claims)))
+    if wire.roll:
+        named.add(max(wire.roll))
+    if max(named) >= n_robots:
+        raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
+    if max(wire.neighbors, wire.provenance.neighbors if wire.provenance else 0) >= n_robots:
+        raise MessageError("unknown_id", f"more neighbours than a team of {n_robots} has")
+
+
+def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
+    if wire.beats is not None and len(wire.beats) != n_robots:
+        raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
+    if wire.roll and not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in wire.roll.values()):
+        raise MessageError("wrong_length", f"a position has {dim} coordinates")
+    if (wire.plan_digest is None) != (wire.provenance is None) or (wire.plan is not None and wire.plan_digest is None):
+        raise MessageError("malformed", "a plan and its provenance go together")
+    if (wire.claims is None) != (wire.table_digest is None):
+        raise MessageError("malformed", "claims and their digest go together")
+    if wire.plan_digest is None:
+        if wire.places or wire.slot is not None or wire.claims is not None or wire.offer is not None:
+            raise MessageError("malformed", "claims without a plan")
+        return
+    if not wire.places:
+        raise MessageError("wrong_length", "a plan without places")
+    if wire.plan is not None and (len(wire.plan) != wire.places or set(map(len, wire.plan)) != {dim}):
+        raise MessageError("wrong_length", f"a plan of {wire.places} places has as many points of {dim} coordinates")
+    slots = [max(map(_SLOT, wire.claims))] if wire.claims else []
+    if wire.slot is not None:
+        slots.append(wire.slot)
+    if wire.offer is not None:
+        slots += (wire.offer.give, wire.offer.take)
+    if slots and max(slots) >= wire.places:
+        raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {wire.places} places")

@@ -1,0 +1,1 @@
+"""From a waypoint to a move that keeps the safe distance."""

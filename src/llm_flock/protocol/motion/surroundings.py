@@ -1,0 +1,64 @@
+"""What stands still around a robot, as sides of its cell: arena walls and obstacles.
+
+A robot's centre stays inside the arena, and half the safe distance (the radius of a body) away from obstacles. Each
+side is the plane through the nearest point of something convex, moved towards the robot by the buffer. What is convex
+lies wholly beyond that plane, so the whole straight way to any point of the cell keeps clear, not only its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.protocol.motion.projection import HalfSpace
+
+
+def wall_half_spaces(
+    position: Point, arena: tuple[Point, Point], *, max_step: float, noise_bound: float = 0.0
+) -> list[HalfSpace]:
+    """The arena's walls within one step. From outside they lead back, one full step a round at most.
+
+    A wall's direction is known, so the error e [units] of the own position moves it inwards by e only.
+    """
+    sides: list[HalfSpace] = []
+    low, high = arena
+    for axis, x in enumerate(position):
+        for sign, room in ((-1.0, x - low[axis]), (1.0, high[axis] - x)):
+            if room - noise_bound < max_step:
+                normal = tuple(sign if k == axis else 0.0 for k in range(len(position)))
+                sides.append(HalfSpace(normal, max(-max_step, room - noise_bound), room < -noise_bound))
+    return sides
+
+
+def obstacle_half_spaces(
+    position: Point, obstacles: Iterable[Obstacle], *, buffer: float, max_step: float, noise_bound: float = 0.0
+) -> list[HalfSpace]:
+    """The obstacles within one step of their buffer; from inside they lead out.
+
+    With an own position known to within e [units], a side moves inwards by e for the distance, and by 2 e max_step / d
+    for the direction: the direction to the nearest point of something convex at a distance d turns by at most 2 e / d.
+    """
+    sides: list[HalfSpace] = []
+    for obstacle in obstacles:
+        for nearest in obstacle.nearest(position):
+            margin = noise_bound * (1.0 + 2.0 * max_step / max(nearest.distance, buffer))
+            room = nearest.distance - buffer - margin
+            if room < max_step:
+                normal = tuple(-x for x in nearest.outward)
+                violated = nearest.distance - buffer < -noise_bound
+                sides.append(HalfSpace(normal, max(-max_step, room), violated))
+    return sides
+
+
+def static_half_spaces(
+    position: Point, mission: Mission, *, max_step: float, noise_bound: float = 0.0
+) -> list[HalfSpace]:
+    """Walls and obstacles of a mission."""
+    walls = wall_half_spaces(position, mission.arena, max_step=max_step, noise_bound=noise_bound)
+    if not mission.obstacles:
+        return walls
+    return walls + obstacle_half_spaces(
+        position, mission.obstacles, buffer=mission.body_radius, max_step=max_step, noise_bound=noise_bound
+    )

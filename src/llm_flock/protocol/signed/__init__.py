@@ -1,0 +1,1 @@
+"""Signatures around messages and agreement, for teams whose members hold keys."""

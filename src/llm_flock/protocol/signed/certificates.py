@@ -1,0 +1,283 @@
+"""What gives an entry of a table, an offer, a plan's origin, a heartbeat or a mission its weight: who signed it.
+
+Nobody raises the version of a place alone. An exchange is signed by both; a place is freed, or found blocked, by the
+word of two robots; a claim on a free place is signed by its owner and carries the words that freed it. Of two that sign
+at least one is honest as long as one robot lies, and the honest sign only what they hold true, so no history has to be
+shown. A robot's claims on one plan are numbered: the last one counts.
+
+Pure: keys are behind the `Authenticator`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Protocol, TypeAlias
+
+import msgspec
+
+from llm_flock.errors import MessageError
+from llm_flock.mission import MAX_ROBOTS
+from llm_flock.protocol.messages.codec import max_payload_bytes
+from llm_flock.protocol.messages.message import BLOCKED, MAX_BID, NO_OWNER, Entry, MissionStamp, Offer, Provenance
+
+OPERATOR = -2
+"""Member id of who gives missions."""
+
+WIRE_SIGNED = 3
+"""First byte of a message that comes with its certificates."""
+
+WITNESSES = 2
+"""So many robots have to say that a place is free or blocked: one more than may lie."""
+
+MOST_LOOKS = 64
+"""Nobody looks at a vacant place more often."""
+
+MOST_EPOCHS = 32
+"""A team's plan is remade at most so often for one mission."""
+
+
+def most_claims(places: int) -> int:
+    """Highest number of a claim on a plan: honest bids lose at most once a place, and exchanges are few."""
+    return 4 * places + 64
+
+
+class Authenticator(Protocol):
+    """Signs as its robot, and checks what others signed."""
+
+    def sign(self, statement: bytes) -> bytes:
+        """The own signature on a statement."""
+        ...
+
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
+        """Whether a member signed this statement."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Authorization:
+    """The operator's signature under a mission.
+
+    Attributes:
+        counter: of the mission; higher than that of the one before.
+        signature: on the counter and the mission's digest.
+    """
+
+    counter: int
+    signature: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What claims are about: a mission and a plan."""
+
+    mission: MissionStamp
+    plan: str
+
+
+Signature = Annotated[bytes, msgspec.Meta(max_length=64)]
+Number = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
+Count = Annotated[int, msgspec.Meta(ge=0, lt=2**41)]
+Robot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+
+
+class ReleaseGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=0):
+    """Words of different robots that the place is free, or blocked, from this version on."""
+
+    words: Annotated[tuple[tuple[Robot, Signature], ...], msgspec.Meta(min_length=WITNESSES, max_length=WITNESSES)]
+
+
+class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=1):
+    """An offer, signed by its maker, and its acceptance, signed by who took it."""
+
+    maker: Robot
+    to: Robot
+    give: Robot
+    take: Robot
+    give_version: Count
+    take_version: Count
+    bid: float
+    number: Number
+    signature: Signature
+    accepted_bid: float
+    accepted_number: Number
+    accepted: Signature
+
+    def entries(self) -> dict[int, tuple[Entry, int]]:
+        """What it makes of the two places, and the numbers that these claims have."""
+        return {
+            self.give: ((self.give_version + 1, self.accepted_bid, self.to), self.accepted_number),
+            self.take: ((self.take_version + 1, self.bid, self.maker), self.number),
+        }
+
+    def offer(self) -> Offer:
+        """What was accepted."""
+        return Offer(
+            to=self.to,
+            give=self.give,
+            take=self.take,
+            give_version=self.give_version,
+            take_version=self.take_version,
+            bid=self.bid,
+        )
+
+
+Grant: TypeAlias = ReleaseGrant | ExchangeGrant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """Why an entry holds.
+
+    Attributes:
+        number: of the owner's claim; 0 for a place without owner.
+        signature: the owner's on its claim; empty where the grant has it, or there is no owner.
+        grant: why the version was raised; None for version 0.
+    """
+
+    number: int
+    signature: bytes = b""
+    grant: Grant | None = None
+
+
+class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    slot: Robot
+    number: Number
+    signature: Signature
+    grant: Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)] | None
+
+
+class Attestation(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """A robot's word that a place is free or blocked from a version on."""
+
+    slot: Robot
+    version: Count
+    owner: Annotated[int, msgspec.Meta(ge=BLOCKED, le=NO_OWNER)]
+    signature: Signature
+
+
+class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """What goes with a message: the certificates of what it says."""
+
+    claims: tuple[_Claim, ...] = ()
+    grants: tuple[Grant, ...] = ()
+    words: tuple[Attestation, ...] = ()
+    offer: tuple[Number, Signature] | None = None
+    origin: Signature | None = None
+    mission: Signature | None = None
+    beats: tuple[Signature, ...] | None = None
+
+    def certificates(self) -> dict[int, Certificate]:
+        """By slot; grants that are named and not there are none."""
+        return {
+            claim.slot: Certificate(
+                number=claim.number,
+                signature=claim.signature,
+                grant=self.grants[claim.grant] if claim.grant is not None and claim.grant < len(self.grants) else None,
+            )
+            for claim in self.claims
+        }
+
+
+class _Signed(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    message: bytes
+    proofs: Proofs
+
+
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(_Signed)
+
+
+def max_signed_bytes(n_robots: int) -> int:
+    """Largest message with its certificates that a team of N can legitimately need [bytes]."""
+    return max_payload_bytes(n_robots) + 2048 + 768 * n_robots
+
+
+def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...], tuple[Grant, ...]]:
+    """Certificates as they are sent: a grant that several need is said once."""
+    grants: dict[Grant, int] = {}
+    claims = tuple(
+        _Claim(slot, w.number, w.signature, None if w.grant is None else grants.setdefault(w.grant, len(grants)))
+        for slot, w in certificates.items()
+    )
+    return claims, tuple(grants)
+
+
+def wrap(message: bytes, proofs: Proofs) -> bytes:
+    """A message with its certificates."""
+    return bytes([WIRE_SIGNED]) + _ENCODER.encode(_Signed(message, proofs))
+
+
+def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
+    """A message, and its certificates, from bytes that any member may have sent.
+
+    Raises:
+        MessageError: with reason `oversized`, `version` or `malformed`.
+    """
+    if len(payload) > max_signed_bytes(n_robots):
+        raise MessageError("oversized", f"{len(payload)} bytes, at most {max_signed_bytes(n_robots)} are allowed")
+    if payload[:1] != bytes([WIRE_SIGNED]):
+        raise MessageError("version", f"signed messages are of version {WIRE_SIGNED}")
+    try:
+        signed = _DECODER.decode(memoryview(payload)[1:])
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise MessageError("malformed", str(error)) from None
+    return signed.message, signed.proofs
+
+
+# What is signed. Every statement begins with its kind, so none can be taken for one of another kind.
+
+
+def claim_statement(context: Context, slot: int, entry: Entry, number: int) -> bytes:
+    """An owner's: this place is mine."""
+    return _statement("claim", context, slot, *entry, number)
+
+
+def word_statement(context: Context, slot: int, version: int, owner: int) -> bytes:
+    """A witness's: from this version on the place is free, or blocked."""
+    return _statement("word", context, slot, version, owner)
+
+
+def offer_statement(context: Context, maker: int, offer: Offer, number: int) -> bytes:
+    """A maker's: whoever it is made to may exchange these places with me."""
+    return _statement("offer", context, maker, *_terms(offer), number)
+
+
+def acceptance_statement(context: Context, exchange: ExchangeGrant) -> bytes:
+    """A taker's: the exchange is made."""
+    terms = (exchange.maker, *_terms(exchange.offer()), exchange.number)
+    return _statement("accept", context, *terms, exchange.accepted_bid, exchange.accepted_number)
+
+
+def origin_statement(origin: Provenance, plan: str) -> bytes:
+    """A proposer's: this plan is mine."""
+    stamp = MissionStamp(origin.mission, origin.mission_digest)
+    place = (origin.epoch, origin.neighbors, origin.proposer, origin.sequence)
+    return _statement("origin", Context(stamp, plan), *place)
+
+
+def beat_statement(robot: int, count: int) -> bytes:
+    """A robot's: my heart has beaten so often."""
+    return _ENCODER.encode(("beat", robot, count))
+
+
+def mission_statement(stamp: MissionStamp) -> bytes:
+    """The operator's: this is the mission."""
+    return _ENCODER.encode(("mission", stamp.counter, stamp.digest))
+
+
+def _terms(offer: Offer) -> tuple[int, int, int, int, int, float]:
+    return (offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid)
+
+
+def _statement(kind: str, context: Context, *values: float) -> bytes:
+    return _ENCODER.encode((kind, context.mission.counter, context.mission.digest, context.plan, *values))
+
+
+def plausible(entry: Entry, number: int, places: int) -> bool:
+    """Whether anybody honest ever writes such an entry."""
+    version, bid, owner = entry
+    if owner == NO_OWNER:
+        return 0.0 <= bid <= MOST_LOOKS
+    if owner == BLOCKED:
+        return bid == 0.0 and version > 0
+    return -MAX_BID <= bid <= 0.0 and 0 < number <= most_claims(places)

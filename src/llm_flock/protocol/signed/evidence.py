@@ -1,0 +1,314 @@
+"""One robot's book of signatures: what it takes from others' tables, what it signs, and what it can show for it.
+
+Tables and their merging are those of `auction`; this book decides which entries heard are fit to be merged, so a robot
+that lies holds one place at most and changes nobody else's. The rules are in `certificates` and docs/security.md.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+
+import msgspec.structs
+
+from llm_flock.protocol.agreement.assignment import Claim
+from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
+from llm_flock.protocol.signed.certificates import (
+    WITNESSES,
+    Authenticator,
+    Certificate,
+    Context,
+    ExchangeGrant,
+    Proofs,
+    ReleaseGrant,
+    Attestation,
+    acceptance_statement,
+    claim_statement,
+    claims_of,
+    most_claims,
+    offer_statement,
+    plausible,
+    word_statement,
+)
+
+REMEMBERED = 4096
+"""So many signatures are remembered as good."""
+
+
+class Evidence:
+    """Signatures about the places of one plan at a time.
+
+    Args:
+        robot: own id.
+        authenticator: signs and checks.
+    """
+
+    def __init__(self, robot: int, authenticator: Authenticator) -> None:
+        self.refused: Counter[str] = Counter()
+        self._robot = robot
+        self._authenticator = authenticator
+        self._good: set[tuple[int, bytes, bytes]] = set()
+        self._context: Context | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._number = 0
+        self._held: dict[tuple[int, Entry], Certificate] = {}
+        self._freed: dict[tuple[int, int, int], ReleaseGrant] = {}
+        self._last: dict[int, tuple[int, int]] = {}
+        self._offers: dict[Offer, tuple[int, bytes]] = {}
+        self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
+        self._words: dict[tuple[int, int, int], dict[int, bytes]] = {}
+        self._own: tuple[tuple[int, int, int], ...] = ()
+        self._outdated: set[tuple[int, Entry]] = set()
+        self._outdated_before: set[tuple[int, Entry]] = set()
+
+    def turn_to(self, context: Context) -> None:
+        """Another plan, or the same one for another mission, is a clean page."""
+        if context != self._context:
+            self._context = context
+            self._forget()
+
+    def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
+        """Whether a member signed this; what was found good is not looked at twice."""
+        key = (member, statement, signature)
+        if key in self._good:
+            return True
+        good = self._authenticator.check(member, statement, signature)
+        if good:
+            if len(self._good) >= REMEMBERED:
+                self._good.clear()
+            self._good.add(key)
+        return good
+
+    @property
+    def _page(self) -> Context:
+        assert self._context is not None, "claims are about a plan"
+        return self._context
+
+    # ---------------------------------------------------------------- what is heard
+
+    def admit(self, message: Message, proofs: Proofs, table: Table) -> Message:
+        """The message without what it has no certificate for; entries that change nothing are left out unchecked.
+
+        Args:
+            message: on the plan of this page.
+            proofs: what came with it.
+            table: what is held now; of as many places.
+        """
+        certificates, entries = proofs.certificates(), list(message.table or ())
+        # The latest claims first: of all that one message gives to a robot, only its last is taken.
+        for slot in sorted(range(len(entries)), key=lambda a: -certificates[a].number if a in certificates else 0):
+            entry = entries[slot]
+            if entry is UNSAID:
+                continue
+            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), len(table)):
+                entries[slot] = UNSAID
+        for word in proofs.words:
+            self._hear_word(message.sender, word, table)
+        return msgspec.structs.replace(
+            message,
+            table=None if message.table is None else tuple(entries),
+            offer=self._hear_offer(message, proofs, most_claims(len(table))),
+        )
+
+    def _fit(self, slot: int, entry: Entry, certificate: Certificate | None, places: int) -> bool:
+        version, _, owner = entry
+        certificate = certificate or Certificate(number=0)
+        if (slot, entry) in self._held:
+            certificate = self._held[slot, entry]
+        elif not (plausible(entry, certificate.number, places) and self._holds(slot, entry, certificate)):
+            self.refused["uncertified"] += 1
+            return False
+        if owner < 0:
+            if isinstance(certificate.grant, ReleaseGrant):
+                self._freed[slot, version, owner] = certificate.grant
+            return True
+        place = (certificate.number, slot)
+        if place < self._last.get(owner, place):
+            self._outdated.add((slot, entry))
+            return False
+        self._keep(slot, entry, certificate)
+        return True
+
+    def _keep(self, slot: int, entry: Entry, certificate: Certificate) -> None:
+        self._held[slot, entry] = certificate
+        owner, place = entry[2], (certificate.number, slot)
+        self._last[owner] = max(place, self._last.get(owner, place))
+        if owner == self._robot:
+            self._number = max(self._number, certificate.number)
+        if isinstance(certificate.grant, ReleaseGrant):
+            self._freed[slot, entry[0], NO_OWNER] = certificate.grant
+
+    def _holds(self, slot: int, entry: Entry, certificate: Certificate) -> bool:
+        """Whether the certificate bears the entry out."""
+        version, _, owner = entry
+        grant = certificate.grant
+        if isinstance(grant, ExchangeGrant):
+            return grant.entries().get(slot) == (entry, certificate.number) and self._exchanged(grant)
+        if version == 0 and (grant is not None or owner == NO_OWNER):
+            return grant is None
+        if version > 0 and not (grant is not None and self._free(slot, version, min(owner, NO_OWNER), grant)):
+            return False
+        statement = claim_statement(self._page, slot, entry, certificate.number)
+        return owner < 0 or self.signed_by(owner, statement, certificate.signature)
+
+    def _free(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> bool:
+        statement = word_statement(self._page, slot, version, owner)
+        return len({robot for robot, _ in grant.words}) >= WITNESSES and all(
+            self.signed_by(robot, statement, signature) for robot, signature in grant.words
+        )
+
+    def _exchanged(self, done: ExchangeGrant) -> bool:
+        offer = offer_statement(self._page, done.maker, done.offer(), done.number)
+        return (
+            done.maker != done.to
+            and done.give != done.take
+            and self.signed_by(done.maker, offer, done.signature)
+            and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)
+        )
+
+    def _hear_word(self, sender: int, word: Attestation, table: Table) -> None:
+        """A word counts where it is about the next version of what is held."""
+        slot, version, owner = what = (word.slot, word.version, word.owner)
+        if slot >= len(table) or version != table[slot][0] + 1 or sender in self._words.get(what, {}):
+            return
+        if self.signed_by(sender, word_statement(self._page, slot, version, owner), word.signature):
+            self._words.setdefault(what, {})[sender] = word.signature
+        else:
+            self.refused["uncertified"] += 1
+
+    def _hear_offer(self, message: Message, proofs: Proofs, most: int) -> Offer | None:
+        offer = message.offer
+        if offer is None:
+            return None
+        number, signature = proofs.offer or (0, b"")
+        if not (
+            0 < number <= most
+            and offer.bid <= 0.0
+            and self.signed_by(message.sender, offer_statement(self._page, message.sender, offer, number), signature)
+        ):
+            self.refused["uncertified"] += 1
+            return None
+        self._heard_offers[message.sender] = (offer, number, signature)
+        return offer
+
+    # ---------------------------------------------------------------- what is held
+
+    def order(self, slot: int, entry: Entry) -> tuple[int, int]:
+        """Of several places a robot keeps the one that it claimed last: the highest of these."""
+        return (self._held[slot, entry].number, slot)
+
+    def survey(self, table: Table, silent: Collection[int], blocked: Collection[int], clear: Collection[int]) -> None:
+        """Once a round: of which places this robot can say that they are free, or blocked.
+
+        Args:
+            table: what is held.
+            silent: robots that were heard of and are no more.
+            blocked: places with a body on them that does not move.
+            clear: places that surely have none.
+        """
+        for slot, entry in enumerate(table):
+            certificate = self._held.get((slot, entry))
+            if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:
+                self._outdated.add((slot, entry))
+        # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
+        left = {key for key in self._outdated & self._outdated_before if rank(key[1]) >= rank(table[key[0]])}
+        self._outdated_before, self._outdated = self._outdated, set()
+        own: dict[int, tuple[int, int]] = {slot: (entry[0] + 1, NO_OWNER) for slot, entry in left}
+        for slot, (version, _, owner) in enumerate(table):
+            if slot in blocked and owner != BLOCKED:
+                own[slot] = (version + 1, BLOCKED)
+            elif owner in silent or (owner == BLOCKED and slot in clear):
+                own[slot] = (version + 1, NO_OWNER)
+        self._own = tuple((slot, *what) for slot, what in own.items())
+        for slot, version, owner in self._own:
+            words = self._words.setdefault((slot, version, owner), {})
+            if self._robot not in words:
+                words[self._robot] = self._authenticator.sign(word_statement(self._page, slot, version, owner))
+
+    def granted(self, table: Table) -> Table:
+        """What enough robots have said of places: entries to merge, UNSAID elsewhere."""
+        entries: list[Entry] = [UNSAID] * len(table)
+        for (slot, version, owner), words in list(self._words.items()):
+            if version <= table[slot][0]:
+                del self._words[slot, version, owner]
+            elif len(words) >= WITNESSES:
+                entry = (version, 0.0, owner)
+                self._freed[slot, version, owner] = ReleaseGrant(tuple(sorted(words.items())[:WITNESSES]))
+                entries[slot] = max(entry, entries[slot], key=rank)
+        return tuple(entries)
+
+    def attest(self, claim: Claim) -> None:
+        """Sign what this robot has just written in its table."""
+        table = claim.table
+        if table is None:
+            return
+        for maker, (offer, number, signature) in self._heard_offers.items():
+            self._accept(table, maker, offer, number, signature)
+        self._heard_offers = {}
+        for slot, entry in enumerate(table):
+            if entry[2] == self._robot and (slot, entry) not in self._held:
+                self._number += 1
+                signature = self._authenticator.sign(claim_statement(self._page, slot, entry, self._number))
+                grant = self._freed[slot, entry[0], NO_OWNER] if entry[0] else None
+                self._keep(slot, entry, Certificate(number=self._number, signature=signature, grant=grant))
+        present = {(slot, entry) for slot, entry in enumerate(table)}
+        self._held = {key: certificate for key, certificate in self._held.items() if key in present}
+        self._freed = {
+            (slot, version, owner): freed
+            for (slot, version, owner), freed in self._freed.items()
+            if version >= table[slot][0]
+        }
+
+    def _accept(self, table: Table, maker: int, offer: Offer, number: int, signature: bytes) -> None:
+        """Sign the acceptance of an offer, if that is what the table says."""
+        given, taken = table[offer.give], table[offer.take]
+        new = (offer.give_version + 1, self._robot), (offer.take_version + 1, offer.bid, maker)
+        if (given[::2], taken) != new or (offer.give, given) in self._held or (offer.take, taken) in self._held:
+            return
+        self._number += 1
+        done = ExchangeGrant(
+            maker=maker,
+            to=self._robot,
+            give=offer.give,
+            take=offer.take,
+            give_version=offer.give_version,
+            take_version=offer.take_version,
+            bid=offer.bid,
+            number=number,
+            signature=signature,
+            accepted_bid=given[1],
+            accepted_number=self._number,
+            accepted=b"",
+        )
+        done = msgspec.structs.replace(done, accepted=self._authenticator.sign(acceptance_statement(self._page, done)))
+        self._keep(offer.give, given, Certificate(number=self._number, grant=done))
+        self._keep(offer.take, taken, Certificate(number=number, grant=done))
+
+    # ---------------------------------------------------------------- what is said
+
+    def prove(self, message: Message) -> Proofs:
+        """The certificates of what a message of one's own says about places."""
+        certificates: dict[int, Certificate] = {}
+        for slot, entry in enumerate(message.table or ()):
+            version, _, owner = entry
+            if owner >= 0:
+                certificates[slot] = self._held[slot, entry]
+            elif version > 0:
+                certificates[slot] = Certificate(number=0, grant=self._freed[slot, version, owner])
+        claims, grants = claims_of(certificates)
+        words = tuple(Attestation(*what, self._words[what][self._robot]) for what in self._own if what in self._words)
+        return Proofs(claims=claims, grants=grants, words=words, offer=self._offer(message.offer))
+
+    def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
+        """An offer counts as the next claim, if it is accepted."""
+        if offer is None:
+            return None
+        if offer not in self._offers:
+            number = self._number + 1
+            self._offers = {
+                offer: (number, self._authenticator.sign(offer_statement(self._page, self._robot, offer, number)))
+            }
+        return self._offers[offer]

@@ -1,0 +1,1 @@
+"""What is checked of plans and steps before anybody uses them."""

@@ -1,0 +1,178 @@
+"""What is checked before a step is flown, and what can be made of one that fails.
+
+A step is judged by what its robot observed, so a planner can be told what is wrong before anything moves. This is
+advice, not safety: whatever passes here, the shield has the last word.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.planning import StepAnswer, StepQuestion
+from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
+
+
+class Fault(StrEnum):
+    """What can be wrong with a waypoint."""
+
+    FORM = "form"
+    LENGTH = "length"
+    SEPARATION = "separation"
+    ARENA = "arena"
+    OVERSHOOT = "overshoot"
+    PROGRESS = "progress"
+
+
+@dataclass(frozen=True, slots=True)
+class StepFault:
+    """One fault of a waypoint, and the reason in words for the model."""
+
+    kind: Fault
+    reason: str
+
+
+def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> tuple[StepFault, ...]:
+    """Everything that is wrong with a waypoint; empty if nothing is.
+
+    - form: not a finite point of the mission's dimension; nothing else is looked at then.
+    - length: more than `max_step` away, give or take the printed decimals.
+    - separation: nearer than `safe_distance` to the observed position of another robot, unless it leads away from one
+      that is that near already.
+    - arena: outside, and farther outside than the robot is already.
+    - overshoot: the way passes the goal.
+    - progress: not nearer to the goal than before. A step that ends at the goal needs no progress, and a robot whose
+      straight way is blocked (`blocked`) may go anywhere else: it neither overshoots nor lacks progress.
+    """
+    if len(waypoint) != mission.dim or not all(map(math.isfinite, waypoint)):
+        return (StepFault(Fault.FORM, f"the position must be {mission.dim} finite numbers"),)
+    checks = (_length(mission, question, waypoint), _separation(mission, question, waypoint))
+    checks += (_arena(mission, question, waypoint), _advance(mission, question, waypoint))
+    return tuple(fault for fault in checks if fault is not None)
+
+
+def check_step(mission: Mission, question: StepQuestion, waypoint: Point) -> str | None:
+    """Why this waypoint will not do, as a sentence for the model, or None."""
+    faults = step_faults(mission, question, waypoint)
+    return "; ".join(fault.reason for fault in faults) + "." if faults else None
+
+
+def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
+    """As `check_step`; where a path may be given, the reason names the first waypoint that will not do, from 1.
+
+    Each waypoint of a path is judged as a step from the one before it. Only the first must keep the separation, and
+    with a shield not even that: where the others will be later nobody knows, and every step meets the shield anyway.
+    """
+    if question.horizon == 1:
+        return check_step(mission, question, answer.waypoint)
+    left_to_shield = {Fault.SEPARATION} if shield_on else set[Fault]()
+    seen = ""
+    for number, waypoint in enumerate((answer.waypoint, *answer.path), start=1):
+        faults = step_faults(mission, question, waypoint)
+        reasons = [fault.reason for fault in faults if fault.kind not in left_to_shield]
+        if reasons:
+            return f"position {number} of the path{seen}: {'; '.join(reasons)}."
+        question = replace(question, position=waypoint)
+        left_to_shield = {Fault.SEPARATION}
+        seen = f", counted from position {number} as yours"
+    return None
+
+
+def mended(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
+    """What a shield may make of a waypoint: itself if faultless, clipped to the goal, the step limit and the arena.
+
+    Returns:
+        None where clipping does not help: a step in a wrong direction stays one. With the shield on, a want of
+        separation is left to it.
+    """
+    faults = step_faults(mission, question, waypoint)
+    if not faults:
+        return waypoint
+    if faults[0].kind is Fault.FORM:
+        return None
+    here, goal = question.position, question.goal
+    target = goal if _along(here, goal, waypoint) >= math.dist(here, goal) else waypoint
+    length = math.dist(here, target)
+    if length > mission.max_step:
+        share = mission.max_step * (1 - 1e-12) / length
+        target = tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
+    if outside(mission, here) == 0.0 and outside(mission, target) > ROUNDING * mission.spacing:
+        low, high = mission.arena
+        target = tuple(min(max(x, a), b) for a, x, b in zip(low, target, high, strict=True))
+    left = {fault.kind for fault in step_faults(mission, question, target)}
+    return target if not left or (shield_on and left == {Fault.SEPARATION}) else None
+
+
+def blocked(mission: Mission, question: StepQuestion) -> bool:
+    """Whether one straight step towards the goal comes nearer than the safe distance to an observed robot."""
+    here, goal = question.position, question.goal
+    reach = min(mission.max_step, math.dist(here, goal))
+    limit = mission.safe_distance + ROUNDING * mission.spacing
+    for other in question.neighbors:
+        along = min(max(_along(here, goal, other), 0.0), reach)
+        share = along / math.dist(here, goal) if along else 0.0
+        nearest = tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
+        if math.dist(nearest, other) < limit:
+            return True
+    return False
+
+
+def _along(here: Point, goal: Point, point: Point) -> float:
+    """How far a point is ahead in the direction of the goal [units]; its distance where the goal is reached."""
+    distance = math.dist(here, goal)
+    if distance == 0.0:
+        return math.dist(here, point)
+    return sum((g - x) * (p - x) for x, g, p in zip(here, goal, point, strict=True)) / distance
+
+
+def _length(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
+    length = math.dist(question.position, waypoint)
+    if length <= mission.max_step * (1 + LENGTH_TOLERANCE):
+        return None
+    said = f"the position is {number_text(length)} from yours, {number_text(mission.max_step)} is the step limit"
+    return StepFault(Fault.LENGTH, said)
+
+
+def _separation(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
+    worst: tuple[float, Point] | None = None
+    for other in question.neighbors:
+        gap = math.dist(waypoint, other)
+        needed = min(mission.safe_distance, math.dist(question.position, other)) - ROUNDING * mission.safe_distance
+        if gap < needed and (worst is None or gap < worst[0]):
+            worst = gap, other
+    if worst is None:
+        return None
+    gap, other = worst
+    said = f"the position is {number_text(gap)} from the robot at {at_text(other)}, "
+    return StepFault(Fault.SEPARATION, said + f"at least {number_text(mission.safe_distance)} is required")
+
+
+def _arena(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
+    out = outside(mission, waypoint)
+    if out <= ROUNDING * mission.spacing or out <= outside(mission, question.position):
+        return None
+    low, high = mission.arena
+    said = f"the position is {number_text(out)} outside the arena from {at_text(low)} to {at_text(high)}"
+    return StepFault(Fault.ARENA, said)
+
+
+def _advance(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
+    """Overshoot or want of progress."""
+    here, goal = question.position, question.goal
+    before, after = math.dist(here, goal), math.dist(waypoint, goal)
+    near = ROUNDING * mission.spacing
+    if after <= near or blocked(mission, question):
+        return None
+    past = _along(here, goal, waypoint) - before
+    if past > near:
+        said = f"the position is {number_text(past)} beyond your goal, which is {number_text(before)} away"
+        return StepFault(Fault.OVERSHOOT, said)
+    if after > before - LENGTH_TOLERANCE * min(mission.max_step, before):
+        said = (
+            f"the position is {number_text(after)} from your goal, no nearer than you are now ({number_text(before)})"
+        )
+        return StepFault(Fault.PROGRESS, said)
+    return None

@@ -1,0 +1,46 @@
+"""Old names of flags, settings and record fields. They work for one more version, and say what to write instead."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+logger = logging.getLogger(__name__)
+
+FIELDS: Mapping[str, str] = {"ticks": "comm_rounds"}
+"""Settings, in configuration files, Python calls and as flags (`--ticks`): old name to new name."""
+
+VALUES: Mapping[str, Mapping[str, str]] = {
+    "consensus": {"pedigree": "provenance"},
+    "gaps": {"remake": "replan"},
+}
+"""Values of settings: old name to new name, by setting."""
+
+RECORD_FIELDS: Mapping[str, Mapping[str, str]] = {"/protocol": {"tick": "comm_round"}}
+"""Fields of recorded messages: old name to new name, by channel. Newer records have the new names only."""
+
+
+def current(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings under their present names; logs a warning for each old name. Call where settings come in."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        field = FIELDS.get(name, name)
+        if field != name:
+            logger.warning("%s is now called %s; the old name will go with the next version", name, field)
+        new = VALUES.get(field, {}).get(value, value) if isinstance(value, str) else value
+        if new is not value:
+            logger.warning("%s = %s is now called %s; the old name will go with the next version", field, value, new)
+        found[field] = new
+    return found
+
+
+def current_flag(token: str) -> str:
+    """A flag under its present name; logs a warning for an old one."""
+    name, equals, value = token.partition("=")
+    field = FIELDS.get(name.removeprefix("--").replace("-", "_")) if name.startswith("--") else None
+    if field is None:
+        return token
+    new = "--" + field.replace("_", "-")
+    logger.warning("%s is now called %s; the old name will go with the next version", name, new)
+    return new + equals + value
