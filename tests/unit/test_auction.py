@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.auction import BOUND_TICKS, AuctionAssignment, gain, merge, vacant
+from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment, gain, merge, vacant
 from llm_flock.protocol.messages.message import BidTable, Message, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 
@@ -141,7 +141,7 @@ def test_an_exchange_from_offer_to_acceptance() -> None:
     zero, one, sensed = crossed()
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     assert zero.offer == Offer(to=1, give=0, take=1, give_version=0, take_version=0, bid=-10.0)
-    assert (zero.slot, zero.bound) == (0, BOUND_TICKS)
+    assert (zero.slot, zero.bound) == (0, BOUND_ROUNDS)
     one = RULE.update(one, at(1, 1.0, says(0, zero), sensed=sensed))
     assert one.slot == 0 and one.offer is None
     assert one.table == ((1, 0.0, 1), (1, -10.0, 0), (0, 0.0, -1))
@@ -162,7 +162,7 @@ def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks()
         offer=Offer(to=0, give=2, take=0, give_version=0, take_version=0, bid=-1.0),
     )
     there = {**sensed, 2: (-9.0, 0.0)}
-    for _ in range(BOUND_TICKS - 1):
+    for _ in range(BOUND_ROUNDS - 1):
         zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
         assert zero.slot == 0 and zero.offer is not None
     zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
@@ -180,7 +180,7 @@ def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_
         2: Offer(to=1, give=2, take=1, give_version=0, take_version=0, bid=bids[2][1]),
     }
     claims = {
-        i: Claim(slot=i, table=table, bids=bids[i], offer=offers.get(i), bound=BOUND_TICKS if i == 2 else 1)
+        i: Claim(slot=i, table=table, bids=bids[i], offer=offers.get(i), bound=BOUND_ROUNDS if i == 2 else 1)
         for i in places
     }
 

@@ -53,7 +53,7 @@ FIELDS = [
     "claims",
     "offer",
     "beats",
-    "roll",
+    "positions",
 ]
 PEDIGREE = ("epoch", "neighbors", "proposer", "sequence")
 OFFER = [0, 0, 1, 0, 3, -2.5]
