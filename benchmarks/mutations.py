@@ -36,25 +36,23 @@ class Mutant:
         return f"| `{self.name}` | {self.invariant} | {self.change} | `{Path(path).name}`: `{function}` |"
 
 
-TALKS, JUDGE = "protocol/agreement/agreement.py", "protocol/verification/validator.py"
+AGREEMENT, EXCHANGE = "protocol/agreement/agreement.py", "protocol/agreement/exchange.py"
 AUCTION, CONSENSUS = "protocol/agreement/auction.py", "protocol/agreement/consensus.py"
-LEDGER, SIGNING, ENVELOPE = "protocol/signed/evidence.py", "protocol/signed/signing.py", "trust/envelope.py"
-T_SIGNED, T_TALK = "unit/test_signed_claims.py", "unit/test_signed_talk.py"
-T_ENVELOPE = "unit/test_envelope.py"
-SHIELD, PROJECTION, ASYNC = (
-    "protocol/motion/shield.py",
-    "protocol/motion/projection.py",
-    "protocol/motion/shield_async.py",
-)
-T_AUCTION, T_THEORY = "unit/test_auction.py", "property/test_theory.py"
+CHANNEL, DISSEMINATION = "protocol/messages/channel.py", "protocol/messages/dissemination.py"
+MISSION_UPDATE, REJECTIONS = "protocol/messages/mission_update.py", "protocol/messages/rejections.py"
+LIVENESS, OCCUPANCY = "protocol/membership/liveness.py", "protocol/membership/occupancy.py"
+ALL_TO_ALL, SEARCH = "protocol/membership/all_to_all.py", "protocol/membership/search.py"
+EVIDENCE, SIGNED_CHANNEL = "protocol/signed/evidence.py", "protocol/signed/channel.py"
+ENVELOPE, VALIDATOR, PILOT = "trust/envelope.py", "protocol/verification/validator.py", "protocol/motion/pilot.py"
+SHIELD, PROJECTION = "protocol/motion/shield.py", "protocol/motion/projection.py"
+SHIELD_ASYNC = "protocol/motion/shield_async.py"
+
 T_AGENT, T_PLACES, T_VERIFIED = "unit/test_agent.py", "unit/test_agent_places.py", "unit/test_agent_verification.py"
-SPEECH, LIVENESS, PILOT = (
-    "protocol/messages/dissemination.py",
-    "protocol/membership/liveness.py",
-    "protocol/motion/pilot.py",
-)
-T_TALKS, T_SPEECH, T_SURVEY = "unit/test_negotiation.py", "unit/test_speech.py", "unit/test_survey.py"
-T_SEARCH, T_CONSENSUS, T_SHIELD = "unit/test_search.py", "unit/test_consensus.py", "property/test_shield.py"
+T_AGREEMENT, T_EXCHANGE, T_CONSENSUS = "unit/test_agreement.py", "unit/test_exchange.py", "unit/test_consensus.py"
+T_AUCTION, T_DISSEMINATION = "unit/test_auction.py", "unit/test_dissemination.py"
+T_OCCUPANCY, T_SEARCH, T_ALL_TO_ALL = "unit/test_occupancy.py", "unit/test_search.py", "unit/test_all_to_all.py"
+T_SIGNED, T_SIGNED_CHANNEL = "unit/test_signed_claims.py", "unit/test_signed_channel.py"
+T_ENVELOPE, T_SHIELD, T_THEORY = "unit/test_envelope.py", "property/test_shield.py", "property/test_theory.py"
 
 MUTANTS: Sequence[Mutant] = (
     # ---------------------------------------------------------------- one plan
@@ -76,7 +74,7 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("influence", "Influence belongs to the plan", "the proposer's influence is left out of the order"),
         *(CONSENSUS, "origin.neighbors,", "0,"),
-        f"{T_CONSENSUS}::test_pedigree_is_decided_by_the_proposer_not_the_carrier",
+        f"{T_CONSENSUS}::test_provenance_is_decided_by_the_proposer_not_the_carrier",
     ),
     Mutant(
         *("readopting", "Only a higher plan is adopted", "a plan is adopted again and again"),
@@ -95,12 +93,12 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("heard-plans", "No refused plan is followed or forwarded", "plans that are heard are not verified"),
-        *(TALKS, "objection = self._validator.objection(plan)", "objection = None"),
+        *(EXCHANGE, "objection = self._validator.objection(mission, message.plan)", "objection = None"),
         f"{T_VERIFIED}::test_a_received_plan_that_fails_dies_with_its_author",
     ),
     Mutant(
         *("own-plans", "No refused plan is proposed", "a robot's own plan is not verified"),
-        *(JUDGE, "if not isinstance(answer, PlanAnswer) or not self.verify:", "if True:"),
+        *(VALIDATOR, "if not isinstance(answer, PlanAnswer) or not self.verify:", "if True:"),
         f"{T_VERIFIED}::test_an_own_plan_that_fails_is_not_followed",
     ),
     Mutant(
@@ -142,7 +140,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("other-plans", "Tables of different plans never merge", "all tables that are heard are merged"),
-        *(TALKS, "heard = [m for m in heard if m.plan is self.plan or m.plan == self.plan]", "heard = list(heard)"),
+        *(AGREEMENT, "heard=[m for m in heard if m.plan == plan],", "heard=heard,"),
         f"{T_PLACES}::test_claims_on_another_plan_are_not_merged",
     ),
     Mutant(
@@ -182,28 +180,28 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("search", "A frozen partition ends", "the search never begins"),
-        *("protocol/membership/search.py", "way=tour if looks < LOOKS // 2 else (*tour, center)", "way=()"),
+        *(SEARCH, "way=tour if looks < LOOKS // 2 else (*tour, center)", "way=()"),
         f"{T_SEARCH}::test_the_robot_next_to_a_vacant_place_goes_first",
     ),
     Mutant(
         *("endless-search", "A search is bounded", "tours never end"),
-        *("protocol/membership/search.py", "if table[a][1] < most]", "if True]"),
+        *(SEARCH, "if table[a][1] < most]", "if True]"),
         f"{T_SEARCH}::test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
     ),
     # ---------------------------------------------------------------- in flight
     Mutant(
         *("silent-places", "The place of a silent robot is free", "it stays the silent robot's"),
-        *(AUCTION, "elif owner in now.silent or (", "elif ("),
-        f"{T_SURVEY}::test_the_place_of_who_falls_silent_is_free_with_a_raised_version",
+        *(AUCTION, "elif owner in seen.silent or (", "elif ("),
+        f"{T_OCCUPANCY}::test_the_place_of_who_falls_silent_is_free_with_a_raised_version",
     ),
     Mutant(
         *("taken-back", "A robot wrongly suspected takes its place back", "it leaves it to others"),
         *(
             AUCTION,
-            "table = observed_occupancy(reclaimed(now.robot, claim, table), now)",
-            "table = observed_occupancy(table, now)",
+            "with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)",
+            "with_occupancy(table, now.occupancy)",
         ),
-        f"{T_SURVEY}::test_who_was_taken_for_dead_takes_its_place_back",
+        f"{T_OCCUPANCY}::test_who_was_taken_for_dead_takes_its_place_back",
     ),
     Mutant(
         *("former-life", "A robot that begins again counts on", "it counts from one"),
@@ -212,71 +210,67 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("blocked", "A place under a still body is nobody's", "such places are not noted"),
-        *("protocol/membership/occupancy.py", "return under(still), ", "return frozenset[int](), "),
-        f"{T_SURVEY}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
+        *(OCCUPANCY, "return under(still), ", "return frozenset[int](), "),
+        f"{T_OCCUPANCY}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
     ),
     Mutant(
         *("unblocked", "A place without a body is free again", "only who met bodies itself looks"),
-        *(TALKS, "if self.bodies or self._told_of_bodies:", "if self.bodies:"),
-        f"{T_SURVEY}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
+        *(OCCUPANCY, "if bodies or knows_blocked:", "if bodies:"),
+        f"{T_OCCUPANCY}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
     ),
     Mutant(
         *("living-bodies", "Who lives blocks no place", "every body near a blocked place keeps it blocked"),
         *(
-            "protocol/membership/occupancy.py",
+            OCCUPANCY,
             "for j, x in sensed.items() if j not in living]",
             "for x in sensed.values()]",
         ),
-        f"{T_SURVEY}::test_who_is_known_to_live_blocks_no_place",
+        f"{T_OCCUPANCY}::test_who_is_known_to_live_blocks_no_place",
     ),
     Mutant(
         *("signs-of-life", "A counter alone is no sign of life", "who was heard of once counts as living"),
         *(LIVENESS, "newer & (self._beats > BODY)", "newer"),
-        f"{T_SURVEY}::test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is",
+        f"{T_OCCUPANCY}::test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is",
     ),
     Mutant(
         *("watching", "Somebody sees a blocked place come free", "who has no place stays where it is"),
         *("protocol/agent.py", "if owner == BLOCKED]", "if owner < BLOCKED]"),
-        f"{T_SURVEY}::test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free",
+        f"{T_OCCUPANCY}::test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free",
     ),
     Mutant(
         *("stamp", "The mission of highest stamp is in force", "the last one heard is"),
-        *(
-            TALKS,
-            "self._consider(message, proofs) if message.mission > self.stamp",
-            "self._consider(message, proofs) if True",
-        ),
-        f"{T_TALKS}::test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first",
+        *(EXCHANGE, "if message.mission <= agreement.stamp or message.mission_text", "if message.mission_text"),
+        f"{T_AGREEMENT}::test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first",
     ),
     Mutant(
         *("radio-limits", "No message changes a robot's limits", "a mission need not be what its digest stands for"),
-        *(SPEECH, "if said.digest != message.mission.digest:", "if False:"),
+        *(MISSION_UPDATE, "if mission.digest != message.mission.digest:", "if False:"),
         f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
     ),
     Mutant(
         *("radio-fields", "No message names a robot's limits", "any field of a mission is taken"),
-        *(SPEECH, "if not fields.keys() <= MISSION_FIELDS:", "if False:"),
+        *(MISSION_UPDATE, "if not fields.keys() <= MISSION_FIELDS:", "if False:"),
         f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
     ),
     Mutant(
         *("plan-mission", "A plan counts only with its mission", "plans for other missions are heard"),
-        *(TALKS, "if message.mission != self.stamp:", "if False:"),
-        f"{T_TALKS}::test_a_plan_counts_only_with_its_mission",
+        *(EXCHANGE, "if message.mission != self._agreement.stamp:", "if False:"),
+        f"{T_AGREEMENT}::test_a_plan_counts_only_with_its_mission",
     ),
     Mutant(
         *("plan-digest", "Who names another plan is told one's own", "it is not"),
-        *(SPEECH, "any(m.plan_digest != digest for m in others)", "False"),
-        f"{T_SPEECH}::test_a_plan_is_spelled_out_when_it_was_just_taken_up_and_to_who_follows_another",
+        *(DISSEMINATION, "any(m.plan_digest != digest for m in others)", "False"),
+        f"{T_DISSEMINATION}::test_a_plan_is_spelled_out_when_it_is_new_and_to_neighbours_that_follow_another",
     ),
     Mutant(
         *("table-digest", "Who names another table is told one's own", "it is not"),
-        *(SPEECH, "and m.table_digest != whole.table_digest for m", "and False for m"),
-        f"{T_SPEECH}::test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a_round",
+        *(DISSEMINATION, "and m.table_digest != whole.table_digest for m", "and False for m"),
+        f"{T_DISSEMINATION}::test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a_round",
     ),
     Mutant(
         *("frame", "A plan is kept in the frame of its mission", "it is kept in the world's"),
         *("protocol/agent.py", "if isinstance(answer, PlanAnswer) and ahead:", "if False:"),
-        f"{T_TALKS}::test_a_plan_for_a_moving_centre_is_kept_in_its_frame",
+        f"{T_AGREEMENT}::test_a_plan_for_a_moving_centre_is_kept_in_its_frame",
     ),
     # ---------------------------------------------------------------- messages
     Mutant(
@@ -286,7 +280,7 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("own-id", "Nobody speaks in a robot's own name", "messages with the own id are taken"),
-        *(TALKS, "if message.sender == self._robot:", "if False:"),
+        *(CHANNEL, "if inbound.message.sender == robot:", "if False:"),
         f"{T_AGENT}::test_a_refused_message_is_counted_and_changes_nothing",
     ),
     Mutant(
@@ -321,36 +315,84 @@ MUTANTS: Sequence[Mutant] = (
         "unit/test_projection.py::test_a_side_that_is_not_violated_is_never_eased",
     ),
     Mutant(
-        *("skipping", "Rules are asked whenever something is new", "where the robot is does not count"),
-        *(TALKS, "self.neighbors, self._position, self._sensed)", "self.neighbors)"),
-        f"{T_TALKS}::test_rules_that_have_nothing_more_to_say_are_asked_again_only_when_something_is_new",
+        *("stale-arguments", "A rule is asked when an argument changes", "changes of position do not count"),
+        *(AGREEMENT, "self.neighbors, self.position, self._sensed, *heard)", "self.neighbors, *heard)"),
+        f"{T_AGREEMENT}::test_a_rule_is_asked_as_soon_as_an_argument_changes",
     ),
     Mutant(
-        *("stale-repeat", "A new mission voids what was heard", "what is repeated still counts"),
-        *("protocol/messages/inbox.py", "self._newest = {}\n        self._understood.clear()\n", "self._newest = {}\n"),
-        f"{T_TALKS}::test_what_is_repeated_counts_only_for_the_mission_that_it_was_said_for",
+        *("stale-occupancy", "A rule is asked when an argument changes", "the end of an observation does not count"),
+        *(AGREEMENT, "() if due or notes", "() if notes"),
+        f"{T_AGREEMENT}::test_a_rule_is_asked_again_without_the_occupancy_that_it_gets_once_a_round",
     ),
     Mutant(
-        *("unheard", "Rules hear all that is said of other tables", "a table is known once its digest is"),
+        *("unchanged-slot", "A rule is asked when its claim has changed", "only another slot counts"),
         *(
-            "protocol/agreement/precedent.py",
-            "message.table_digest == table_digest or message.table == before.table",
-            "True",
+            AGREEMENT,
+            "self.claim is not before else arguments",
+            "self.claim.slot != before.slot else (self.claim, *arguments[1:])",
         ),
-        f"{T_TALKS}::test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_not_of_the_own",
+        f"{T_AGREEMENT}::test_a_rule_is_asked_in_every_communication_round_while_its_claim_holds_an_offer",
+    ),
+    Mutant(
+        *("eager", "A rule is not asked twice with the same arguments", "it is asked in every communication round"),
+        *(AGREEMENT, "if not due and len(arguments) == len(self._settled) and", "if False and"),
+        f"{T_AGREEMENT}::test_a_rule_is_not_asked_again_while_its_arguments_are_the_same",
+    ),
+    Mutant(
+        *(
+            "stale-repeat",
+            "Payloads are applied anew after another mission",
+            "a repeated payload keeps its old meaning",
+        ),
+        *(EXCHANGE, "self._inbox.clear_messages()\n        self._repeated.clear()\n", "self._inbox.clear_messages()\n"),
+        f"{T_EXCHANGE}::test_another_mission_makes_a_repeated_payload_new",
+    ),
+    Mutant(
+        *("lost-repeat", "A repeated payload is heard in each communication round", "it is dropped"),
+        *(EXCHANGE, "            self._keep(repeated)\n", ""),
+        f"{T_EXCHANGE}::test_a_payload_repeated_in_a_round_is_opened_once_and_heard_each_time",
+    ),
+    Mutant(
+        *("unbounded-repeats", "A flood of payloads costs bounded memory", "all payloads of a round are kept"),
+        *(EXCHANGE, "if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:", "if inbound.repeatable:"),
+        f"{T_EXCHANGE}::test_a_flood_of_payloads_costs_bounded_memory",
+    ),
+    Mutant(
+        *("unrepeatable", "All heartbeats and positions are applied", "those of a repeated payload are not"),
+        *(
+            CHANNEL,
+            "return self.authorization is None and self.beats is None and self.message.positions is None",
+            "return True",
+        ),
+        f"{T_EXCHANGE}::test_a_payload_that_has_more_to_apply_is_applied_each_time",
+    ),
+    Mutant(
+        *("keyed-repeat", "Every payload in a team with keys is verified", "a repeated one is not"),
+        *(CHANNEL, "return self.authorization is None and self.beats", "return self.beats"),
+        f"{T_EXCHANGE}::test_with_keys_every_payload_is_verified",
+    ),
+    Mutant(
+        *("unbounded-refusals", "A flood of refused plans costs bounded memory", "all are remembered"),
+        *(REJECTIONS, "if len(self._plans) >= REMEMBERED_PLANS:", "if False:"),
+        f"{T_EXCHANGE}::test_a_refused_plan_is_counted_once_and_a_flood_of_them_costs_bounded_memory",
+    ),
+    Mutant(
+        *("unsigned-positions", "A team with keys collects no unsigned positions", "a large one does"),
+        *(ALL_TO_ALL, "self.large = enabled and n_robots > MANY", "self.large = n_robots > MANY"),
+        f"{T_ALL_TO_ALL}::test_small_teams_and_teams_with_keys_collect_nothing",
     ),
     Mutant(
         *("repeating", "What is new is said", "a change is not said a second time"),
         *(
-            "protocol/messages/dissemination.py",
+            DISSEMINATION,
             "whole.positions is not None or any(self._changed) or",
             "whole.positions is not None or",
         ),
-        f"{T_SPEECH}::test_what_was_said_is_repeated_only_while_nothing_is_new",
+        f"{T_DISSEMINATION}::test_the_last_payload_is_repeated_only_while_nothing_is_new",
     ),
     Mutant(
         *("age", "A sighting's age widens the margin", "the age is left out"),
-        *(ASYNC, "speed * (other.age_s + period_s)", "speed * period_s"),
+        *(SHIELD_ASYNC, "speed * (other.age_s + period_s)", "speed * period_s"),
         "property/test_shield_async.py::test_age_and_error_widen_the_margin_and_too_much_of_them_is_standing_still",
     ),
     Mutant(
@@ -360,29 +402,29 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("path", "Every step of a path goes through the shield", "foreseen steps do not"),
-        *(PILOT, "        if self._safety is not None:\n            flight = self._safety.step("),
-        "        if self._safety is not None and not self.on_path:\n            flight = self._safety.step(",
+        *(PILOT, "if self._safety is not None:\n            tolerance"),
+        "if self._safety is not None and not self.on_path:\n            tolerance",
         "unit/test_agent_on_event.py::test_no_step_is_flown_unverified_or_unshielded",
     ),
     Mutant(
         *("lone-release", "Nobody raises a version alone", "one robot's word, said twice, frees a place"),
-        *(LEDGER, "len({robot for robot, _ in grant.words}) >= WITNESSES and all(", "all("),
+        *(EVIDENCE, "len({robot for robot, _ in grant.words}) >= WITNESSES and all(", "all("),
         f"{T_SIGNED}::test_places_of_the_living_are_not_released_by_one",
     ),
     Mutant(
         *("lone-word", "Nobody raises a version alone", "one robot's word is enough"),
-        *(LEDGER, "elif len(words) >= WITNESSES:", "elif words:"),
+        *(EVIDENCE, "elif len(words) >= WITNESSES:", "elif words:"),
         f"{T_SIGNED}::test_places_of_the_living_are_not_released_by_one",
     ),
     Mutant(
         *("last-claim", "Only a robot's last claim counts", "all of them do"),
-        *(LEDGER, "if place < self._last.get(owner, place):", "if place < (0, 0):"),
+        *(EVIDENCE, "if place < self._last.get(owner, place):", "if place < (0, 0):"),
         f"{T_SIGNED}::test_one_message_takes_one_place",
     ),
     Mutant(
         *("unsigned-claim", "Claims are signed by their owner", "the signature is not looked at"),
         *(
-            LEDGER,
+            EVIDENCE,
             "return owner < 0 or self.signed_by(owner, statement, certificate.signature)",
             "return bool(statement)",
         ),
@@ -390,22 +432,22 @@ MUTANTS: Sequence[Mutant] = (
     ),
     Mutant(
         *("one-sided-exchange", "An exchange is signed by both", "by its maker only"),
-        *(LEDGER, "and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)", ""),
+        *(EVIDENCE, "and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)", ""),
         f"{T_SIGNED}::test_exchanges_need_both",
     ),
     Mutant(
         *("forged-origin", "A plan is signed by its proposer", "by nobody"),
         *(
-            SIGNING,
+            SIGNED_CHANNEL,
             "if not self._authenticator.check(origin.proposer, origin_statement(origin, plan), signature):",
             "if False:",
         ),
-        f"{T_TALK}::test_a_plan_in_the_name_of_another_is_refused",
+        f"{T_SIGNED_CHANNEL}::test_a_plan_in_the_name_of_another_is_refused",
     ),
     Mutant(
         *("forged-heartbeat", "Heartbeats are signed by whose they are", "by nobody"),
-        *(SIGNING, "count if count > known[j] and self._beat(", "count if count > known[j] or self._beat("),
-        f"{T_TALK}::test_hearts_are_neither_stopped_nor_kept_beating_by_others",
+        *(SIGNED_CHANNEL, "count > known and self._is_signed(", "count > known or self._is_signed("),
+        f"{T_SIGNED_CHANNEL}::test_hearts_are_neither_stopped_nor_kept_beating_by_others",
     ),
     Mutant(
         *("replay", "An envelope is opened once", "as often as it comes"),

@@ -237,6 +237,14 @@ def test_a_rule_is_asked_as_soon_as_an_argument_changes() -> None:
     assert asked_by(flight, rule, other) == 1, "a sensed robot has moved"
 
 
+def test_a_rule_is_asked_again_without_the_occupancy_that_it_gets_once_a_round() -> None:
+    rule, flight = counting()
+    for _ in range(3):
+        flight.round()
+    flight.begin()
+    assert [asked_by(flight, rule) for _ in range(4)] == [1, 1, 0, 0]
+
+
 def test_a_rule_is_asked_in_every_communication_round_while_its_claim_holds_an_offer() -> None:
     """The offer expires after a number of communication rounds, whatever is heard."""
     rule, flight = counting()

@@ -180,6 +180,14 @@ def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
     assert way.notes[0].detail["makes_way"] is True and way.waypoint[0] < 50.0
 
 
+def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
+    mind = Safety(0, Limits.of(Mission()), 0.0)
+    step = mind.step((98.0, 50.0), {}, (104.0, 50.0), (104.0, 50.0), 0.5)
+    assert step.origin is Origin.SHIELD and step.waypoint == pytest.approx((100.0, 50.0))
+    outside = mind.step((-9.0, 50.0), {}, (-12.0, 50.0), (-12.0, 50.0), 0.5)
+    assert outside.waypoint == pytest.approx((-9.0 + Mission().max_step, 50.0)), "one full step back"
+
+
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
     mind = Safety(0, Limits.of(Mission()), 0.1)
     assert mind.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD

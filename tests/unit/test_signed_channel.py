@@ -9,12 +9,15 @@ from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol.events import MissionGiven
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.events import Broadcast, CommRoundBegan, MissionGiven, Planned, RoundBegan
 from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import Message, MissionStamp, Offer
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer
+from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     MOST_EPOCHS,
     OPERATOR,
@@ -26,6 +29,7 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
     wrap,
 )
+from llm_flock.protocol.signed.evidence import Evidence
 
 MISSION = Mission(shape="circle", n_robots=5)
 
@@ -91,6 +95,20 @@ def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) 
     assert team.tell(1, b"\3" + bytes(10**5), team.liar) == ["oversized"]
     with pytest.raises(MessageError, match="version"):
         unwrap(b"", 5)
+
+
+def test_a_robot_without_a_plan_sends_no_signature_of_one() -> None:
+    team = SignedTeam(MISSION, line_up(5))
+    agent = team.agents[0]
+    agent.handle(RoundBegan(round=1, position=team.positions[0], neighbors=0, sensed={}, observed=()))
+    agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
+    (sent,) = agent.handle(CommRoundBegan())
+    assert isinstance(sent, Broadcast) and unwrap(sent.payload, 5)[1].origin is None
+    assert team.tell(1, sent.payload, 0) == []
+
+
+def test_a_signed_rule_has_the_name_of_the_rule_that_it_decorates() -> None:
+    assert SignedAssignment(AuctionAssignment(), Evidence(0, ToyKeys(0))).name == "auction"
 
 
 # ---------------------------------------------------------------- heartbeats
