@@ -146,22 +146,22 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("worthless-offer", "An offer lowers the sum of squares", "any exchange with a sensed robot is offered"),
         *(AUCTION, "if worth >= SWAP_GAIN * now.spacing**2 and (", "if worth > -math.inf and ("),
-        f"{T_AUCTION}::test_an_exchange_that_gains_nothing_or_with_a_robot_out_of_sight_is_neither_offered_nor_accepted",
+        f"{T_AUCTION}::test_an_exchange_without_gain_or_with_an_unseen_robot_is_neither_offered_nor_accepted",
     ),
     Mutant(
         *("worthless-acceptance", "An exchange lowers the sum of squares", "every offer is accepted"),
         *(AUCTION, "if worth >= SWAP_GAIN * now.spacing**2:\n", "if True:\n"),
-        f"{T_AUCTION}::test_an_exchange_that_gains_nothing_or_with_a_robot_out_of_sight_is_neither_offered_nor_accepted",
+        f"{T_AUCTION}::test_an_exchange_without_gain_or_with_an_unseen_robot_is_neither_offered_nor_accepted",
     ),
     Mutant(
         *("bound", "A robot bound by its offer accepts no other", "it does"),
         *(AUCTION, "if claim.offer is not None and not crossing:", "if False:"),
-        f"{T_AUCTION}::test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks",
+        f"{T_AUCTION}::test_a_bound_robot_accepts_nothing_else_until_its_offer_expires",
     ),
     Mutant(
         *("unending-offer", "An offer expires", "an unanswered offer binds for ever"),
         *(AUCTION, "(bound <= 0 or _ended(", "(_ended("),
-        f"{T_AUCTION}::test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks",
+        f"{T_AUCTION}::test_a_bound_robot_accepts_nothing_else_until_its_offer_expires",
     ),
     Mutant(
         *("crossing", "Of two crossing offers one is accepted", "both are"),
@@ -186,13 +186,13 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("endless-search", "A search is bounded", "tours never end"),
         *(SEARCH, "if table[a][1] < most]", "if True]"),
-        f"{T_SEARCH}::test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good",
+        f"{T_SEARCH}::test_searches_in_vain_are_followed_by_longer_waits_and_end_at_the_centre",
     ),
     # ---------------------------------------------------------------- in flight
     Mutant(
         *("silent-places", "The place of a silent robot is free", "it stays the silent robot's"),
         *(AUCTION, "elif owner in seen.silent or (", "elif ("),
-        f"{T_OCCUPANCY}::test_the_place_of_who_falls_silent_is_free_with_a_raised_version",
+        f"{T_OCCUPANCY}::test_the_place_of_a_silent_robot_becomes_free_with_a_raised_version",
     ),
     Mutant(
         *("taken-back", "A robot wrongly suspected takes its place back", "it leaves it to others"),
@@ -201,22 +201,22 @@ MUTANTS: Sequence[Mutant] = (
             "with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)",
             "with_occupancy(table, now.occupancy)",
         ),
-        f"{T_OCCUPANCY}::test_who_was_taken_for_dead_takes_its_place_back",
+        f"{T_OCCUPANCY}::test_a_robot_taken_for_dead_takes_its_place_back",
     ),
     Mutant(
         *("former-life", "A robot that begins again counts on", "it counts from one"),
         *(LIVENESS, "if mine > self._beats[self._robot]:", "if False:"),
-        "unit/test_liveness.py::test_who_starts_again_counts_on_from_its_former_life",
+        "unit/test_liveness.py::test_a_restarted_robot_continues_its_former_counter",
     ),
     Mutant(
         *("blocked", "A place under a still body is nobody's", "such places are not noted"),
         *(OCCUPANCY, "return under(still), ", "return frozenset[int](), "),
-        f"{T_OCCUPANCY}::test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off",
+        f"{T_OCCUPANCY}::test_a_place_under_a_silent_body_is_blocked_until_the_body_has_moved_off",
     ),
     Mutant(
         *("unblocked", "A place without a body is free again", "only who met bodies itself looks"),
         *(OCCUPANCY, "if bodies or knows_blocked:", "if bodies:"),
-        f"{T_OCCUPANCY}::test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so",
+        f"{T_OCCUPANCY}::test_a_restarted_robot_frees_the_place_that_its_own_body_blocked",
     ),
     Mutant(
         *("living-bodies", "Who lives blocks no place", "every body near a blocked place keeps it blocked"),
@@ -225,12 +225,12 @@ MUTANTS: Sequence[Mutant] = (
             "for j, x in sensed.items() if j not in living]",
             "for x in sensed.values()]",
         ),
-        f"{T_OCCUPANCY}::test_who_is_known_to_live_blocks_no_place",
+        f"{T_OCCUPANCY}::test_a_living_robot_blocks_no_place",
     ),
     Mutant(
         *("signs-of-life", "A counter alone is no sign of life", "who was heard of once counts as living"),
         *(LIVENESS, "newer & (self._beats > BODY)", "newer"),
-        f"{T_OCCUPANCY}::test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is",
+        f"{T_OCCUPANCY}::test_a_place_under_an_unidentified_body_is_left_to_robots_that_know_it",
     ),
     Mutant(
         *("watching", "Somebody sees a blocked place come free", "who has no place stays where it is"),
@@ -447,7 +447,7 @@ MUTANTS: Sequence[Mutant] = (
     Mutant(
         *("forged-heartbeat", "Heartbeats are signed by whose they are", "by nobody"),
         *(SIGNED_CHANNEL, "count > known and self._is_signed(", "count > known or self._is_signed("),
-        f"{T_SIGNED_CHANNEL}::test_hearts_are_neither_stopped_nor_kept_beating_by_others",
+        f"{T_SIGNED_CHANNEL}::test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others",
     ),
     Mutant(
         *("replay", "An envelope is opened once", "as often as it comes"),

@@ -1,4 +1,4 @@
-"""Plan consensus rules, and what is wrong with the paper's."""
+"""Plan consensus rules, and where the paper's fails."""
 
 import numpy as np
 import pytest

@@ -123,7 +123,7 @@ def test_round_an_obstacle_exactly_in_line(obstacle: Obstacle) -> None:
     assert team.clearance >= SAFE / 2 - 1e-6
 
 
-def test_a_goal_that_cannot_be_reached_is_said_once_and_circled() -> None:
+def test_a_goal_that_cannot_be_reached_is_noted_once_and_circled() -> None:
     team = Team([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
     assert team.fly(80) is None
     assert team.kinds["deadlock"] <= 3 and team.clearance >= SAFE / 2 - 1e-6
@@ -194,7 +194,7 @@ def test_noise_that_could_explain_it_is_no_crowd() -> None:
     assert mind.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 
 
-def test_progress_is_counted_and_a_new_goal_begins_anew() -> None:
+def test_progress_is_counted_for_each_goal() -> None:
     def seen(last: GoalProgress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> GoalProgress:
         return watch(last, (x, 0.0), goal, gain=0.3, within=0.5, lap=LAP)
 

@@ -1,4 +1,4 @@
-"""What a keyed robot that lies cannot do in the name of others: propose, speak, move their hearts, give missions."""
+"""A lying robot with keys cannot propose plans, send messages, heartbeats or missions in the name of others."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_true_plan_of_a_liar_is_a_plan(team: SignedTeam, liar: Liar) -> None:
 
 
 @pytest.mark.parametrize(("epoch", "sequence"), [(MOST_EPOCHS + 1, 0), (1, 2), (2**40 - 1, 0)])
-def test_plans_are_remade_so_often_and_not_oftener(team: SignedTeam, liar: Liar, epoch: int, sequence: int) -> None:
+def test_a_team_replans_a_bounded_number_of_times(team: SignedTeam, liar: Liar, epoch: int, sequence: int) -> None:
     lie = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=epoch, sequence=sequence), table=None)
     assert team.tell(1, lie, team.liar) == ["many_plans"]
 
@@ -114,7 +114,7 @@ def test_a_signed_rule_has_the_name_of_the_rule_that_it_decorates() -> None:
 # ---------------------------------------------------------------- heartbeats
 
 
-def test_hearts_are_neither_stopped_nor_kept_beating_by_others(team: SignedTeam, liar: Liar) -> None:
+def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:
     before = team.agents[0]._liveness.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
@@ -127,7 +127,7 @@ def test_hearts_are_neither_stopped_nor_kept_beating_by_others(team: SignedTeam,
     assert team.settled()
 
 
-def test_a_heart_that_beats_is_heard_through_others(team: SignedTeam, liar: Liar) -> None:
+def test_a_signed_heartbeat_is_passed_on_by_others(team: SignedTeam, liar: Liar) -> None:
     message, proofs = unwrap(liar.says(beats=(0, 0, 0, 0, 9)), 5)
     signed = msgspec.structs.replace(proofs, beats=(b"", b"", b"", b"", liar.keys.sign(beat_statement(4, 9))))
     team.begin()

@@ -1,6 +1,6 @@
-"""A team of real agents, driven by hand round by round over links with faults: robots fall silent, begin, come back.
+"""A team of real agents on faulty links: robots fall silent, start late and come back.
 
-Bodies stand still, so what is tested is the agreement and nothing else.
+Their bodies stand still, so only the agreement is tested.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 import numpy as np
+from rounds import round_began
 
 from llm_flock import graph
 from llm_flock.arrays import Point
@@ -28,7 +29,6 @@ from llm_flock.protocol.events import (
     MissionGiven,
     Planned,
     Received,
-    RoundBegan,
 )
 from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.plan import Plan
@@ -37,7 +37,7 @@ from llm_flock.transport.memory import LinkFaults, MemoryTransport
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))
 PERFECT = LinkFaults()
-TICKS = 5
+COMM_ROUNDS = 5
 
 
 def connected_places(n: int, rng: np.random.Generator) -> list[Point]:
@@ -61,7 +61,7 @@ def a_leaf(places: list[Point], comm_range: float, root: int) -> int:
 
 
 def turned_plan(question: PlanQuestion) -> Plan:
-    """The ideal shape of what is asked, turned by an angle that depends on who is asked."""
+    """The ideal shape, turned by an angle that depends on the robot."""
     mission = question.mission
     assert mission.ideal is not None
     angle = 0.11 * (question.robot + 1)
@@ -70,15 +70,15 @@ def turned_plan(question: PlanQuestion) -> Plan:
     return Plan.of(((np.array(mission.ideal) - center) @ turn.T + center).tolist())
 
 
-class Crew:
-    """N bodies, and a mind for each of them that is awake.
+class StillTeam:
+    """N bodies, and an agent for each of them that is awake.
 
     Args:
         mission: what the team is asked to do at first.
         places: where the bodies are [units].
-        rng: chance of the links.
-        faults: what goes wrong on them.
-        asleep: robots that begin later.
+        rng: decides about the faults of the links.
+        faults: faults of the links.
+        asleep: robots that start later.
         time_out: rounds without a heartbeat after which a robot is taken for dead.
         gaps: what to do about places that nobody is alive to take.
         verify: whether plans are checked.
@@ -104,10 +104,10 @@ class Crew:
         self.asked: list[PlanQuestion] = []
         self._rng, self._time_out, self._verify = rng, time_out, verify
         self._gaps: Gaps = gaps
-        self.agents = [self._mind(robot) for robot in range(mission.n_robots)]
+        self.agents = [self._new_agent(robot) for robot in range(mission.n_robots)]
         self.set_faults(faults)
 
-    def _mind(self, robot: int) -> Agent:
+    def _new_agent(self, robot: int) -> Agent:
         return Agent(
             robot,
             self.mission,
@@ -120,22 +120,22 @@ class Crew:
         )
 
     def set_faults(self, faults: LinkFaults) -> None:
-        """From now on the links have these faults; what is on the way is lost."""
+        """Give the links other faults from now on; messages on the way are lost."""
         self.transport = MemoryTransport(self.mission.n_robots, faults, self._rng)
 
     def wake(self, robot: int) -> None:
-        """A robot begins, and remembers nothing."""
+        """Start a robot; it remembers nothing."""
         self.silent.discard(robot)
-        self.agents[robot] = self._mind(robot)
+        self.agents[robot] = self._new_agent(robot)
 
     @property
     def awake(self) -> list[int]:
-        """Robots that have a mind at work."""
+        """Ids of the robots that run."""
         return [robot for robot in range(len(self.agents)) if robot not in self.silent]
 
     @property
-    def minds(self) -> list[Agent]:
-        """Their minds."""
+    def living(self) -> list[Agent]:
+        """The agents that run."""
         return [self.agents[robot] for robot in self.awake]
 
     def round(self, given: Mapping[int, Mission] | None = None, *, junk: Collection[bytes] = ()) -> None:
@@ -143,7 +143,7 @@ class Crew:
 
         Args:
             given: missions that robots are given at its start.
-            junk: what somebody else sends to everybody in each communication round.
+            junk: payloads from outside that every robot receives in each communication round.
         """
         self.number += 1
         deaf = self.silent | self.cut_off
@@ -153,26 +153,19 @@ class Crew:
             if given and i in given:
                 self.agents[i].handle(MissionGiven(mission=given[i]))
             sensed = {j: self.places[j] for j in near[i]}
-            began = RoundBegan(
-                round=self.number,
-                position=self.places[i],
-                neighbors=len(heard_by[i]),
-                sensed=sensed,
-                observed=tuple(sensed.values()),
-            )
-            for effect in self.agents[i].handle(began):
+            for effect in self.agents[i].handle(round_began(self.number, self.places[i], sensed, len(heard_by[i]))):
                 if isinstance(effect, AskPlan):
                     self.asked.append(effect.question)
                     self.agents[i].handle(Planned(PlanAnswer(plan=turned_plan(effect.question), slot=i)))
-        for _ in range(TICKS):
-            self._tick(heard_by, junk)
-        for agent in self.minds:
+        for _ in range(COMM_ROUNDS):
+            self._comm_round(heard_by, junk)
+        for agent in self.living:
             effects: list[Effect] = agent.handle(AgreementEnded())
             if isinstance(effects[-1], AskStep):
                 agent.handle(Decided(NoAnswer(cause="answer", reason="bodies stand still")))
             agent.handle(Arrived())
 
-    def _tick(self, heard_by: list[tuple[int, ...]], junk: Collection[bytes]) -> None:
+    def _comm_round(self, heard_by: list[tuple[int, ...]], junk: Collection[bytes]) -> None:
         for i in self.awake:
             for effect in self.agents[i].handle(CommRoundBegan()):
                 assert isinstance(effect, Broadcast)
@@ -180,15 +173,15 @@ class Crew:
         for i, payload in self.transport.deliver():
             if i not in self.silent:
                 self.agents[i].handle(Received(payload))
-        for agent in self.minds:
+        for agent in self.living:
             for payload in junk:
                 agent.handle(Received(payload))
             agent.handle(CommRoundEnded())
             slot = agent.claim.slot
-            assert owned(agent) == ([] if slot is None else [slot]), "of all slots one at most is one's own"
+            assert owned(agent) == ([] if slot is None else [slot]), "a robot owns at most one slot in its table"
 
     def rounds(self, count: int) -> None:
-        """So many rounds in which nothing is given."""
+        """Run a number of rounds without a new mission."""
         for _ in range(count):
             self.round()
 
@@ -198,22 +191,22 @@ def owned(agent: Agent) -> list[int]:
     return [a for a, entry in enumerate(agent.claim.table or ()) if entry[2] == agent.robot]
 
 
-def assert_at_rest(crew: Crew, rejected: Mapping[str, int] | None = None) -> None:
+def assert_at_rest(team: StillTeam, rejected: Mapping[str, int] | None = None) -> None:
     """One mission, one plan made for it, equal tables in which each awake robot owns the place that it claims.
 
     Args:
-        crew: the team.
+        team: the team.
         rejected: how many messages each robot has refused, by reason; none if left out.
     """
-    minds = crew.minds
-    assert len({agent.mission.digest for agent in minds}) == 1
-    assert len({agent.plan for agent in minds}) == 1
-    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in minds)
-    tables = {agent.claim.table for agent in minds}
+    living = team.living
+    assert len({agent.mission.digest for agent in living}) == 1
+    assert len({agent.plan for agent in living}) == 1
+    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in living)
+    tables = {agent.claim.table for agent in living}
     assert len(tables) == 1
     (table,) = tables
     assert table is not None
-    claimed = {agent.claim.slot: agent.robot for agent in minds if agent.claim.slot is not None}
+    claimed = {agent.claim.slot: agent.robot for agent in living if agent.claim.slot is not None}
     owners = {a: owner for a, (_, _, owner) in enumerate(table) if owner >= 0}
-    assert owners == claimed, "places belong to those who claim them, and to nobody that is not awake"
-    assert all(agent.rejected == (rejected or {}) for agent in minds)
+    assert owners == claimed, "slots belong to the robots that claim them"
+    assert all(agent.rejected == (rejected or {}) for agent in living)
