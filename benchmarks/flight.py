@@ -23,12 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.robots.base import Position
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.flight.patience import Impatient
-from llm_flock.runtime.flight.promises import promises
+from llm_flock.runtime.flight.reaction_times import reaction_times
+from llm_flock.runtime.flight.timed_planner import TimedPlanner
 from llm_flock.testing.crtp import StandIn, StandIns
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5))
@@ -54,7 +53,7 @@ FAST: dict[str, Any] = {
 def flight_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightConfig, list[Position]]:
     """A flight from random starts that are apart, its drones without addresses yet; and those starts [m]."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
-    config = build_config_of(FlightConfig, {"mission": mission}, **{**FAST, "seed": seed, **fields})
+    config = FlightConfig.build({"mission": mission}, **{**FAST, "seed": seed, **fields})
     return config, homes_of(config)
 
 
@@ -64,7 +63,7 @@ def addressed(config: FlightConfig, homes: Sequence[Position], uris: Sequence[st
         {"name": f"cf{k}", "uri": uri, "start": home[:2]} for k, (home, uri) in enumerate(zip(homes, uris, strict=True))
     ]
     base = config.model_dump(exclude_unset=True)
-    return build_config_of(FlightConfig, base, drones=fleet)
+    return FlightConfig.build(base, drones=fleet)
 
 
 def case_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightConfig, list[Position]]:
@@ -261,17 +260,17 @@ async def fly_case(name: str, after_s: float = 1.5) -> dict[str, Any]:
 @contextlib.contextmanager
 def _mute() -> Any:
     """Models that never answer."""
-    plain = Impatient._in_time  # noqa: SLF001
+    plain = TimedPlanner._in_time  # noqa: SLF001
 
-    async def mute(self: Impatient, number: int, answer: Any) -> Any:
+    async def mute(self: TimedPlanner, number: int, answer: Any) -> Any:
         answer.close()
         return await plain(self, number, asyncio.sleep(3600, None))
 
-    Impatient._in_time = mute  # noqa: SLF001
+    TimedPlanner._in_time = mute  # noqa: SLF001
     try:
         yield
     finally:
-        Impatient._in_time = plain  # noqa: SLF001
+        TimedPlanner._in_time = plain  # noqa: SLF001
 
 
 def _row(name: str, config: FlightConfig, result: FlightResult, took_s: float, nearest_m: float) -> dict[str, Any]:
@@ -290,7 +289,7 @@ def _row(name: str, config: FlightConfig, result: FlightResult, took_s: float, n
 
 
 def _stated(name: str, config: FlightConfig) -> dict[str, Any]:
-    promise = promises(config)[name]
+    promise = reaction_times(config)[name]
     return {"what": promise.case, "does": promise.does, "stated_s": promise.stated_s}
 
 

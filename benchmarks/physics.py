@@ -17,9 +17,8 @@ from unittest import mock
 import numpy as np
 from benchmarks.flight import ROOM
 
-from llm_flock.robots.base import Limits
+from llm_flock.robots.base import MotionLimits
 from llm_flock.robots.physics import STEP_S, PhysicsWorld
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight
@@ -98,12 +97,12 @@ async def yes(_: object) -> bool:
 def fly(shape: str, n: int, **fields: Any) -> str:
     """One flight; a row of the table."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
-    config = with_drones(build_config_of(FlightConfig, {"mission": mission}, **{**FIELDS, **fields}))
+    config = with_drones(FlightConfig.build({"mission": mission}, **{**FIELDS, **fields}))
     homes = [start_of(config, drone) for drone in config.fleet.drones]
     clock = OwnTime()
     began = time.perf_counter()
     world = clock.world = Watched(homes, clock=clock)
-    limits: Limits = config.driver_limits
+    limits: MotionLimits = config.driver_limits
     robots = [world.robot(k, f"cf{k}", limits) for k in range(n)]
     with mock.patch("time.monotonic", clock):
         loop = asyncio.SelectorEventLoop(_Selector(clock))

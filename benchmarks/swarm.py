@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import llm_flock
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
@@ -37,7 +36,7 @@ Meanwhile = Callable[[Swarm], Awaitable[None]]
 
 def config_of(robots: int, seed: int, **options: Any) -> SwarmConfig:
     base = {"shape": "circle", "n_robots": robots, "model": "simulated:brisk", "start": "connected", "seed": seed}
-    return build_config_of(SwarmConfig, {}, **{**base, "connect": "", "max_s": 120.0, **options})
+    return SwarmConfig.build({}, **{**base, "connect": "", "max_s": 120.0, **options})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +81,7 @@ def fly(
             shares = {name: (_cpu_s(pid) - used[name]) / max(seconds, 1.0) for name, pid in pids.items()}
             robots = [name for name in pids if name.startswith("robot")]
             return Flight(
-                result=swarm.result(stopped, None),
+                result=swarm.result(stopped),
                 cpu=statistics.mean(shares[name] for name in robots),
                 world_cpu=shares["world"],
                 memory_mib=statistics.mean(_memory_mib(pids[name]) for name in robots),

@@ -21,7 +21,7 @@ from llm_flock.experiments.sweep_file import KeepRecords, Sweep, TrialSpec
 from llm_flock.experiments.sweep_trial import code_version
 from llm_flock.llm.models import check_priced, parse_base_urls
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.trial import Progress
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
@@ -224,7 +224,7 @@ def check(sweep: Sweep) -> None:
             continue
         seen.add(spec.cell)
         check_priced(sweep.file.budget.max_cost, spec.models, parse_base_urls(spec.config.model.base_url, spec.models))
-        asyncio.run(Thinkers(spec.config).close())
+        asyncio.run(TeamPlanners(spec.config).close())
 
 
 def load_flown(sweep: Sweep, store: Store) -> dict[str, StoredTrial]:

@@ -135,7 +135,7 @@ class Robot(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class MotionLimits:
     """What a driver never exceeds.
 
     Attributes:

@@ -19,7 +19,7 @@ import numpy as np
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.robots.base import Limits, Position
+from llm_flock.robots.base import MotionLimits, Position
 from llm_flock.robots.point_mass import FALL_HEIGHT, PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
 
@@ -119,7 +119,7 @@ class PhysicsWorld:
         self._warm_up()
         self.time_s = clock()
 
-    def robot(self, index: int, name: str, limits: Limits | None = None) -> SimulatedRobot:
+    def robot(self, index: int, name: str, limits: MotionLimits | None = None) -> SimulatedRobot:
         """A driver of one of the drones."""
         body = self.bodies[index]
         return SimulatedRobot(name, body.home, limits=limits, clock=self.clock, body=body)

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable
 
-from llm_flock.robots.base import Commanded, Limits, Position, RobotError, RobotState
+from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.segment import Segment, stopping_point
 
@@ -30,13 +30,13 @@ class SimulatedRobot:
         name: str,
         home: Position,
         *,
-        limits: Limits | None = None,
+        limits: MotionLimits | None = None,
         clock: Callable[[], float] = time.monotonic,
         body: PointMass | None = None,
     ) -> None:
         self.body = body or PointMass(home=home)
         self._name = name
-        self._limits = limits or Limits()
+        self._limits = limits or MotionLimits()
         self._clock = clock
         self._set_point = home
         self._segment: tuple[Segment, float] | None = None

@@ -92,7 +92,7 @@ class Journal:
 
     def close_episode(self, roster: Roster) -> None:
         """The mission in force is over, by another one or by the end of the run."""
-        self.episode.close(roster.awake, roster.minds())
+        self.episode.close(roster.awake, roster.awake_agents())
 
     def attempt(self, attempt: Attempt) -> None:
         """Take note of one model call; one that the budget refused was never made, and is only recorded."""
@@ -154,7 +154,7 @@ class Journal:
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
         # A round in which somebody flew on along a path is not one in which no model is of any use.
-        silent = bool(calls) and calls == failed and not any(mind.on_path for mind in roster.minds())
+        silent = bool(calls) and calls == failed and not any(mind.on_path for mind in roster.awake_agents())
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
         flown = dict[int, MoveTo]() if moves is None else moves
         self.robot_rounds += len(flown)
@@ -196,7 +196,7 @@ class Journal:
         closest = separation if along is None else min(separation, along)
         self.min_separation = min(self.min_separation, closest)
         self.start.update(round_number, positions, closest)
-        minds, rows = roster.minds(), positions.tolist()
+        minds, rows = roster.awake_agents(), positions.tolist()
         plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
         slots = [a.claim.slot for a in minds]
         distances = [

@@ -8,10 +8,10 @@ from llm_flock import metrics
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.episode import Episode
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
-from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.memory import Traffic
 
 
@@ -19,7 +19,7 @@ def summarize(
     config: RunConfig,
     schedule: Schedule,
     roster: Roster,
-    thinkers: Thinkers,
+    planners: TeamPlanners,
     traffic: Traffic,
     journal: Journal,
     *,
@@ -35,7 +35,7 @@ def summarize(
         config: everything that defined it.
         schedule: what happened in flight.
         roster: the minds at the end.
-        thinkers: who was asked.
+        planners: who was asked.
         traffic: what was sent.
         journal: the books.
         stopped: why it ended, and the last failure.
@@ -44,7 +44,7 @@ def summarize(
         record: path of the record.
         flight: the figures of a flight; None in simulation.
     """
-    minds, episode = roster.minds(), journal.episode
+    minds, episode = roster.awake_agents(), journal.episode
     plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
     slots = [a.claim.slot for a in minds]
     plan, owned = episode.plan(minds), {slot for slot in slots if slot is not None}
@@ -58,8 +58,8 @@ def summarize(
         consensus=config.protocol.consensus or "",
         assignment=config.protocol.assignment or "",
         shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(thinkers.names)),
-        simulated=thinkers.simulated,
+        models=tuple(dict.fromkeys(planners.names)),
+        simulated=planners.simulated,
         stopped=stopped[0],
         reason=stopped[1],
         rounds=rounds,

@@ -73,10 +73,9 @@ def view(
         found = records_in(found)
     watched = None
     if connect is not None or config is not None:
-        from llm_flock.runtime.config import load_config_of
         from llm_flock.runtime.network.config import SwarmConfig
 
-        watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
+        watched = SwarmConfig.load(config, connect=connect, swarm=swarm)
     address = listen(host, port, token)
     if len(found) == 1 and watched is None and address.token is None:
         # The one run that the page will show is drawn at once; with a token, nothing is shown to anybody without it.

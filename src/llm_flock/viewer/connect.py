@@ -7,7 +7,8 @@ import logging
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.watch import give_mission, look, observing, run_info
+from llm_flock.runtime.network.watch import give_mission, look, observing
+from llm_flock.runtime.versions import run_info
 from llm_flock.viewer.reel import Reel
 
 logger = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ class Swarm:
             self.reel.close()
 
     async def _watch(self) -> None:
-        self.reel.run(run_info(self.config))
+        self.reel.run(run_info(self.config, simulated=self.config.simulated))
         with observing(self.config, self.reel) as observer:
             await look(observer)
 

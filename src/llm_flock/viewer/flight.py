@@ -180,7 +180,7 @@ class Flight:
             if orders.kills or orders.change is not None:
                 trial.schedule = self._schedule(self._kill, self._changes)
         for robot in orders.liars:
-            trial.thinkers.replace(robot, HALLUCINATING)
+            trial.planners.replace(robot, HALLUCINATING)
             self._injected(trial, robot, model=HALLUCINATING)
         if orders.loss is not None:
             trial.transport.faults = trial.transport.faults.model_copy(update={"loss": orders.loss})

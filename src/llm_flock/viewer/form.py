@@ -10,7 +10,7 @@ from llm_flock.llm.local.weights import is_packaged
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.planners import TeamPlanners
 
 FIELDS: tuple[str, ...] = (
     "shape",
@@ -59,7 +59,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     config = build_config({}, **given)
     if _free(config.model.model):
         # What else the command line would only say when the run begins.
-        Thinkers(config)
+        TeamPlanners(config)
         draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START))
     return config
 

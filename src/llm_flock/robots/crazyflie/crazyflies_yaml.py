@@ -19,7 +19,7 @@ FILEVERSION = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drone:
+class YamlDrone:
     """One enabled drone of the file.
 
     Attributes:
@@ -41,7 +41,7 @@ class Drone:
     battery_critical_v: float | None = None
 
 
-def read_crazyflies(path: Path) -> tuple[Drone, ...]:
+def read_crazyflies(path: Path) -> tuple[YamlDrone, ...]:
     """The enabled drones of a file, in its order.
 
     Raises:
@@ -61,7 +61,7 @@ def read_crazyflies(path: Path) -> tuple[Drone, ...]:
     return parse_crazyflies(content)
 
 
-def parse_crazyflies(content: object) -> tuple[Drone, ...]:
+def parse_crazyflies(content: object) -> tuple[YamlDrone, ...]:
     """The enabled drones of a file's content.
 
     Raises:
@@ -74,7 +74,7 @@ def parse_crazyflies(content: object) -> tuple[Drone, ...]:
     kinds = _table("robot_types", top.get("robot_types"))
     shared = _table("all", top.get("all"))
     robots = _table("robots", top.get("robots"))
-    drones: list[Drone] = []
+    drones: list[YamlDrone] = []
     for name, entry in robots.items():
         where = f"robots.{name}"
         own = _table(where, entry)
@@ -94,7 +94,7 @@ def parse_crazyflies(content: object) -> tuple[Drone, ...]:
     return tuple(drones)
 
 
-def _drone(name: str, kind: str, where: str, merged: Mapping[str, Any]) -> Drone:
+def _drone(name: str, kind: str, where: str, merged: Mapping[str, Any]) -> YamlDrone:
     uri = merged.get("uri")
     if not isinstance(uri, str) or "://" not in uri:
         raise InputError(f"{where}.uri", uri, "a URI such as radio://0/80/2M/E7E7E7E701")
@@ -107,7 +107,7 @@ def _drone(name: str, kind: str, where: str, merged: Mapping[str, Any]) -> Drone
     for group, values in _table(f"{where}.firmware_params", merged.get("firmware_params")).items():
         for key, value in _table(f"{where}.firmware_params.{group}", values).items():
             parameters[f"{group}.{key}"] = _number(f"{where}.firmware_params.{group}.{key}", value)
-    return Drone(
+    return YamlDrone(
         name=name,
         uri=uri,
         home=(x, y, z),

@@ -50,7 +50,7 @@ def library() -> Any:
     return crazyflie
 
 
-class Link:
+class CrazyflieLink:
     """One link, opened and closed once.
 
     Args:

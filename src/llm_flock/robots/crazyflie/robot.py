@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError
-from llm_flock.robots.base import Commanded, Limits, Position, RobotError, RobotState
-from llm_flock.robots.crazyflie.link import SCHEMES, Link
+from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
+from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink
 from llm_flock.robots.crazyflie.telemetry import (
     ARMED,
     FLYING,
@@ -72,7 +72,7 @@ class CrazyflieRobot:
         name: str,
         uri: str,
         *,
-        limits: Limits | None = None,
+        limits: MotionLimits | None = None,
         link_timeout_s: float = 1.0,
         parameters: Mapping[str, float] | None = None,
         cache: Path | None = None,
@@ -81,11 +81,11 @@ class CrazyflieRobot:
             raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
         self.uri = uri
         self._name = name
-        self._limits = limits or Limits()
+        self._limits = limits or MotionLimits()
         self._link_timeout_s = link_timeout_s
         self._parameters = dict(parameters or {})
         self._cache = cache
-        self._link = Link(name, uri, cache)
+        self._link = CrazyflieLink(name, uri, cache)
         self._log = Telemetry()
         self._connected = self._lost = self._aloft = False
         self._set_point: Position | None = None
@@ -108,7 +108,7 @@ class CrazyflieRobot:
         """
         end = time.monotonic() + timeout_s
         await self._link.close()
-        self._link, log = Link(self._name, self.uri, self._cache), Telemetry()
+        self._link, log = CrazyflieLink(self._name, self.uri, self._cache), Telemetry()
         self._set_point, self._segment = None, None
         await self._link.connect(timeout_s, self._parameters)
         try:
