@@ -1,4 +1,4 @@
-"""Swarms of processes: do they form, how fast against lockstep, and what does a robot cost.
+"""Swarms of processes: whether they form, how fast against lockstep, and the cost of a robot.
 
 `python -m benchmarks swarm` flies `RUNS` missions of ten processes with simulated models that take a moment
 (log-normal, median 0.3 s, sigma 0.6), and the same missions in lockstep with the same models. A lockstep round lasts as
@@ -61,7 +61,7 @@ def fly(
     absent: int = 0,
     wanted: int | None = None,
 ) -> Flight:
-    """One mission; `meanwhile` begins when the robots do, and it lasts so long, and until so many have formed."""
+    """One mission; `meanwhile` begins with the robots; it lasts `lasts_s`, and until `wanted` robots have formed."""
     n = config.mission.n_robots
 
     async def whole() -> Flight:
@@ -103,13 +103,13 @@ def _cpu_s(pid: int) -> float:
 
 
 def _memory_mib(pid: int) -> float:
-    """Memory of its own, and its share of what is shared."""
+    """Private memory, and its share of shared memory."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
 def lockstep_s(config: SwarmConfig) -> float:
-    """Time until the same mission has formed in lockstep: what its rounds took to think, and a flight for each."""
+    """Time until the same mission has formed in lockstep: the models' time in each round, and a flight for each."""
     times: list[float] = []
     began = time.perf_counter()
     result = llm_flock.run(
@@ -151,8 +151,8 @@ def _against_lockstep(options: dict[str, Any]) -> None:
 
 
 SLOWER = 4.0
-"""Thirty processes share two cores: all periods are so many times as long, and bodies so many times slower. Of the
-lease as well: links on which nothing is said for a quarter of it carry signs of life, and 30 robots have 435 links."""
+"""Thirty processes share two cores: all periods are longer and bodies slower by this factor. The lease too: a link that
+is silent for a quarter of it carries signs of life, and 30 robots have 435 links."""
 
 
 def thirty() -> None:

@@ -84,11 +84,11 @@ ROOT = Path(__file__).parents[2]
 PARENT = """
 import asyncio
 from flights import flight_config
-from llm_flock.runtime.flight.heartbeat import Heartbeat
+from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 
 async def main():
     config = flight_config(deadman=True, robot="flights:one_by_one", deadman_s=1.0, reach_s=3.0)
-    async with Heartbeat(config, lambda: {0, 2}) as heart:
+    async with HeartbeatSender(config, lambda: {0, 2}) as heart:
         print(heart.pid, flush=True)
         await asyncio.sleep(60)
 

@@ -30,7 +30,7 @@ def with_drones(config: FlightConfig) -> FlightConfig:
         from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
 
         found = [
-            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": dict(drone.parameters)}
+            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": drone.parameters}
             for drone in read_crazyflies(Path(config.fleet.crazyflies))
         ]
     else:
