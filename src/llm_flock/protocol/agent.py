@@ -17,7 +17,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
 from llm_flock.protocol.agreement.consensus import ConsensusRule
-from llm_flock.protocol.agreement.exchange import Exchange
+from llm_flock.protocol.agreement.messaging import Messaging
 from llm_flock.protocol.events import (
     TRANSITIONS,
     AgreementEnded,
@@ -113,7 +113,7 @@ class Agent:
             replanning=self._replanning,
             all_to_all=all_to_all,
         )
-        self._exchange = Exchange(
+        self._messaging = Messaging(
             robot, self._agreement, validator=validator, liveness=liveness, channel=channel, all_to_all=all_to_all
         )
         self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
@@ -166,7 +166,7 @@ class Agent:
     @property
     def rejected(self) -> Counter[str]:
         """Messages and claims refused on receipt, by reason."""
-        return self._exchange.rejected
+        return self._messaging.rejected
 
     @property
     def influence(self) -> float:
@@ -196,7 +196,7 @@ class Agent:
             case Received():
                 phase, effects = self.phase, self._receive(event)
             case CommRoundBegan():
-                phase, effects = self.phase, [Broadcast(self._exchange.broadcast())]
+                phase, effects = self.phase, [Broadcast(self._messaging.broadcast())]
             case CommRoundEnded():
                 phase, effects = self._settle()
             case Sensed():
@@ -204,7 +204,7 @@ class Agent:
             case HeartbeatDue():
                 phase, effects = self.phase, self._begin_period(event.period)
             case MissionGiven():
-                phase, effects = self.phase, [self._exchange.give_mission(event.mission, event.authorization)]
+                phase, effects = self.phase, [self._messaging.give_mission(event.mission, event.authorization)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -257,7 +257,7 @@ class Agent:
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
         self._liveness.begin_round(number, near)
         agreement.begin_round(event.neighbors)
-        self._exchange.begin_round(near)
+        self._messaging.begin_round(near)
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
         )
@@ -272,7 +272,7 @@ class Agent:
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
-        notes: list[Effect] = [*self._agreement.settle(self._exchange.drain())]
+        notes: list[Effect] = [*self._agreement.settle(self._messaging.drain())]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()
@@ -303,7 +303,7 @@ class Agent:
 
     def _receive(self, event: Received) -> list[Effect]:
         before = self.mission
-        notes: list[Effect] = [*self._exchange.receive(event.payload, event.sender)]
+        notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
         if self.mission is not before and self._seen is not None:
             self._look(*self._seen)
         return notes

@@ -26,7 +26,7 @@ REMEMBERED_PAYLOADS = 256
 their payloads once a round saves a tenth of a large team's time."""
 
 
-class Exchange:
+class Messaging:
     """One robot's side of the radio.
 
     Args:
