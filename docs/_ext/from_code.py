@@ -1,24 +1,39 @@
 """Directives that draw pages from the code, so that the pages cannot fall behind it.
 
-`agent-states`  diagram and table of the agent's transitions
-`cli-options`   every command of the command line with its arguments and options
-`config-fields` every field of the configuration file with default and description
-`summary-keys`  every key that `run --json` prints
-`sweep-fields`  every field of a sweep's own tables
+`agent-states`       diagram and table of the agent's transitions
+`cli-options`        every command of the command line with its arguments and options
+`config-fields`      every field of the configuration file with default and description
+`summary-keys`       every key that `run --json` prints
+`sweep-fields`       every field of a sweep's own tables
 `result-columns TABLE` every column of `trials` or `rounds`, the tables of a sweep
+`message-fields`     every field of a protocol message
+`rooms`              the packages, one line each
+`modules`            the modules of each package, one line each
+`import-layers`      the layers that import-linter enforces, top to bottom
+`protocol-constants` every documented constant of the protocol with its value
 """
 
 from __future__ import annotations
 
+import ast
 import html
 import math
+import tomllib
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "llm_flock"
+
+LONGEST_VALUE = 40
+"""Constants whose value is longer than this [characters] are tables of the code, not figures of the protocol."""
 
 WIDTH, HEIGHT = 760, 520
 BOX_W, BOX_H = 124, 38
@@ -52,8 +67,20 @@ class AgentStates(SphinxDirective):
         edges = [
             (str(source), event.__name__, sorted(map(str, targets))) for (source, event), targets in TRANSITIONS.items()
         ]
-        rows = [(source, event, " or ".join(targets)) for source, event, targets in edges]
-        return [nodes.raw("", draw(edges), format="html"), table(("Phase", "Event", "Leads to"), rows, 2)]
+        always = everywhere(edges)
+        rows = [(s, event, " or ".join(targets)) for s, event, targets in edges if event not in always]
+        rows += [("every phase but the last", event, "the same phase") for event in always]
+        drawn = draw([edge for edge in edges if edge[1] not in always or set(edge[2]) != {edge[0]}])
+        return [nodes.raw("", drawn, format="html"), table(("Phase", "Event", "Leads to"), rows, 2)]
+
+
+def everywhere(edges: list[tuple[str, str, list[str]]]) -> list[str]:
+    """Events that every phase with a way out takes and that only one phase, if any, leaves by."""
+    phases = {source for source, _, _ in edges}
+    stays: dict[str, int] = defaultdict(int)
+    for source, event, targets in edges:
+        stays[event] += source in targets
+    return [event for event, count in stays.items() if count == len(phases)]
 
 
 def draw(edges: list[tuple[str, str, list[str]]]) -> str:
@@ -238,6 +265,100 @@ class ResultColumns(SphinxDirective):
         return [table(("Column", "Type", "Unit", "Meaning"), rows, 1)]
 
 
+class MessageFields(SphinxDirective):
+    """The fields of a protocol message, from its docstring."""
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.protocol.messages.message import Message
+
+        return [table(("Field", "Meaning"), attributes(Message), 1)]
+
+
+def packages() -> Iterator[tuple[str, Path]]:
+    """Dotted name below `llm_flock` and folder of every package, in the order of their names."""
+    for init in sorted(SOURCE.rglob("__init__.py")):
+        yield ".".join(init.parent.relative_to(SOURCE).parts), init.parent
+
+
+def first_line(module: Path) -> str:
+    """The first line of a module's docstring; empty where it has none."""
+    text = ast.get_docstring(ast.parse(module.read_text(encoding="utf-8")))
+    return (text or "").partition("\n")[0]
+
+
+class Rooms(SphinxDirective):
+    """One row for each package: what it is for."""
+
+    def run(self) -> list[nodes.Node]:
+        rows = [(name, first_line(folder / "__init__.py")) for name, folder in packages() if name]
+        rows += [(f"{path.stem}.py", first_line(path)) for path in sorted(SOURCE.glob("[!_]*.py"))]
+        return [table(("Package or module", "What it is for"), rows)]
+
+
+class Modules(SphinxDirective):
+    """One section for each package, one row for each of its modules."""
+
+    def run(self) -> list[nodes.Node]:
+        sections: list[nodes.Node] = []
+        for name, folder in packages():
+            rows = [(path.name, first_line(path)) for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+            if rows:
+                title = name or "llm_flock"
+                section = nodes.section(ids=[nodes.make_id(f"modules {title}")], names=[f"modules {title}"])
+                section += nodes.title("", "", nodes.literal(text=title))
+                section += table(("Module", "What it is for"), rows)
+                sections.append(section)
+        return sections
+
+
+def layers() -> list[str]:
+    """The layers of the import contract, the highest first."""
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = config["tool"]["importlinter"]["contracts"]
+    return next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+
+
+class ImportLayers(SphinxDirective):
+    """The layers as a picture in text."""
+
+    def run(self) -> list[nodes.Node]:
+        text = "\n   |\n".join(f"  {layer}" for layer in layers())
+        return [nodes.literal_block(text, text, language="text")]
+
+
+def constants(module: Path) -> list[tuple[str, str, str]]:
+    """Name, value and docstring of every documented public constant of a module."""
+    body = ast.parse(module.read_text(encoding="utf-8")).body
+    found: list[tuple[str, str, str]] = []
+    for node, after in pairwise(body):
+        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+        value = getattr(node, "value", None)
+        documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or not documented or value is None:
+            continue
+        names = [target] if isinstance(target, ast.Name) else list(getattr(target, "elts", []))
+        name = ", ".join(each.id for each in names if isinstance(each, ast.Name))
+        if name.replace("_", "").replace(", ", "").isupper() and not name.startswith("_"):
+            found.append((name, ast.unparse(value), " ".join(str(after.value.value).split())))
+    return found
+
+
+class ProtocolConstants(SphinxDirective):
+    """One section for each module of the protocol that has constants."""
+
+    def run(self) -> list[nodes.Node]:
+        sections: list[nodes.Node] = []
+        for path in sorted((SOURCE / "protocol").rglob("*.py")):
+            rows = [row for row in constants(path) if len(row[1]) <= LONGEST_VALUE]
+            if rows:
+                title = ".".join(path.relative_to(SOURCE / "protocol").with_suffix("").parts)
+                section = nodes.section(ids=[nodes.make_id(f"constants {title}")], names=[f"constants {title}"])
+                section += nodes.title("", "", nodes.literal(text=title))
+                section += table(("Constant", "Value", "Meaning"), rows, 2)
+                sections.append(section)
+        return sections
+
+
 def attributes(documented: type) -> list[tuple[str, str]]:
     """Name and meaning of each attribute in a class's docstring, in their order."""
     found: list[tuple[str, str]] = []
@@ -258,4 +379,9 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("summary-keys", SummaryKeys)
     app.add_directive("sweep-fields", SweepFields)
     app.add_directive("result-columns", ResultColumns)
+    app.add_directive("message-fields", MessageFields)
+    app.add_directive("rooms", Rooms)
+    app.add_directive("modules", Modules)
+    app.add_directive("import-layers", ImportLayers)
+    app.add_directive("protocol-constants", ProtocolConstants)
     return {"parallel_read_safe": True}

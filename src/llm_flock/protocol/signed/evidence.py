@@ -1,7 +1,7 @@
 """One robot's book of signatures: what it takes from others' tables, what it signs, and what it can show for it.
 
 Tables and their merging are those of `auction`; this book decides which entries heard are fit to be merged, so a robot
-that lies holds one place at most and changes nobody else's. The rules are in `certificates` and docs/reference/security.md.
+that lies holds one place at most and changes nobody else's. The rules: `certificates`, docs/reference/security.md.
 """
 
 from __future__ import annotations
