@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
 import re
 import shlex
 import tomllib
@@ -145,3 +147,45 @@ def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
 def test_every_key_of_the_summary_is_documented() -> None:
     documented = re.findall(r"^        (\w+): ", Summary.__doc__ or "", re.MULTILINE)
     assert documented == list(Summary.__dataclass_fields__)
+
+
+GLOSSARY = (ROOT / "docs" / "reference" / "glossary.md").read_text(encoding="utf-8")
+GLOSSARY_NAMES = sorted(
+    {
+        name
+        for line in GLOSSARY.partition("## Old words")[0].splitlines()
+        if line.startswith("| ")
+        for name in SPAN.findall(line.rstrip("| ").rpartition("|")[2])
+    }
+)
+
+
+def found(name: str) -> bool:
+    """Whether a dotted name below the package is a module, or an attribute of one."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            thing: Any = importlib.import_module(".".join(["llm_flock", *parts[:k]]))
+        except ImportError:
+            continue
+        try:
+            functools.reduce(getattr, parts[k:], thing)
+        except AttributeError:
+            return False
+        return True
+    return False
+
+
+def test_the_glossary_gives_code_for_every_term() -> None:
+    rows = [line for line in GLOSSARY.partition("## Old words")[0].splitlines() if line.startswith("| ")]
+    terms = [line.split("|") for line in rows if not line.startswith("| Term ")]
+    assert terms and all(len(SPAN.findall(cells[-2])) for cells in terms)
+
+
+@pytest.mark.parametrize("name", GLOSSARY_NAMES)
+def test_the_code_that_the_glossary_names_exists(name: str) -> None:
+    assert found(name)
+
+
+def test_a_name_that_does_not_exist_is_noticed() -> None:
+    assert not found("protocol.agent.Mind") and not found("protocol.talks") and found("protocol.agent.Agent.goal")
