@@ -28,7 +28,15 @@ from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.messages.codec import completed, decode, heartbeats
 from llm_flock.protocol.messages.dissemination import Dissemination, mission_said
 from llm_flock.protocol.messages.inbox import NO_PROOFS, Inbox
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, Message, MissionStamp, Provenance, Sighting
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    NO_OWNER,
+    UNSAID,
+    Message,
+    MissionStamp,
+    PositionReport,
+    Provenance,
+)
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.certificates import Authenticator, Authorization, Context, Proofs, unwrap
@@ -80,7 +88,7 @@ class Agreement:
         self._validator = validator
         self._replanning = Replanning(robot, validator, liveness, gaps)
         self._dissemination = Dissemination()
-        self.roll = AllToAll(robot, mission.n_robots if authenticator is None else 0)
+        self.all_to_all = AllToAll(robot, mission.n_robots if authenticator is None else 0)
         self._signing = None if authenticator is None else Signing(robot, authenticator)
         self.rejected: Counter[str] = Counter() if self._signing is None else self._signing.evidence.refused
         self._inbox = Inbox()
@@ -115,7 +123,7 @@ class Agreement:
         self._survey_due = True
         self.liveness.begin_round(round_number, near)
         self._dissemination.begin_round(near, neighbors)
-        self.roll.begin_round()
+        self.all_to_all.begin_round()
         self._unplaced.clear()
         self._inbox.begin_round()
 
@@ -130,7 +138,7 @@ class Agreement:
         self._inbox.void()
         self._dissemination.forget_plans()
         self._replanning.reset()
-        self.roll.begin()
+        self.all_to_all.begin()
         if self._signing is not None:
             self._proposals = 0  # bounded for each mission
         return Note("mission", {"counter": counter, "digest": mission.digest, "shape": mission.shape})
@@ -246,7 +254,7 @@ class Agreement:
             blocked=blocked,
             clear=clear,
             granted=granted,
-            roll=None if self.liveness.silent else self.roll.complete(self.plan),
+            positions=None if self.liveness.silent else self.all_to_all.complete(self.plan),
             order=order,
         )
 
@@ -271,7 +279,7 @@ class Agreement:
 
     def broadcast(self) -> bytes:
         """The own standing as bytes, which are made anew only when there is something new to say."""
-        roll = self._roll_said() if self.roll.called else None
+        roll = self._positions_said() if self.all_to_all.called else None
         payload = self._dissemination.again(self.neighbors, self.stamp, self.plan, self.provenance, self.claim)
         self.quiet = payload is not None
         if payload is None or roll is not None:
@@ -280,9 +288,9 @@ class Agreement:
             return payload
         return self._signing.say(payload, decode(payload, self.mission.n_robots, self.mission.dim))
 
-    def _roll_said(self) -> dict[int, Sighting] | None:
-        plan = self.plan if self.roll.waiting else None
-        return self.roll.say(
+    def _positions_said(self) -> dict[int, PositionReport] | None:
+        plan = self.plan if self.all_to_all.waiting else None
+        return self.all_to_all.say(
             self._position,
             waits_at=None if plan is None else landing(self.mission, plan, self._position),
             greeting=self._dissemination.greets,
@@ -290,7 +298,7 @@ class Agreement:
             spacing=self.mission.spacing,
         )
 
-    def _say_anew(self, roll: dict[int, Sighting] | None) -> bytes:
+    def _say_anew(self, roll: dict[int, PositionReport] | None) -> bytes:
         whole = Message(
             sender=self._robot,
             sequence=0,
@@ -302,7 +310,7 @@ class Agreement:
             table=self.claim.table,
             table_digest=self._dissemination.digest(self.claim.table),
             offer=self.claim.offer,
-            roll=roll,
+            positions=roll,
         )
         return self._dissemination.say(whole, self.mission, self.liveness)
 
@@ -340,15 +348,15 @@ class Agreement:
             self._inbox.beats.append(beats)
         if message.mission != self.stamp:
             return notes
-        if message.roll is not None:
-            self.roll.hear(message.roll)
+        if message.positions is not None:
+            self.all_to_all.hear(message.positions)
         plan = message.plan
         objection = self._validator.objection(plan)
         if objection is not None and plan is not None:
             refused = self._reject(MessageError("unverified_plan", objection))
             return [*notes, refused] if self._validator.is_new(plan) else notes
         plan = self._dissemination.named(message, self.plan)
-        once = self._signing is not None or beats is not None or message.roll is not None
+        once = self._signing is not None or beats is not None or message.positions is not None
         if plan is not None:
             message = completed(payload, *team, plan, self._validator.plan_class(plan))
         self._inbox.take(message, proofs, None if once or plan is None else payload)
@@ -365,7 +373,7 @@ class Agreement:
         self.liveness.hear(beats)
         quiet, self.quiet = self.quiet and not beats, False
         grounds = (self.claim, self.plan, self.provenance, self.neighbors, self._position, self._sensed)
-        due = self._survey_due or self.roll.called or self._signing
+        due = self._survey_due or self.all_to_all.called or self._signing
         if not due and self._precedent.decides(grounds, heard, self._dissemination.digest(self.claim.table)):
             self.quiet = quiet and self._precedent.repeated
             return []
@@ -378,7 +386,7 @@ class Agreement:
         if not notes and self.plan is not None:
             self._claims(self._assignment.update(self.claim, self._moment(adopted=True, heard=heard)))
         self._survey_due = False
-        if self.roll.large:
+        if self.all_to_all.large:
             self._unplaced -= {m.sender for m in heard}
             self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not given_all_to_all(m.table, m.slot)}
         if self.claim.slot != slot_before:

@@ -10,7 +10,7 @@ from typing import Protocol
 import msgspec
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages.message import Entry, Message, Offer, Roll, Table
+from llm_flock.protocol.messages.message import BidEntry, BidTable, Message, Offer, TeamPositions
 from llm_flock.protocol.plan import Plan
 
 
@@ -26,7 +26,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     slot: int | None
-    table: Table | None = None
+    table: BidTable | None = None
     bids: tuple[float, ...] | None = None
     offer: Offer | None = None
     bound: int = 0
@@ -63,9 +63,9 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     silent: frozenset[int] = frozenset()
     blocked: frozenset[int] = frozenset()
     clear: frozenset[int] = frozenset()
-    granted: Table | None = None
-    roll: Roll | None = None
-    order: Callable[[int, Entry], tuple[int, int]] | None = None
+    granted: BidTable | None = None
+    positions: TeamPositions | None = None
+    order: Callable[[int, BidEntry], tuple[int, int]] | None = None
 
 
 class AssignmentRule(Protocol):

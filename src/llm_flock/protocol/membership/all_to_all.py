@@ -26,7 +26,7 @@ from scipy.optimize import linear_sum_assignment
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.membership.search import MANY
-from llm_flock.protocol.messages.message import LAST_STAMP, NO_OWNER, Roll, Sighting, Table
+from llm_flock.protocol.messages.message import LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.protocol.plan import Plan
 
 ROUNDS = 8
@@ -71,8 +71,8 @@ class AllToAll:
 
     def begin(self) -> None:
         """A mission has come: its roll is called anew."""
-        self._known: dict[int, Sighting] = {}
-        self._news: dict[int, Sighting] = {}
+        self._known: dict[int, PositionReport] = {}
+        self._news: dict[int, PositionReport] = {}
         self._round = 0
         self._waited = 0
         self._taken: str | None = None
@@ -87,7 +87,7 @@ class AllToAll:
         """Whether a roll call is under way."""
 
     @property
-    def known(self) -> Mapping[int, Sighting]:
+    def known(self) -> Mapping[int, PositionReport]:
         """What is known of each robot, by id."""
         return self._known
 
@@ -112,7 +112,7 @@ class AllToAll:
         self._waited += there
         self._look_at_the_round()
 
-    def hear(self, said: Mapping[int, Sighting]) -> None:
+    def hear(self, said: Mapping[int, PositionReport]) -> None:
         """Take in what a neighbour knows."""
         if not self.called:
             return
@@ -131,7 +131,7 @@ class AllToAll:
             known |= new
             self._news |= new
 
-    def complete(self, plan: Plan) -> Roll | None:
+    def complete(self, plan: Plan) -> TeamPositions | None:
         """Where everybody is, once for each plan, when a call is complete."""
         known, later = self._known, self._later
         if not self.called or len(known) < self._n or self._taken == plan.digest:
@@ -144,7 +144,7 @@ class AllToAll:
 
     def say(
         self, position: Point, *, waits_at: Point | None, greeting: bool, settled: bool, spacing: float
-    ) -> dict[int, Sighting] | None:
+    ) -> dict[int, PositionReport] | None:
         """What to tell the neighbours: all that is known once a round, then what is new; None for nothing.
 
         Args:
@@ -164,13 +164,13 @@ class AllToAll:
         said, self._news = dict(self._known if greeting else self._news), {}
         return said or None
 
-    def _tell(self, mine: Sighting | None, here: Point, moved: float) -> None:
+    def _tell(self, mine: PositionReport | None, here: Point, moved: float) -> None:
         """Say anew where this robot waits, if that has changed, and what to take down for the second call."""
         stamp, before, mark = mine or (0, (), ())
         due = not mark and self._round > SECOND * self._n
         if due or not before or math.dist(here, before) > moved:
             # Who was restarted, and hears of its former life, counts on from there.
-            self.hear({self._robot: (min(max(self._round, stamp + 1), LAST_STAMP), here, here if due else mark)})
+            self.hear({self._robot: (min(max(self._round, stamp + 1), LAST_ROUND), here, here if due else mark)})
 
 
 def _rounded(point: Point) -> Point:
@@ -178,7 +178,7 @@ def _rounded(point: Point) -> Point:
 
 
 @lru_cache(maxsize=64)
-def assigned(plan: Plan, roll: Roll) -> Table:
+def assigned(plan: Plan, roll: TeamPositions) -> BidTable:
     """The claims that make the sum of the squared ways as small as can be.
 
     With more robots than places some get none; with fewer, some places stay free.
@@ -195,6 +195,6 @@ def assigned(plan: Plan, roll: Roll) -> Table:
     return tuple(table)
 
 
-def given_all_to_all(table: Table | None, slot: int | None) -> bool:
+def given_all_to_all(table: BidTable | None, slot: int | None) -> bool:
     """Whether a place was given by a roll call, or exchanged since."""
     return table is not None and slot is not None and table[slot][0] >= VERSION

@@ -7,7 +7,7 @@ import math
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.protocol.agreement.agreement import Agreement
-from llm_flock.protocol.agreement.path_length import ACROSS, stop_on_the_way
+from llm_flock.protocol.agreement.path_length import ACROSS, next_stop
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import given_all_to_all
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
@@ -48,7 +48,7 @@ class ConnectivityRecovery:
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_all_to_all(table, slot) and (live.strangers or live.silent or lonely):
-            target = stop_on_the_way(here, places, slot, mission.center, mission.spacing)
+            target = next_stop(here, places, slot, mission.center, mission.spacing)
         if target is None and places is not plan:
             target = places.points[slot]
         return target, notes
@@ -56,12 +56,12 @@ class ConnectivityRecovery:
     def _wait_for_others(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
         """Where a robot of a large team in pieces waits for the others, not searching; None where it does not."""
         agreement, mission = self._agreement, self._agreement.mission
-        if not agreement.roll.waiting or agreement.placed:
+        if not agreement.all_to_all.waiting or agreement.placed:
             return None, []
-        point = meeting_point(mission, plan, here, agreement.roll.others)
+        point = meeting_point(mission, plan, here, agreement.all_to_all.others)
         if point is None:
             return None, []
-        agreement.roll.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
+        agreement.all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
         searched, self._search = self._search, Search()
         ended = [Note("search", {"begun": False, "vacant": list(searched.known[1])})] if searched.way else []
         return point, ended

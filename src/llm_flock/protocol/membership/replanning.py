@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, TypeAlias
 
 from llm_flock.protocol.membership.liveness import Liveness
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Table
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, BidTable
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.validator import Validator
 
@@ -39,7 +39,7 @@ class Replanning:
         """Another plan or mission: the count begins anew."""
         self._misfit = 0
 
-    def watch(self, plan: Plan | None, table: Table | None, *, may_shrink: bool) -> None:
+    def watch(self, plan: Plan | None, table: BidTable | None, *, may_shrink: bool) -> None:
         """Once a round: does the plan fit the team that is alive?
 
         Args:

@@ -21,7 +21,7 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import UNSAID, Message, Table, table_digest
+from llm_flock.protocol.messages.message import UNSAID, BidTable, Message, table_digest
 from llm_flock.protocol.plan import Plan
 
 SMALL = 64
@@ -86,8 +86,8 @@ class Dissemination:
         self._around: frozenset[int] = frozenset()
         self._neighbors = 0
         self._greeting = True
-        self._table: Table | None = None
-        self._digested: tuple[Table | None, str | None] = (None, None)
+        self._table: BidTable | None = None
+        self._digested: tuple[BidTable | None, str | None] = (None, None)
         self._changed: tuple[frozenset[int], ...] = ()  # since each of the last two broadcasts
         self._plan_said: str | None = None
         self._said: Message | None = None
@@ -188,16 +188,16 @@ class Dissemination:
             self._payload = encode(message, self._sequence)
             self._sequence += 1
         # A greeting, a roll, and what has just changed are not said again in the next communication round.
-        self._news = greeting or whole.roll is not None or any(self._changed) or before != self._plan_said
+        self._news = greeting or whole.positions is not None or any(self._changed) or before != self._plan_said
         return self._payload
 
-    def digest(self, table: Table | None) -> str | None:
+    def digest(self, table: BidTable | None) -> str | None:
         """Digest of the own table, worked out once for each that there is."""
         if table is not self._digested[0]:
             self._digested = (table, None if table is None else table_digest(table))
         return self._digested[1]
 
-    def _note_changes(self, table: Table | None) -> None:
+    def _note_changes(self, table: BidTable | None) -> None:
         """Which slots of a large table changed since the last broadcast."""
         before, changed = self._table, frozenset[int]()
         if table is not before:
@@ -208,7 +208,7 @@ class Dissemination:
 
     def _part(
         self, whole: Message, others: list[Message], *, meets: bool, greeting: bool
-    ) -> tuple[Table | None, tuple[int, ...] | None]:
+    ) -> tuple[BidTable | None, tuple[int, ...] | None]:
         """The table, or what of it has to be said, and which slots that are; `others` know something else."""
         table = whole.table
         if table is None:
