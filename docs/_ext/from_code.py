@@ -7,9 +7,8 @@
 `sweep-fields`       every field of a sweep's own tables
 `result-columns TABLE` every column of `trials` or `rounds`, the tables of a sweep
 `message-fields`     every field of a protocol message
-`rooms`              the packages, one line each
+`rooms [PACKAGE]`    the packages by import layer, or those of a package, one line each
 `modules`            the modules of each package, one line each
-`import-layers`      the layers that import-linter enforces, top to bottom
 `protocol-constants` every documented constant of the protocol with its value
 """
 
@@ -18,6 +17,7 @@ from __future__ import annotations
 import ast
 import html
 import math
+import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -48,14 +48,20 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], code_columns: in
     def row(cells: Sequence[str], as_code: bool) -> nodes.row:
         line = nodes.row()
         for column, text in enumerate(cells):
-            inline = nodes.literal(text=text) if as_code and column < code_columns and text else nodes.Text(text)
-            line += nodes.entry("", nodes.paragraph("", "", inline))
+            inline = [nodes.literal(text=text)] if as_code and column < code_columns and text else spans(text)
+            line += nodes.entry("", nodes.paragraph("", "", *inline))
         return line
 
     head += row(header, as_code=False)
     body += [row(cells, as_code=True) for cells in rows]
     group += [head, body]
     return nodes.table("", group)
+
+
+def spans(text: str) -> list[nodes.Node]:
+    """Plain words, with what stands between backticks as code."""
+    parts = text.split("`")
+    return [nodes.literal(text=part) if k % 2 else nodes.Text(part) for k, part in enumerate(parts) if part]
 
 
 class AgentStates(SphinxDirective):
@@ -68,8 +74,11 @@ class AgentStates(SphinxDirective):
             (str(source), event.__name__, sorted(map(str, targets))) for (source, event), targets in TRANSITIONS.items()
         ]
         always = everywhere(edges)
-        rows = [(s, event, " or ".join(targets)) for s, event, targets in edges if event not in always]
-        rows += [("every phase but the last", event, "the same phase") for event in always]
+        ends = [event for event in dict.fromkeys(event for _, event, _ in edges) if final(edges, event)]
+        rows = [(s, event, " or ".join(targets)) for s, event, targets in edges if event not in (*always, *ends)]
+        rows += [(s, event, " or ".join(targets)) for s, event, targets in edges if event in always and targets != [s]]
+        rows += [("any phase", event, "the same phase") for event in always]
+        rows += [("any phase", event, final(edges, event)) for event in ends]
         drawn = draw([edge for edge in edges if edge[1] not in always or set(edge[2]) != {edge[0]}])
         return [nodes.raw("", drawn, format="html"), table(("Phase", "Event", "Leads to"), rows, 2)]
 
@@ -81,6 +90,14 @@ def everywhere(edges: list[tuple[str, str, list[str]]]) -> list[str]:
     for source, event, targets in edges:
         stays[event] += source in targets
     return [event for event, count in stays.items() if count == len(phases)]
+
+
+def final(edges: list[tuple[str, str, list[str]]], event: str) -> str:
+    """The one phase to which an event leads from all others; empty where there is no such phase."""
+    sources = {source for source, _, _ in edges}
+    leads = {source: targets for source, name, targets in edges if name == event}
+    one = {target for targets in leads.values() for target in targets}
+    return one.pop() if leads.keys() == sources and len(one) == 1 else ""
 
 
 def draw(edges: list[tuple[str, str, list[str]]]) -> str:
@@ -287,12 +304,29 @@ def first_line(module: Path) -> str:
 
 
 class Rooms(SphinxDirective):
-    """One row for each package: what it is for."""
+    """One row for each package: by layer, the highest first, or those within a package that is named."""
+
+    optional_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        rows = [(name, first_line(folder / "__init__.py")) for name, folder in packages() if name]
-        rows += [(f"{path.stem}.py", first_line(path)) for path in sorted(SOURCE.glob("[!_]*.py"))]
-        return [table(("Package or module", "What it is for"), rows)]
+        if self.arguments:
+            inside = f"{self.arguments[0]}."
+            rows = [(name, first_line(path / "__init__.py")) for name, path in packages() if name.startswith(inside)]
+            return [table(("Package", "What it is for"), rows)]
+        rows = [(str(level), name, first_line(source(name))) for level, name in by_layer()]
+        return [table(("Layer", "Package or module", "What it is for"), rows, 2)]
+
+
+def source(name: str) -> Path:
+    """The file with the docstring of a package or module at the top of the tree."""
+    package = SOURCE / name / "__init__.py"
+    return package if package.exists() else SOURCE / f"{name}.py"
+
+
+def by_layer() -> list[tuple[int, str]]:
+    """Every name in the import contract with the number of its layer, 1 for the lowest; the highest first."""
+    found = layers()
+    return [(len(found) - k, name) for k, layer in enumerate(found) for name in re.findall(r"\w+", layer)]
 
 
 class Modules(SphinxDirective):
@@ -318,28 +352,18 @@ def layers() -> list[str]:
     return next(contract["layers"] for contract in contracts if contract["type"] == "layers")
 
 
-class ImportLayers(SphinxDirective):
-    """The layers as a picture in text."""
-
-    def run(self) -> list[nodes.Node]:
-        text = "\n   |\n".join(f"  {layer}" for layer in layers())
-        return [nodes.literal_block(text, text, language="text")]
-
-
 def constants(module: Path) -> list[tuple[str, str, str]]:
     """Name, value and docstring of every documented public constant of a module."""
     body = ast.parse(module.read_text(encoding="utf-8")).body
     found: list[tuple[str, str, str]] = []
     for node, after in pairwise(body):
-        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
-        value = getattr(node, "value", None)
-        documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-        if not isinstance(node, ast.Assign | ast.AnnAssign) or not documented or value is None:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
             continue
-        names = [target] if isinstance(target, ast.Name) else list(getattr(target, "elts", []))
-        name = ", ".join(each.id for each in names if isinstance(each, ast.Name))
-        if name.replace("_", "").replace(", ", "").isupper() and not name.startswith("_"):
-            found.append((name, ast.unparse(value), " ".join(str(after.value.value).split())))
+        if not isinstance(after, ast.Expr) or not isinstance(after.value, ast.Constant):
+            continue
+        name = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target).strip("()")
+        if re.fullmatch(r"[A-Z][A-Z0-9_]*(, [A-Z][A-Z0-9_]*)*", name):
+            found.append((name, ast.unparse(node.value), " ".join(str(after.value.value).split())))
     return found
 
 
@@ -382,6 +406,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("message-fields", MessageFields)
     app.add_directive("rooms", Rooms)
     app.add_directive("modules", Modules)
-    app.add_directive("import-layers", ImportLayers)
     app.add_directive("protocol-constants", ProtocolConstants)
     return {"parallel_read_safe": True}

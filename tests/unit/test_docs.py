@@ -6,6 +6,7 @@ import functools
 import importlib
 import re
 import shlex
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,9 @@ from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.result import Summary
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+from_code: Any = importlib.import_module("from_code")
+
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 IDS = [str(page.relative_to(ROOT)) for page in PAGES]
 
@@ -189,3 +193,28 @@ def test_the_code_that_the_glossary_names_exists(name: str) -> None:
 
 def test_a_name_that_does_not_exist_is_noticed() -> None:
     assert not found("protocol.agent.Mind") and not found("protocol.talks") and found("protocol.agent.Agent.goal")
+
+
+def test_every_package_and_module_says_what_it_is_for() -> None:
+    files = [*from_code.SOURCE.rglob("*.py")]
+    assert [path.name for path in files if not from_code.first_line(path)] == []
+    assert {"trust", "obstacles", "protocol.agreement"} <= {name for name, _ in from_code.packages()}
+
+
+def test_the_layers_are_those_of_the_import_contract() -> None:
+    named = {name for _, name in from_code.by_layer()}
+    top = {path.stem for path in from_code.SOURCE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert named == top - {"__init__"}
+
+
+def test_constants_are_read_with_value_and_meaning(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    module.write_text('A = 3\n"""Rounds\nto wait."""\nB = 4\n_C = 5\n"""Private."""\nD, E = 1, 2\n"""Two."""\n')
+    assert from_code.constants(module) == [("A", "3", "Rounds to wait."), ("D, E", "(1, 2)", "Two.")]
+
+
+def test_events_that_every_phase_takes_are_drawn_once() -> None:
+    edges = [("a", "Go", ["b"]), ("b", "Go", ["a"]), ("a", "Hear", ["a"]), ("b", "Hear", ["a", "b"])]
+    assert from_code.everywhere(edges) == ["Hear"]
+    edges += [("a", "Stop", ["end"]), ("b", "Stop", ["end"])]
+    assert from_code.final(edges, "Stop") == "end" and not from_code.final(edges, "Go")
