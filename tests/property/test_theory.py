@@ -1,4 +1,4 @@
-"""What docs/theory.md proves, on random cases: max-consensus, the lattice of tables, and the bound of the auction."""
+"""What docs/explanation/theory.md proves, on random cases: max-consensus, lattice of tables, bound of the auction."""
 
 import math
 from itertools import permutations

@@ -160,7 +160,7 @@ def test_every_figure_of_a_summary_has_its_column() -> None:
 
 
 def test_the_data_dictionary_is_drawn_from_the_columns() -> None:
-    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference" / "results.md").read_text(encoding="utf-8")
     assert re.findall(r"^```\{result-columns\} (\w+)$", text, re.MULTILINE) == ["trials", "rounds"]
     for column in (*tables.TRIALS, *tables.ROUNDS):
         assert column.meaning and column.kind

@@ -160,7 +160,7 @@ class Mind:
     # ---------------------------------------------------------------- exchanges
 
     async def gossip(self) -> None:
-        """Messaging messages, whatever else the robot is doing."""
+        """Exchange messages, whatever else the robot is doing."""
         gossip_s = self._config.network.gossip_s
         beat = Beat(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
         while True:
