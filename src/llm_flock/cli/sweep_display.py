@@ -1,4 +1,4 @@
-"""What the terminal shows of a sweep: what it is expected to use, how far it has come, and how it ended."""
+"""Show a sweep in the terminal: its forecast, its progress and its result."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from llm_flock.experiments.executors import Flight, Landed
-from llm_flock.experiments.store import StoredTrial
-from llm_flock.experiments.sweep import Standing
+from llm_flock.experiments.executors import Display
+from llm_flock.experiments.grid import TrialSpec
+from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.sweep_progress import Tally
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.sharing import Spent
 from llm_flock.runtime.trial import Progress
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
-"""Where the output is no terminal, a line is printed so often [s]."""
+"""Interval of lines where the output is no terminal [s]."""
 
 
-class SweepLine:
+class SweepLine(Display):
     """One line on stderr: trials, ETA, and calls, tokens and money, spent and expected."""
 
     def __init__(self, name: str, expected: Mapping[str, Expected], *, enabled: bool) -> None:
-        self.tally = Tally(expected)
+        self._tally = Tally(expected)
         self._console = Console(stderr=True)
         self._redraw = enabled and self._console.is_terminal
         self._plain = enabled and not self._redraw
@@ -61,25 +62,24 @@ class SweepLine:
         self._show(force=True)
         self._bar.stop()
 
-    def begin(self, flown: Mapping[str, Sequence[StoredTrial]], pending: Sequence[Flight]) -> None:
-        """See `sweep.Display`."""
-        self.tally.begin(flown, pending)
+    def begin(self, flown: Mapping[str, Sequence[TrialResult]], pending: Sequence[TrialSpec]) -> None:
+        """See `Display`."""
+        self._tally.begin(flown, pending)
         self._show(force=True)
 
-    def progress(self, flight: Flight, now: Progress) -> None:
-        """See `executors.Watcher`."""
-        self.tally.progress(flight, now)
+    def progress(self, spec: TrialSpec, now: Progress) -> None:
+        """See `Display`."""
+        self._tally.progress(spec, now)
         self._show()
 
-    def landed(self, flight: Flight, landed: Landed | None) -> None:
-        """See `executors.Watcher`."""
-        if landed is not None:
-            self.tally.landed(flight, landed)
+    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
+        """See `Display`."""
+        self._tally.finished(spec, result, fresh=fresh)
         self._show()
 
     def spent(self, spent: Spent, reason: str | None) -> None:
-        """See `executors.Watcher`."""
-        self.tally.account(spent, reason)
+        """See `Display`."""
+        self._tally.spent(spent, reason)
         self._show()
 
     def _show(self, *, force: bool = False) -> None:
@@ -87,15 +87,15 @@ class SweepLine:
         if not force and now - self._shown < (REDRAW_S if self._redraw else PLAIN_S):
             return
         self._shown = now
-        text = progress_text(self.tally)
-        self._bar.update(self._task, description=text, completed=self.tally.over, total=max(1, self.tally.trials))
+        text = progress_text(self._tally)
+        self._bar.update(self._task, description=text, completed=self._tally.over, total=max(1, self._tally.trials))
         if self._plain:
             self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 
 
 def progress_text(tally: Tally) -> str:
     """The line, without its bar."""
-    spent, forecast, eta = tally.spent, tally.forecast, tally.eta_s
+    spent, forecast, eta = tally.used, tally.forecast, tally.eta_s
     parts = [f"{tally.over}/{tally.trials} trials", f"{tally.formed} formed"]
     parts += [f"{tally.broken} broken off"] if tally.broken else []
     parts += [f"{tally.cut} cut by the budget"] if tally.cut else []
@@ -117,7 +117,7 @@ def duration(seconds: float) -> str:
 
 
 def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[str, int], *, as_json: bool) -> None:
-    """What the trials that are left are expected to use, cell by cell and together; on stdout."""
+    """Print the expected use of the trials that are left, cell by cell and in total."""
     total = sum((expected[cell].times(count) for cell, count in left.items()), Expected())
     if as_json:
         cells = {cell: {"trials": count, **asdict(expected[cell].times(count))} for cell, count in left.items()}
@@ -161,15 +161,15 @@ def short(number: float) -> str:
     return f"{round(number):,}" if number < 1e6 else f"{number / 1e6:,.2f} M"
 
 
-def show_standing(standing: Standing, folder: Path, *, as_json: bool) -> None:
-    """How a sweep ended."""
+def show_status(status: SweepStatus, folder: Path, *, as_json: bool) -> None:
+    """Print how a sweep ended."""
     if as_json:
-        print(json.dumps({"dir": str(folder), **asdict(standing), "complete": standing.complete}))
+        print(json.dumps({"dir": str(folder), **asdict(status), "complete": status.complete}))
         return
-    left = standing.trials - standing.finished
-    print(f"{standing.finished} of {standing.trials} trials: {standing.formed} formed, {standing.broken} broken off")
+    left = status.trials - status.finished
+    print(f"{status.finished} of {status.trials} trials: {status.formed} formed, {status.broken} broken off")
     print(folder)
-    if standing.other_code:
-        print(f"{standing.other_code} of them were flown by other code (column `code`)", file=sys.stderr)
-    if standing.reason is not None:
-        print(f"{standing.reason}; {left} trials are left ({standing.cut} were cut short)", file=sys.stderr)
+    if status.other_code:
+        print(f"{status.other_code} of them were flown by other code (column `code`)", file=sys.stderr)
+    if status.reason is not None:
+        print(f"{status.reason}; {left} trials are left ({status.cut} were cut short)", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The two tables of a sweep: a row for each trial, and a row for each of its rounds."""
+"""The two tables of a sweep: a row for each trial, and a row for each round of each trial."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ import polars as pl
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
-from llm_flock.experiments.store import StoredTrial, read_trial, trial_files, write_whole
+from llm_flock.experiments.store import read_trial, trial_files, write_whole
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.protocol.events import Origin
 
 TRIALS_NAME = "trials.parquet"
 ROUNDS_NAME = "rounds.parquet"
 
 AXIS = "axis_"
-"""What the names of columns for further axes of a grid begin with."""
+"""Prefix of the columns for further axes of a grid."""
 
 WAYPOINTS = "waypoints_"
-"""What the names of columns that count waypoints by their maker begin with."""
+"""Prefix of the columns that count waypoints by their origin."""
 
 KINDS: Mapping[type[pl.DataType], str] = {
     pl.String: "text",
@@ -39,9 +40,9 @@ class Column:
 
     Attributes:
         name: its name.
-        dtype: what its values are; any of them may be null.
+        dtype: type of its values; any of them may be null.
         unit: of its values; empty where they have none.
-        meaning: in words.
+        meaning: in words, for the data dictionary.
     """
 
     name: str
@@ -188,7 +189,7 @@ def build_tables(folder: Path) -> None:
         write_whole(folder / name, file.getvalue(), dated_ns=dated)
 
 
-def load_all(folder: Path) -> list[StoredTrial]:
+def load_all(folder: Path) -> list[TrialResult]:
     """Every finished trial, by cell and seed.
 
     Raises:
@@ -201,7 +202,7 @@ def load_all(folder: Path) -> list[StoredTrial]:
     )
 
 
-def trials_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
+def trials_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
     """The first table, in the order given."""
     found = list(trials)
     axes = list(dict.fromkeys(name for trial in found for name in trial.axes))
@@ -211,7 +212,7 @@ def trials_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
     return pl.DataFrame({name: [row.get(name) for row in rows] for name in schema}, schema=schema)
 
 
-def rounds_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
+def rounds_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
     """The second table, in the order given."""
     columns: dict[str, list[Any]] = {column.name: [] for column in ROUNDS}
     for trial in trials:
@@ -240,7 +241,7 @@ def _dated(folder: Path) -> int:
     return (folder / TRIALS_FOLDER).stat().st_mtime_ns
 
 
-def _row(trial: StoredTrial) -> dict[str, Any]:
+def _row(trial: TrialResult) -> dict[str, Any]:
     """Everything that is known of one trial, by the name of its column."""
     mission, protocol = trial.config["mission"], trial.config["protocol"]
     summary: Mapping[str, Any] = trial.summary or {}
