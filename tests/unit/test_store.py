@@ -80,23 +80,18 @@ def test_damaged_and_newer_files_are_named(tmp_path: Path, text: str | None, rea
 
 def test_a_trial_has_one_flyer_at_a_time(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    lease = store.lease("a")
-    assert lease is not None
-    assert store.lease("a") is None
-    other = store.lease("b")
-    assert other is not None
-    other.release()
-    lease.release()
-    lease.release()
-    with store.wait_for("a"):
-        assert store.lease("a") is None
+    with store.lease("a") as first, store.lease("a") as second, store.lease("b") as other:
+        assert (first, second, other) == (True, False, True)
+    with store.wait_for("a"), store.lease("a") as late:
+        assert not late
     assert list((tmp_path / "claims").iterdir()) == []
 
 
-def test_a_claim_that_its_owner_did_not_live_to_release_is_free(tmp_path: Path) -> None:
+def test_a_lease_whose_owner_was_killed_is_free(tmp_path: Path) -> None:
     (tmp_path / "claims").mkdir()
     (tmp_path / "claims" / "a").touch()
-    assert Store(tmp_path).lease("a") is not None
+    with Store(tmp_path).lease("a") as mine:
+        assert mine
 
 
 def test_processes_see_what_others_have_spent(tmp_path: Path) -> None:

@@ -105,10 +105,9 @@ State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
 
 async def fly_and_keep(spec: TrialSpec, store: Store, fly_it: Fly) -> Found:
     """Fly a trial and keep its result, unless another process does that or has done it."""
-    lease = store.lease(spec.id)
-    if lease is None:
-        return None
-    with lease:
+    with store.lease(spec.id) as mine:
+        if not mine:
+            return None
         known = store.load(spec.id)
         if known is not None and known.tries != spec.tries:
             return known, False

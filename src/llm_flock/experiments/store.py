@@ -16,11 +16,9 @@ from __future__ import annotations
 import os
 import time
 import uuid
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import msgspec
 
@@ -34,27 +32,6 @@ except ImportError:  # pragma: no cover - systems without flock: two sweeps on o
     fcntl = None
 
 TRIALS, RECORDS, CLAIMS, SPENT = "trials", "records", "claims", "spent"
-
-
-class Lease:
-    """The right to fly one trial; a context manager. It ends with the process, however that ends."""
-
-    def __init__(self, path: Path, handle: int) -> None:
-        self._path = path
-        self._handle = handle
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.release()
-
-    def release(self) -> None:
-        """Let other processes have it. May be called twice."""
-        if self._handle >= 0:
-            self._path.unlink(missing_ok=True)
-            os.close(self._handle)
-            self._handle = -1
 
 
 class Store:
@@ -112,13 +89,33 @@ class Store:
                 file.unlink()
             self.scratch(trial).rmdir()
 
-    def lease(self, trial: str) -> Lease | None:
-        """The right to fly a trial; None while another process has it."""
-        path = self.folder / CLAIMS / trial
+    @contextmanager
+    def lease(self, trial: str) -> Generator[bool]:
+        """Hold the right to fly a trial. Yields whether this process got it; it ends with the process at the latest."""
+        handle = self._lock(self.folder / CLAIMS / trial)
+        try:
+            yield handle is not None
+        finally:
+            if handle is not None:
+                (self.folder / CLAIMS / trial).unlink(missing_ok=True)
+                os.close(handle)
+
+    @contextmanager
+    def wait_for(self, name: str) -> Generator[None]:
+        """Hold a lease, as soon as no other process has it."""
+        while True:
+            with self.lease(name) as mine:
+                if mine:
+                    yield
+                    return
+            time.sleep(0.02)
+
+    def _lock(self, path: Path) -> int | None:
+        """The handle of a locked file; None while another process has locked it."""
         while True:
             handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             if fcntl is None:  # pragma: no cover
-                return Lease(path, handle)
+                return handle
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
@@ -126,14 +123,8 @@ class Store:
                 return None
             with suppress(FileNotFoundError):
                 if os.fstat(handle).st_ino == path.stat().st_ino:
-                    return Lease(path, handle)
+                    return handle
             os.close(handle)  # the last owner deleted the file in between, so this lock holds nothing
-
-    def wait_for(self, name: str) -> Lease:
-        """`lease`, as soon as no other process has it."""
-        while (lease := self.lease(name)) is None:
-            time.sleep(0.02)
-        return lease
 
 
 class SpendingLog:
