@@ -11,7 +11,7 @@ from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_progress import Tally
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 
 def finish(
@@ -22,8 +22,8 @@ def finish(
     tally.finished(spec, TrialResult(**plain, summary=summary, error=error, cut=cut, simulated=True), fresh=True)
 
 
-def progress(round_number: int, calls: int) -> Progress:
-    return Progress(
+def progress(round_number: int, calls: int) -> TrialProgress:
+    return TrialProgress(
         round=round_number, rounds=15, at_goal=0, n_robots=3, plans_in_use=1, distinct_goals=3, error=None,
         model_calls=calls, tokens=0, cost_usd=0.0,
     )  # fmt: skip

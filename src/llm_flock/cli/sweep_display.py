@@ -26,7 +26,7 @@ from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.sweep_progress import Tally
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
@@ -67,7 +67,7 @@ class SweepLine(Display):
         self._tally.begin(flown, pending)
         self._show(force=True)
 
-    def progress(self, spec: TrialSpec, now: Progress) -> None:
+    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
         """See `Display`."""
         self._tally.progress(spec, now)
         self._show()

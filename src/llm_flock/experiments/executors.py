@@ -27,7 +27,7 @@ from llm_flock.experiments.store import SpendingLog, Store
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, fly
 from llm_flock.llm.limits import Budget
 from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 try:
     import resource
@@ -47,7 +47,7 @@ class Display:
     def begin(self, flown: Mapping[str, Sequence[TrialResult]], pending: Sequence[TrialSpec]) -> None:
         """Called first, with the trials that exist already, by cell, and those to fly."""
 
-    def progress(self, spec: TrialSpec, now: Progress) -> None:
+    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
         """Called after each round of a trial; only where trials are flown in this process."""
 
     def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:

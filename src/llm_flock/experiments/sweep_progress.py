@@ -11,7 +11,7 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 NEARLY = 0.95
 """Largest part of a whole trial that a trial in flight counts as."""
@@ -43,7 +43,7 @@ class Tally(Display):
         self._count: Counter[str] = Counter()
         self._left: Counter[str] = Counter()
         self._size: dict[str, float] = {}
-        self._in_flight: dict[str, tuple[str, Progress]] = {}
+        self._in_flight: dict[str, tuple[str, TrialProgress]] = {}
         self._flown: Counter[str] = Counter()
         self.trials = self.over = self.formed = self.broken = self.cut = 0
         self.used = Spent()
@@ -63,7 +63,7 @@ class Tally(Display):
         self.trials = self.over + len(pending)
         self._began = self._clock()
 
-    def progress(self, spec: TrialSpec, now: Progress) -> None:
+    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
         """See `Display`."""
         self._in_flight[spec.id] = spec.cell, now
 
@@ -128,6 +128,6 @@ class Tally(Display):
         """Amount of work in one trial: its calls, or its robots times rounds where no call is known."""
         return self._one(cell).calls or self._size.get(cell, 1.0)
 
-    def _part(self, cell: str, now: Progress) -> float:
+    def _part(self, cell: str, now: TrialProgress) -> float:
         """Part of a trial in flight that is done."""
         return min(NEARLY, max(now.model_calls / max(1.0, self._work(cell)), now.round / max(1, now.rounds)))

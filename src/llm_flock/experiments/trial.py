@@ -19,7 +19,7 @@ from llm_flock.record.schema import MetricsRow
 from llm_flock.record.writer import NullWriter
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 KeepRecords: TypeAlias = Literal["all", "failed", "none"]
 """Trials whose record is kept."""
@@ -131,7 +131,7 @@ async def fly(
     keep: KeepRecords = "none",
     scratch: Path | None = None,
     earlier: tuple[Earlier, ...] = (),
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
 ) -> tuple[TrialResult, Path | None]:
     """Fly one trial. An exception in it ends up in the result, unless nothing is stored and the input was at fault.
 
