@@ -10,7 +10,7 @@ import pytest
 from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.experiments.compare import build_cells, compare, row
-from llm_flock.experiments.comparison_table import SHOWN_SEEDS, TrialFile, markdown
+from llm_flock.experiments.comparison_table import SHOWN_SEEDS, markdown, trial_file
 from llm_flock.experiments.grid import Cell, fitted_arena, parse_teams
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.mission import Mission
@@ -214,10 +214,10 @@ def test_the_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
 
 def test_a_line_for_each_trial(tmp_path: Path) -> None:
     path = tmp_path / "new" / "trials.csv"
-    with TrialFile(path) as file:
-        file.add(CELL, 3, good())
+    with trial_file(path) as add:
+        add(CELL, 3, good())
         assert len(path.read_text().splitlines()) == 2, "an interrupted comparison keeps what was ready"
-        file.add(CELL, 4, broken())
+        add(CELL, 4, broken())
     with path.open() as lines:
         first, second = csv.DictReader(lines)
     assert (first["protocol"], first["shape"], first["n_robots"], first["seed"]) == ("flock", "circle", "10", "3")
@@ -228,10 +228,9 @@ def test_a_line_for_each_trial(tmp_path: Path) -> None:
 def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "trials.csv"
     path.write_text("precious")
-    with pytest.raises(InputError, match="overwritten"):
-        TrialFile(path)
-    with pytest.raises(InputError, match="written to"):
-        TrialFile(path / "below.csv")
+    for wrong, reason in ((path, "overwritten"), (path / "below.csv", "written to")):
+        with pytest.raises(InputError, match=reason), trial_file(wrong):
+            pass
     assert path.read_text() == "precious"
 
 

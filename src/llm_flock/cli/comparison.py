@@ -44,7 +44,7 @@ def compare(
     Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
     """
     from llm_flock.experiments import compare as comparison
-    from llm_flock.experiments.comparison_table import TrialFile, markdown
+    from llm_flock.experiments.comparison_table import markdown, trial_file
     from llm_flock.experiments.grid import parse_teams
 
     presets = [name.strip() for name in protocols.split(",")]
@@ -52,12 +52,12 @@ def compare(
     finished = formed = 0
     try:
         with ExitStack() as stack:
-            file = None if out is None else stack.enter_context(TrialFile(out))
+            add = None if out is None else stack.enter_context(trial_file(out))
 
             def note(cell: Cell, seed: int, result: TrialResult) -> None:
                 nonlocal finished, formed
-                if file is not None:
-                    file.add(cell, seed, result)
+                if add is not None:
+                    add(cell, seed, result)
                 finished, formed = finished + 1, formed + result.formed
                 if finished == trials:
                     if not quiet:

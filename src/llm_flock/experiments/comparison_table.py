@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.compare import Row
+from llm_flock.experiments.compare import OnResult, Row
 from llm_flock.experiments.grid import Cell
 from llm_flock.experiments.statistics import Estimate
 from llm_flock.experiments.trial import TrialResult
@@ -114,8 +113,11 @@ def _notes(row: Row) -> list[str]:
     return lines
 
 
-class TrialFile:
-    """A CSV file with a line for each trial, written as results come in; a context manager.
+@contextmanager
+def trial_file(path: Path) -> Generator[OnResult]:
+    """A CSV file with a line for each trial; yields the function that adds one.
+
+    Each line is handed to the operating system at once. The figures of a trial that broke off stay empty.
 
     Args:
         path: the file; missing folders are created, an existing file is never overwritten.
@@ -123,28 +125,22 @@ class TrialFile:
     Raises:
         InputError: the file exists, or cannot be created.
     """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("x", newline="", encoding="utf-8")
+    except OSError as error:
+        if path.exists():
+            raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    with file:
+        writer = csv.writer(file)
+        writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
 
-    def __init__(self, path: Path) -> None:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("x", newline="", encoding="utf-8")
-        except OSError as error:
-            if path.exists():
-                raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
-            raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
-        self._writer = csv.writer(self._file)
-        self._writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
+        def add(cell: Cell, seed: int, result: TrialResult) -> None:
+            summary = {} if result.summary is None or result.error is not None else result.summary
+            figures = [summary.get(name) for name in FIGURES]
+            waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
+            writer.writerow((cell.protocol, cell.shape, cell.n_robots, seed, *figures, waypoints, result.error))
+            file.flush()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._file.close()
-
-    def add(self, cell: Cell, seed: int, result: TrialResult) -> None:
-        """Write one trial, and hand it to the operating system. The figures of a trial that broke off stay empty."""
-        summary = {} if result.summary is None or result.error is not None else result.summary
-        figures = [summary.get(name) for name in FIGURES]
-        waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
-        self._writer.writerow((cell.protocol, cell.shape, cell.n_robots, seed, *figures, waypoints, result.error))
-        self._file.flush()
+        yield add

@@ -239,14 +239,13 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
     pool = ProcessPoolExecutor(
         jobs,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
-        initargs=(session.store, session.keep),
+        initializer=_end_with_parent,
     )
     log = None if session.store is None else SpendingLog(session.store)
     spent, done, finished = Spent(), 0, False
     try:
         with _interrupts_held():
-            running = {pool.submit(_fly_in_worker, spec): spec for spec in specs}
+            running = {pool.submit(_fly_in_worker, spec, session.store, session.keep): spec for spec in specs}
         for future in as_completed(list(running)):
             spec, found = running.pop(future), future.result()
             if log is not None and found is not None and found[1]:
@@ -282,13 +281,8 @@ def _interrupts_held() -> Generator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_in_worker: dict[str, tuple[Store | None, KeepRecords]] = {}
-"""In a worker: the session's store and records to keep."""
-
-
-def _begin(store: Store | None, keep: KeepRecords) -> None:
-    """Prepare a worker, which also ends when its parent dies."""
-    _in_worker["session"] = store, keep
+def _end_with_parent() -> None:
+    """Let a worker end when its parent dies."""
     parent = multiprocessing.parent_process()
     assert parent is not None, "runs in workers only"
 
@@ -299,14 +293,12 @@ def _begin(store: Store | None, keep: KeepRecords) -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def _fly_in_worker(spec: TrialSpec) -> Found:
-    store, keep = _in_worker["session"]
-
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
+def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> Found:
+    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...] = ()) -> tuple[TrialResult, Path | None]:
         return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id), earlier=earlier)
 
     async def found() -> Found:
-        return ((await fly_it(spec, ()))[0], True) if store is None else await fly_and_keep(spec, store, fly_it)
+        return ((await fly_it(spec))[0], True) if store is None else await fly_and_keep(spec, store, fly_it)
 
     one = asyncio.run(found())
     return None if one is None else (msgspec.structs.replace(one[0], config={}, rounds={}), one[1])
