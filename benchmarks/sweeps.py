@@ -1,4 +1,4 @@
-"""What a sweep costs: many simulated trials, and many trials that wait for one server."""
+"""The cost of a sweep: many simulated trials, and many trials that wait for one server."""
 
 from __future__ import annotations
 

@@ -17,7 +17,6 @@ from llm_flock.errors import InputError
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
-PANEL = "Sweep"
 
 
 @with_config_flags(without=SET_BY_SWEEP)

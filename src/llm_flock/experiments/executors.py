@@ -39,7 +39,7 @@ BOOKKEEPING_S = 1.0
 
 
 class Display:
-    """Shows how an experiment gets on; this one shows nothing. Override the methods of interest.
+    """Shows the progress of an experiment; this one shows nothing. Override the methods of interest.
 
     All methods are called in the thread that called the executor.
     """
@@ -173,7 +173,7 @@ async def drive(
 
     Args:
         specs: the trials.
-        session: what they share.
+        session: their settings and state.
         store: where results are kept.
         fly_it: flies one.
         state: state of the budget.
@@ -189,7 +189,7 @@ async def drive(
         session.reason = reason or session.reason
         session.display.spent(own + elsewhere, reason)
 
-    async def keep_books() -> None:
+    async def balance_regularly() -> None:
         while True:
             await asyncio.sleep(BOOKKEEPING_S)
             await balance()
@@ -204,7 +204,7 @@ async def drive(
     waiting = [spec for spec in specs if spec.waits]
     others = [spec for spec in specs if not spec.waits]
     queues = [(iter(waiting), min(session.at_once, len(waiting))), (iter(others), min(computing, len(others)))]
-    books = asyncio.create_task(keep_books())
+    balancing = asyncio.create_task(balance_regularly())
     try:
         async with asyncio.TaskGroup() as group:
             for queue, workers in queues:
@@ -213,7 +213,7 @@ async def drive(
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     finally:
-        books.cancel()
+        balancing.cancel()
         await balance()
 
 

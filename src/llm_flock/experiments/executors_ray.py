@@ -36,7 +36,7 @@ def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, j
 
     Args:
         specs: the trials.
-        session: what they share.
+        session: their settings and state.
         address: of the cluster: `HOST:PORT`, `auto` or `ray://HOST:PORT`.
         jobs: workers; None for one for each processor of the cluster.
 

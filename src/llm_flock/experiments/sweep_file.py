@@ -37,7 +37,7 @@ class _Table(BaseModel):
 class SweepTable(_Table):
     """`[sweep]`: the sweep as a whole."""
 
-    name: str = Field(pattern=r"^[\w.-]+$", description="Name; results go to runs/NAME unless told otherwise")
+    name: str = Field(pattern=r"^[\w.-]+$", description="Name; results go to runs/NAME by default")
     about: str = Field(default="", description="Its subject in a sentence; reports begin with it")
     seeds: Positive | tuple[Annotated[int, Field(ge=0)], ...] = Field(
         description="Number of seeds for each cell, or a list of them; the same for all cells"

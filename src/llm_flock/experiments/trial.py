@@ -29,7 +29,7 @@ FORMAT = 1
 
 
 class Earlier(msgspec.Struct, frozen=True, kw_only=True):
-    """What an earlier try of a trial used.
+    """The use of an earlier try of a trial.
 
     Attributes:
         stopped: why it ended.
@@ -133,7 +133,7 @@ async def fly(
     earlier: tuple[Earlier, ...] = (),
     on_round: Callable[[TrialProgress], None] | None = None,
 ) -> tuple[TrialResult, Path | None]:
-    """Fly one trial. An exception in it ends up in the result, unless nothing is stored and the input was at fault.
+    """Fly one trial. The result reports any exception in it, but without a store an `InputError` is raised.
 
     Args:
         spec: the trial.
