@@ -99,7 +99,7 @@ def sweep(
                 at_once=at_once,
                 keep=cast("KeepRecords | None", keep),
                 again=again,
-                display=line,
+                display=line.tally,
             )
     except KeyboardInterrupt:
         print(f"interrupted; finished trials are in {folder}, and the same command goes on", file=sys.stderr)

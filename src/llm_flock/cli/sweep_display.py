@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -18,26 +18,21 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from llm_flock.experiments.executors import Display
-from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.sweep_progress import Tally
-from llm_flock.experiments.trial import TrialResult
-from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import TrialProgress
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
 """Interval of lines where the output is no terminal [s]."""
 
 
-class SweepLine(Display):
-    """One line on stderr: trials, ETA, and calls, tokens and money, spent and expected."""
+class SweepLine:
+    """One line on stderr that shows a tally: trials, ETA, and calls, tokens and money, spent and expected."""
 
     def __init__(self, name: str, expected: Mapping[str, Expected], *, enabled: bool) -> None:
-        self._tally = Tally(expected)
+        self.tally = Tally(expected, on_change=self._show)
         self._console = Console(stderr=True)
         self._redraw = enabled and self._console.is_terminal
         self._plain = enabled and not self._redraw
@@ -59,36 +54,16 @@ class SweepLine(Display):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._show(force=True)
+        self._show(True)
         self._bar.stop()
 
-    def begin(self, flown: Mapping[str, Sequence[TrialResult]], pending: Sequence[TrialSpec]) -> None:
-        """See `Display`."""
-        self._tally.begin(flown, pending)
-        self._show(force=True)
-
-    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
-        """See `Display`."""
-        self._tally.progress(spec, now)
-        self._show()
-
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """See `Display`."""
-        self._tally.finished(spec, result, fresh=fresh)
-        self._show()
-
-    def spent(self, spent: Spent, reason: str | None) -> None:
-        """See `Display`."""
-        self._tally.spent(spent, reason)
-        self._show()
-
-    def _show(self, *, force: bool = False) -> None:
+    def _show(self, force: bool) -> None:
         now = time.monotonic()
         if not force and now - self._shown < (REDRAW_S if self._redraw else PLAIN_S):
             return
         self._shown = now
-        text = progress_text(self._tally)
-        self._bar.update(self._task, description=text, completed=self._tally.over, total=max(1, self._tally.trials))
+        text = progress_text(self.tally)
+        self._bar.update(self._task, description=text, completed=self.tally.over, total=max(1, self.tally.trials))
         if self._plain:
             self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 

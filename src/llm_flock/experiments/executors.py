@@ -129,17 +129,13 @@ def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
         FlockError: results cannot be kept.
         KeyboardInterrupt: after all records were brought to a readable end.
     """
-    if specs:
-        _allow_open_files()
-        asyncio.run(_fly_here(specs, session))
-
-
-def _allow_open_files() -> None:
-    """Raise the limit on open files as far as the system allows, because each call holds a connection."""
-    if resource is not None:
+    if not specs:
+        return
+    if resource is not None:  # each call holds a connection: allow as many open files as the system lets us
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         with suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    asyncio.run(_fly_here(specs, session))
 
 
 async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:

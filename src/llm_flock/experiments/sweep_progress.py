@@ -23,6 +23,7 @@ class Tally(Display):
     Args:
         expected: expected use of one trial of a cell, where anything is known.
         clock: seconds, only differences matter.
+        on_change: called after each change; its argument is whether the sweep has just begun.
 
     Attributes:
         trials: number of trials.
@@ -34,10 +35,14 @@ class Tally(Display):
     """
 
     def __init__(
-        self, expected: Mapping[str, Expected] | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        expected: Mapping[str, Expected] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        on_change: Callable[[bool], None] = lambda began: None,
     ) -> None:
         self._expected = expected or {}
         self._clock = clock
+        self._on_change = on_change
         self._began = clock()
         self._of_cell: defaultdict[str, Spent] = defaultdict(Spent)
         self._count: Counter[str] = Counter()
@@ -62,10 +67,12 @@ class Tally(Display):
             self._size[spec.cell] = spec.config.mission.n_robots * spec.config.trial.rounds
         self.trials = self.over + len(pending)
         self._began = self._clock()
+        self._on_change(True)
 
     def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
         """See `Display`."""
         self._in_flight[spec.id] = spec.cell, now
+        self._on_change(False)
 
     def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
         """See `Display`."""
@@ -73,10 +80,12 @@ class Tally(Display):
         self._left[spec.cell] -= 1
         self._flown[spec.cell] += fresh
         self._count_in(spec.cell, result)
+        self._on_change(False)
 
     def spent(self, spent: Spent, reason: str | None) -> None:
         """See `Display`."""
         self.used = spent
+        self._on_change(False)
 
     @property
     def forecast(self) -> Spent:
