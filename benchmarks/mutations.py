@@ -31,7 +31,7 @@ class Mutant:
 
     @property
     def row(self) -> str:
-        """This mutant's row in the table of docs/testing.md."""
+        """This mutant's row in the table of docs/explanation/testing.md."""
         path, _, function = self.test.partition("::")
         return f"| `{self.name}` | {self.invariant} | {self.change} | `{Path(path).name}`: `{function}` |"
 
@@ -343,8 +343,8 @@ MUTANTS: Sequence[Mutant] = (
         *("repeating", "What is new is said", "a change is not said a second time"),
         *(
             "protocol/messages/dissemination.py",
-            "whole.roll is not None or any(self._changed) or",
-            "whole.roll is not None or",
+            "whole.positions is not None or any(self._changed) or",
+            "whole.positions is not None or",
         ),
         f"{T_SPEECH}::test_what_was_said_is_repeated_only_while_nothing_is_new",
     ),

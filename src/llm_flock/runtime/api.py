@@ -25,7 +25,7 @@ from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.roster import Roster, make_agent
 from llm_flock.runtime.rules import Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.trial import Progress, Steer, Trial
+from llm_flock.runtime.trial import Steer, Trial, TrialProgress
 from llm_flock.runtime.versions import run_info
 from llm_flock.transport.memory import MemoryTransport
 
@@ -43,7 +43,7 @@ async def run_async(
     consensus: str | ConsensusRule | None = None,
     assignment: str | AssignmentRule | None = None,
     config: RunConfig | None = None,
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
     lane: Lane | None = None,
     steer: Steer | None = None,
@@ -110,7 +110,7 @@ def build_trial(
     bodies: Bodies,
     journal: Journal,
     start: Points,
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
     steer: Steer | None = None,
 ) -> Trial:
     """A trial of these bodies and planners, ready to run.

@@ -9,8 +9,8 @@ from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import is_packaged
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.config import RunConfig, build_config
-from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime.seeds import Stream, stream
 
 FIELDS: tuple[str, ...] = (
     "shape",

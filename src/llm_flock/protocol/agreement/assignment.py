@@ -1,4 +1,4 @@
-"""Which place of the plan is mine: rules that look at one's own claim and at what was just heard on the same plan."""
+"""Assignment rules: which slot of the plan to claim, given the own claim and the messages just heard."""
 
 from __future__ import annotations
 
@@ -10,23 +10,32 @@ from typing import Protocol
 import msgspec
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages.message import Entry, Message, Offer, Roll, Table
+from llm_flock.protocol.membership.occupancy import Occupancy
+from llm_flock.protocol.messages.message import (
+    NO_MISSION,
+    BidEntry,
+    BidTable,
+    Message,
+    MissionStamp,
+    Offer,
+    TeamPositions,
+)
 from llm_flock.protocol.plan import Plan
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """A robot's place in its present plan.
+    """A robot's slot in its present plan.
 
     Attributes:
         slot: index of the place, None while the robot has none.
-        table: everybody's claims as far as known (auction only).
-        bids: this robot's bid for every slot, fixed when the plan was adopted (auction only).
-        offer: the exchange of places that this robot has offered and is bound to (auction only).
+        table: bid table, all claims as far as known (auction only).
+        bids: this robot's bid for every slot, fixed when it adopted the plan (auction only).
+        offer: the exchange of slots that this robot has offered and is bound to (auction only).
         bound: communication rounds for which it stays bound to its offer.
     """
 
     slot: int | None
-    table: Table | None = None
+    table: BidTable | None = None
     bids: tuple[float, ...] | None = None
     offer: Offer | None = None
     bound: int = 0
@@ -37,19 +46,18 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         robot: own id.
-        position: own believed position [units; world frame].
+        position: own believed position [units; frame of the mission].
         plan: the plan that is followed.
         spacing: wanted distance between neighbouring robots [units].
-        chosen: the index that its own model named for itself, None where the model gave no plan.
+        chosen: the slot that the robot's own model named, None where the model gave no plan.
         adopted: whether the plan is another robot's.
-        heard: this communication round's newest message of each robot on the same plan, in ascending order of ids.
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        silent: robots that were heard of and are no more.
-        blocked: places that nobody can take, because a body that does not move is on them.
-        clear: places that surely have no such body.
-        granted: entries that enough robots have signed together (signed claims only).
-        roll: where everybody is; None where that is not known, or no news.
-        order: of several places of one's own the one with the highest of these is kept (signed claims only).
+        heard: the newest message of each robot on the same plan, in ascending order of ids.
+        sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
+        mission: the mission that the plan was made for.
+        occupancy: what sensors and heartbeats say about the slots; None except once a round.
+        positions: where every robot is; None where that is not known, or not new (all-to-all assignment).
+        granted: entries that enough robots have signed together; None in a team without keys.
+        precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
     """
 
     robot: int
@@ -60,25 +68,23 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     adopted: bool
     heard: Sequence[Message]
     sensed: Mapping[int, Point]
-    silent: frozenset[int] = frozenset()
-    blocked: frozenset[int] = frozenset()
-    clear: frozenset[int] = frozenset()
-    granted: Table | None = None
-    roll: Roll | None = None
-    order: Callable[[int, Entry], tuple[int, int]] | None = None
+    mission: MissionStamp = NO_MISSION
+    occupancy: Occupancy | None = None
+    positions: TeamPositions | None = None
+    granted: BidTable | None = None
+    precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
 
 
 class AssignmentRule(Protocol):
     """Chooses a robot's own slot.
 
-    A rule is a pure function of its arguments. What it looks at in a message is who sends it, `neighbors`, `plan`,
-    `provenance`, `plan_class`, `slot`, `table` and `offer`: it is not asked anew while these stay as they are.
+    A rule is a pure function of its arguments.
     `llm_flock.testing.check_assignment_rule` tests a new rule.
     """
 
     @property
     def name(self) -> str:
-        """The word for the command line and records."""
+        """Name on the command line and in records."""
         ...
 
     def take(self, now: AssignmentInput) -> Claim:
@@ -86,21 +92,21 @@ class AssignmentRule(Protocol):
         ...
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
-        """The claim after a communication round's messages on the same plan."""
+        """The claim after a communication round on the same plan."""
         ...
 
 
 def nearest(position: Point, plan: Plan, taken: frozenset[int] = frozenset()) -> int:
-    """Index of the plan's point closest to `position` that is not in `taken`; lowest index among equals.
+    """Index of the plan's point closest to `position` that is not in `taken`; the lowest index among equals.
 
-    With every point taken, the closest of all.
+    If every point is taken, the closest of all.
     """
     free = [a for a in range(len(plan)) if a not in taken] or range(len(plan))
     return min(free, key=lambda a: (math.dist(position, plan.points[a]), a))
 
 
 def _own_choice(now: AssignmentInput) -> int:
-    """The model's own index; the robot's id where the model named none."""
+    """The model's own index; the robot's id if the model named none."""
     return now.robot if now.chosen is None else now.chosen
 
 
@@ -123,9 +129,9 @@ class IndexAssignment:
 class NearestAssignment:
     """The paper's rule, literally (lines 136-139 and 155-157).
 
-    On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is never
-    looked at again: nobody hears of it, so two robots may take the same goal. A robot's own plan keeps the index
-    that its model named.
+    On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is not used
+    again. No other robot learns of it, so two robots may take the same goal. A robot's own plan keeps the index that
+    its model named.
     """
 
     name: str = "nearest"

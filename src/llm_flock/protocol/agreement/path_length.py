@@ -1,8 +1,8 @@
-"""How far it is to a place of a plan for a robot that stays near the formation.
+"""Path lengths to the places of a plan for a robot that stays near the formation.
 
-Across a large ring the straight way is the shortest, and leads out of everybody's range. So a way may touch any places
-of the plan, and a hop from one to the next counts more than its length if it is long: the cheapest way then leads along
-the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
+Across a large ring the straight line is the shortest path, and leads out of every robot's radio range. So a path may
+pass through any places of the plan, and a long hop between two of them counts more than its length: the cheapest path
+then leads along the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ REACH = 1.5
 
 
 LARGEST = 256
-"""In plans of more places the straight way is taken: finding the others takes the cube of their number."""
+"""In plans of more places the straight line is used: finding other paths takes the cube of their number."""
 
 CACHED = 4096
 
 FAR = 3.0
-"""A goal this many spacings away is approached along the formation, from place to place, each so far ahead at most."""
+"""A goal this many spacings away is approached along the formation, in stages of at most this length."""
 
 ACROSS = 8.0
-"""A robot that is in touch with everybody flies straight, unless its goal is so many spacings away: it would be alone
+"""A robot in touch with the whole team flies straight, unless its goal is this many spacings away: it would be alone
 for long, where others could move up instead."""
 
 BESIDE = 0.6
-"""Those who fly along the formation pass its places at so many spacings, on the side of the centre."""
+"""Distance at which robots on such a path pass its places, on the side of the centre [spacings]."""
 
 
-def way_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
-    """Lengths of the cheapest ways to some places, by any others [units].
+def path_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
+    """Lengths of the cheapest paths to some places [units].
 
     Args:
         here: where they begin [units; frame of the plan].
-        plan: has the places.
-        slots: numbers of the places where they end.
+        plan: the plan with the places.
+        slots: slots at which they end.
         spacing: wanted distance between neighbouring robots [units].
     """
     if len(plan.points) > LARGEST:
@@ -59,13 +59,13 @@ def _by_places(here: Point, plan: Plan, spacing: float) -> list[float]:
     return (_hops(here, plan, spacing) + _between(plan, spacing)).min(axis=1).tolist()
 
 
-def stop_on_the_way(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
-    """Where to fly on the way to a far place: beside a place ahead; None where the straight way is the cheapest.
+def next_stop(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
+    """The next stop on the path to a far place, beside a place ahead; None where the straight line is the cheapest.
 
     Args:
-        here: where the robot is [units; frame of the plan].
-        plan: has the places.
-        slot: number of the place where it is to end.
+        here: position of the robot [units; frame of the plan].
+        plan: the plan with the places.
+        slot: slot at which the path ends.
         center: centre of the formation.
         spacing: wanted distance between neighbouring robots [units].
     """
@@ -86,13 +86,13 @@ def stop_on_the_way(here: Point, plan: Plan, slot: int, center: Point, spacing: 
 
 @lru_cache(maxsize=4096)
 def _hops(here: Point, plan: Plan, spacing: float) -> Vector:
-    """What a straight hop to each place counts, shape (n,) [units]."""
+    """Cost of a straight hop to each place, shape (n,) [units]."""
     return _counted(np.linalg.norm(plan.array - np.array(here), axis=1), spacing)
 
 
 @lru_cache(maxsize=256)
 def _between(plan: Plan, spacing: float) -> Pairwise:
-    """Lengths of the ways between any two places, shape (n, n) [units]."""
+    """Lengths of the paths between any two places, shape (n, n) [units]."""
     return np.asarray(floyd_warshall(_counted(graph.distances(plan.array), spacing), directed=False))
 
 

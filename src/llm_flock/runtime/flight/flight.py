@@ -22,7 +22,7 @@ from llm_flock.runtime.flight.timed_planner import TimedPlanner
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
-from llm_flock.runtime.trial import Progress, Trial
+from llm_flock.runtime.trial import Trial, TrialProgress
 
 TAKING_OFF = "taking off"
 """Name of the stage from which on the operator may end the flight."""
@@ -62,7 +62,7 @@ class Flight:
         config: FlightConfig,
         robots: Sequence[Robot],
         *,
-        on_round: Callable[[Progress], None] | None = None,
+        on_round: Callable[[TrialProgress], None] | None = None,
         on_stage: Callable[[str], None] | None = None,
     ) -> None:
         self._config = config

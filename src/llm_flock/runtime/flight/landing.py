@@ -16,7 +16,7 @@ from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
 MARGIN_S = 3.0
 """Wait this much longer than the duration of a landing for a drone to report its motors off [s]: a Crazyflie does so
-two seconds late (docs/firmware.md)."""
+two seconds late (docs/reference/firmware.md)."""
 
 LANDED = "landed"
 """End of a drone that landed."""

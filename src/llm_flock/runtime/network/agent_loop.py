@@ -42,9 +42,9 @@ from llm_flock.protocol.events import (
     Sensed,
     Stopped,
 )
+from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
-from llm_flock.protocol.signed.certificates import Authorization
 from llm_flock.runtime.network.body_control import STILL, BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.process import PeriodClock, phase_s
@@ -143,7 +143,7 @@ class AgentLoop:
             self.notes.append(ReportedEvent(kind="rejected_message", detail=detail))
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
-        self.handle(MissionGiven(mission=mission, order=signed))
+        self.handle(MissionGiven(mission=mission, authorization=signed))
 
     def _sight(self) -> dict[str, Any]:
         """Sensor readings; a robot under way uses the waypoint that it flies to as its position."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
-from llm_flock.protocol.messages.dissemination import MISSION_FIELDS
 from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.protocol.signed.certificates import mission_statement
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.wire import MissionOrder, T, unpack

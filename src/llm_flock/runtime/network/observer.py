@@ -20,7 +20,7 @@ from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, MissionI
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import RobotReport, WorldState
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 
 @dataclass(slots=True)
@@ -44,7 +44,9 @@ class Observer:
         on_row: called with every row of the record.
     """
 
-    def __init__(self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None) -> None:
+    def __init__(
+        self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+    ) -> None:
         self.mission = config.mission
         self.measurements = SwarmMeasurements()
         self.began_s: float | None = None
@@ -225,7 +227,7 @@ class Observer:
         self._sink.end_round(self._row)
         if self._on_row is not None:
             self._on_row(
-                Progress(
+                TrialProgress(
                     round=self._row,
                     rounds=0,
                     at_goal=row.robots_at_goal,

@@ -27,7 +27,7 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.runtime.network.config import SwarmConfig, check_models
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.watch import CHECK_S, observing
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 START_S = 60.0
 """Longest start of a process [s]."""
@@ -237,7 +237,7 @@ class Swarm:
 async def launched(
     config: SwarmConfig,
     *,
-    on_row: Callable[[Progress], None] | None = None,
+    on_row: Callable[[TrialProgress], None] | None = None,
     absent: frozenset[int] = frozenset(),
 ) -> AsyncGenerator[Swarm]:
     """A swarm whose processes are running; all have ended when the context is left.
@@ -287,7 +287,7 @@ async def launched(
             await asyncio.gather(news, return_exceptions=True)
 
 
-async def run_swarm(config: SwarmConfig, on_row: Callable[[Progress], None] | None = None) -> SwarmResult:
+async def run_swarm(config: SwarmConfig, on_row: Callable[[TrialProgress], None] | None = None) -> SwarmResult:
     """Fly one mission with a swarm of processes on this machine.
 
     Raises:

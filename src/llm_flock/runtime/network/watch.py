@@ -15,7 +15,7 @@ from llm_flock.runtime.network.connection import mission_order, open_link, recei
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import RobotReport, WorldState, pack
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 from llm_flock.runtime.versions import run_info
 from llm_flock.transport.zenoh import ZenohLink
 
@@ -36,7 +36,7 @@ def connect_outside(config: SwarmConfig, member: int = WATCHER) -> ZenohLink:
 
 @contextmanager
 def observing(
-    config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None
+    config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; call in a running event loop."""
     observer = Observer(config, sink, on_row)
@@ -57,7 +57,9 @@ async def look(observer: Observer) -> None:
         await asyncio.sleep(CHECK_S)
 
 
-async def run_watch(config: SwarmConfig, record: Path | None, on_row: Callable[[Progress], None] | None = None) -> None:
+async def run_watch(
+    config: SwarmConfig, record: Path | None, on_row: Callable[[TrialProgress], None] | None = None
+) -> None:
     """Watch until the process is told to end.
 
     Args:
