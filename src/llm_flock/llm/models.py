@@ -12,7 +12,7 @@ import numpy as np
 
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, Effort, PydanticModel
-from llm_flock.llm.local.model import Berths, LocalModel
+from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.prices import price_known
 from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
@@ -167,7 +167,7 @@ class ModelPool:
         self._environ = os.environ if environ is None else environ
         self._models: dict[tuple[str, str], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
-        self._berths = Berths()
+        self._leases = EngineLeases()
 
     async def __aenter__(self) -> Self:
         return self
@@ -179,7 +179,7 @@ class ModelPool:
 
     async def aclose(self) -> None:
         """Close all connections and stop engines; models of this pool must not be asked afterwards."""
-        await self._berths.aclose()
+        await self._leases.aclose()
         if self._http is not None:
             await self._http.aclose()
         self._http = None
@@ -205,7 +205,7 @@ class ModelPool:
             stand_in = simulated_model(parse_profile(name.model), robot, rng)
             return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
         if name.kind == "local":
-            return LocalModel(name.text, self._berths, settings)
+            return LocalModel(name.text, self._leases, settings)
         if name.kind != "provider":
             raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
         key = self._key(name)
