@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from llm_flock.llm.grammar import answer_grammar
+from llm_flock.llm.answer_forms import answer_grammar
 from llm_flock.llm.local.engine import Engine, slot_count, thread_count
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.port import AnswerForm

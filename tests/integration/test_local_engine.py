@@ -13,10 +13,10 @@ import time
 from pathlib import Path
 
 import pytest
+from answer_readers import parse_path, parse_plan, parse_plan_json, parse_step, parse_step_json
 from gguf_files import write_model
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm import answers as read
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local.engine import ENGINES, Engine, slot_count
 from llm_flock.llm.local.model import EngineLeases, LocalModel
@@ -55,12 +55,12 @@ async def ask(call: Call, **settings):
 def test_every_answer_is_in_the_form_that_was_asked_for():
     """However badly a model answers: at a high temperature it does."""
     forms = [
-        ("step", AnswerForm(n=3, dim=2, reasons=False), lambda text: read.parse_step(text, 2)),
-        ("step", AnswerForm(n=3, dim=3, horizon=2, reasons=False), lambda text: read.parse_path(text, 2, 3)),
-        ("step", AnswerForm(n=3, dim=2, json=True), lambda text: read.parse_step_json(text, 2)),
-        ("plan", AnswerForm(n=3, dim=2, reasons=False), lambda text: read.parse_plan(text, 3, 2)),
-        ("plan", AnswerForm(n=2, dim=2, json=True), lambda text: read.parse_plan_json(text, 2, 2)),
-        ("step", AnswerForm(n=3, dim=2), lambda text: read.parse_step(text, 2)),
+        ("step", AnswerForm(n=3, dim=2, reasons=False), lambda text: parse_step(text, 2)),
+        ("step", AnswerForm(n=3, dim=3, horizon=2, reasons=False), lambda text: parse_path(text, 2, 3)),
+        ("step", AnswerForm(n=3, dim=2, json=True), lambda text: parse_step_json(text, 2)),
+        ("plan", AnswerForm(n=3, dim=2, reasons=False), lambda text: parse_plan(text, 3, 2)),
+        ("plan", AnswerForm(n=2, dim=2, json=True), lambda text: parse_plan_json(text, 2, 2)),
+        ("step", AnswerForm(n=3, dim=2), lambda text: parse_step(text, 2)),
     ]
 
     async def go():

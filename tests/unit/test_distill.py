@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from answer_readers import parse_path, parse_plan, parse_step
 
 from llm_flock.distill.adapter import Adapter, turned_rows, write_gguf
 from llm_flock.distill.evaluation import Examiner, best_waypoint, motion_figures, validator
@@ -23,8 +24,7 @@ from llm_flock.distill.examples import (
 )
 from llm_flock.distill.lessons import Row, make_batch, plan_epoch, read_examples, shared_prefix, write_examples
 from llm_flock.errors import InputError
-from llm_flock.llm.answers import parse_path, parse_plan, parse_step
-from llm_flock.llm.frame import ask_step
+from llm_flock.llm.frame import frame_step
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
@@ -213,7 +213,7 @@ def test_what_is_told_in_an_example_is_what_a_run_asks() -> None:
     assert example == Example(
         kind="step",
         system=BRIEF.system(MISSION),
-        user=BRIEF.step(ask_step(question, "own").told),
+        user=BRIEF.step(frame_step(question, "own").framed),
         answer="Position: [0.92, 0.0]",
         team="line 2",
     )

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError, ModelError
-from llm_flock.llm.answers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 from llm_flock.llm.client import PydanticModel
 from llm_flock.llm.geometry import turned
 from llm_flock.llm.planner import LanguagePlanner
@@ -344,10 +344,9 @@ def test_a_planner_and_a_malformed_model_get_along() -> None:
 
 
 def test_profiles_compose() -> None:
-    profile = parse_profile("distorted@0.3, overshoot@.25,slow")
-    assert (profile.distorted, profile.overshoot, profile.slow, profile.malformed) == (0.3, 0.25, 1.0, 0.0)
+    assert parse_profile("distorted@0.3, overshoot@.25,slow").rates == {"distorted": 0.3, "overshoot": 0.25, "slow": 1}
     assert parse_profile("ideal") == Profile(text="ideal")
-    assert parse_profile("ideal,flaky@1e-1").flaky == 0.1
+    assert parse_profile("ideal,flaky@1e-1").rates == {"flaky": 0.1}
 
 
 @pytest.mark.parametrize(

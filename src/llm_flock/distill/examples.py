@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from llm_flock.arrays import Point
-from llm_flock.llm.frame import Asked, ask_plan, ask_step
+from llm_flock.llm.frame import FramedQuestion, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.wording import place_text
@@ -118,9 +118,9 @@ def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
     )
 
 
-def best_way(asked: Asked[StepQuestion]) -> StepAnswer:
+def best_way(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
     """The straight way to the goal in the numbers that a model is told, rounded as it should say it."""
-    told = asked.told
+    told = asked.framed
     mission = told.mission.model_copy(update={"max_step": REACH * told.mission.max_step})
     question = replace(told, mission=mission, horizon=min(told.horizon, LONGEST_PATH))
     answer = asyncio.run(GeometryPlanner(told.robot).step(question))
@@ -128,9 +128,9 @@ def best_way(asked: Asked[StepQuestion]) -> StepAnswer:
     return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
 
 
-def best_plan(asked: Asked[PlanQuestion]) -> PlanAnswer:
+def best_plan(asked: FramedQuestion[PlanQuestion]) -> PlanAnswer:
     """The shape in its reference orientation in the numbers that a model is told, rounded as it should say it."""
-    answer = asyncio.run(GeometryPlanner(asked.told.robot).plan(asked.told))
+    answer = asyncio.run(GeometryPlanner(asked.framed.robot).plan(asked.framed))
     assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
     return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
 
@@ -149,16 +149,16 @@ def plan_answer_text(answer: PlanAnswer) -> str:
 
 def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
     """The question as it is put and the best answer; None where our own checks would send that answer back."""
-    asked = ask_step(question, "own")
+    asked = frame_step(question, "own")
     answer = best_way(asked)
     # Others are left to the shield, which sees them better than a small model does.
     alone = replace(question, neighbors=())
-    if check_answer(question.mission, alone, asked.meant(answer), shield_on=True) is not None:
+    if check_answer(question.mission, alone, asked.to_world(answer), shield_on=True) is not None:
         return None
     return Example(
         kind="step" if question.horizon == 1 else "path",
-        system=prompts.system(asked.told.mission),
-        user=prompts.step(asked.told),
+        system=prompts.system(asked.framed.mission),
+        user=prompts.step(asked.framed),
         answer=way_text(answer, question.horizon),
         team=f"{question.mission.shape} {question.mission.n_places}",
     )
@@ -167,14 +167,14 @@ def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
 def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | None:
     """As `step_example`, for a plan."""
     question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
-    asked = ask_plan(question, "own")
+    asked = frame_plan(question, "own")
     answer = best_plan(asked)
-    if check_plan(mission, asked.meant(answer).plan) is not None:
+    if check_plan(mission, asked.to_world(answer).plan) is not None:
         return None
     return Example(
         kind="plan",
-        system=prompts.system(asked.told.mission),
-        user=prompts.plan(asked.told),
+        system=prompts.system(asked.framed.mission),
+        user=prompts.plan(asked.framed),
         answer=plan_answer_text(answer),
         team=f"{mission.shape} {mission.n_places}",
     )

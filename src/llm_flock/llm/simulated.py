@@ -57,7 +57,7 @@ class Responder:
     """
 
     def __init__(self, profile: Profile, rng: np.random.Generator) -> None:
-        self._rates = [getattr(profile, name) for name in FAILURES]
+        self._rates = [profile.rates.get(name, 0.0) for name in FAILURES]
         self._always_right = not any(self._rates)
         self._rng = rng
 

@@ -10,8 +10,8 @@ from contextlib import suppress
 from typing import Any
 
 from llm_flock.errors import InputError
+from llm_flock.llm.answer_forms import answer_grammar, longest_answer, tokens_of
 from llm_flock.llm.client import CallSettings
-from llm_flock.llm.grammar import answer_grammar, longest_answer, tokens_of
 from llm_flock.llm.local.engine import ENGINES, Engine, Engines
 from llm_flock.llm.local.weights import Weights, find_weights, header_of
 from llm_flock.llm.port import Call, Reply
