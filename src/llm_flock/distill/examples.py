@@ -18,8 +18,8 @@ import numpy as np
 from llm_flock.arrays import Point
 from llm_flock.llm.frame import FramedQuestion, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.wording import place_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan

@@ -20,10 +20,10 @@ from llm_flock.experiments.compare import UNDISTURBED, parse_teams
 from llm_flock.llm.limits import Budget
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import known_providers, parse_model
 from llm_flock.llm.sharing import Rate
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import input_error
 from llm_flock.runtime.config import RunConfig, build_config
 

@@ -1,4 +1,4 @@
-"""Plain geometry where a language model's answers were of no use, if the operator allows it."""
+"""Another planner, usually plain geometry, where a language model gives no usable answer."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from llm_flock.protocol.verification.steps import mended
 
 
 class FallbackPlanner:
-    """A `Planner` that asks another one when the first gave up; its answers say what they stand in for.
+    """A `Planner` that asks a second one where the first gives up; `instead_of` of its answers holds the failure.
 
-    A rejected waypoint that the shield can mend comes first: it is closer to what the model wanted.
+    A rejected waypoint that the shield can mend takes precedence: it is closer to what the model wanted.
 
     Args:
-        first: who is asked.
-        second: who answers when `first` does not.
+        first: asked first.
+        second: asked where `first` gives no answer.
         shield_on: whether the robot has a safety shield.
     """
 
@@ -33,7 +33,7 @@ class FallbackPlanner:
         return replace(second, instead_of=answer) if isinstance(second, PlanAnswer) else answer
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """The first planner's waypoint, what the shield can make of its last one, or the second's."""
+        """The first planner's waypoint, its failure if the shield can mend the last waypoint, or the second's."""
         answer = await self._first.step(question)
         if isinstance(answer, StepAnswer):
             return answer

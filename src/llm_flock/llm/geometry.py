@@ -21,15 +21,15 @@ def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Point
 
 
 TURNS = 72
-"""So many orientations are tried to keep the places off bodies that do not move."""
+"""Orientations tried to keep the places off bodies that stand still."""
 
 
 class GeometryPlanner:
     """A `Planner` that knows the shape: the ideal points in some orientation, and the straight way to the goal.
 
     Args:
-        robot: whose planner this is.
-        rng: draws the orientation, as independent models would choose theirs; without it, the reference orientation.
+        robot: id of the robot.
+        rng: draws the orientation, as independent models choose different ones; None is the reference orientation.
     """
 
     def __init__(self, robot: int, rng: np.random.Generator | None = None) -> None:
@@ -37,9 +37,9 @@ class GeometryPlanner:
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """The ideal points, the same ones every time, and the place of the robot's own number (of spares: counted on).
+        """The ideal points, the same every time, and the place with the robot's id (modulo the number of places).
 
-        No answer for a shape in words, whose points nobody knows.
+        No answer for a shape in words: its points are unknown.
         """
         mission = question.mission
         if mission.ideal is None:
@@ -47,13 +47,13 @@ class GeometryPlanner:
         turns = (self._angle_rad + 2 * math.pi * k / TURNS for k in range(TURNS))
         plans = (Plan.of(turned(np.array(mission.ideal), mission.center, angle).tolist()) for angle in turns)
         plan = next(plans)
-        if question.still:  # turned as little as it must be to have no place on a body that does not move
+        if question.still:  # the first orientation with no place on a body that stands still
             free = (p for p in (plan, *plans) if check_proposal(mission, p, question.still) is None)
             plan = next(free, plan)
         return PlanAnswer(plan=plan, slot=self._robot % len(plan))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Straight towards the goal, as far as the step limit allows, and on from there if more may be given."""
+        """Straight towards the goal, as far as the step limit allows, and on from there up to the horizon."""
         path = [self._towards(question.position, question)]
         while len(path) < question.horizon and path[-1] != question.goal:
             path.append(self._towards(path[-1], question))

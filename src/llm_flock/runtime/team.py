@@ -22,9 +22,9 @@ from llm_flock.llm.models import (
 from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import Lane
+from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
 from llm_flock.protocol.verification.steps import check_answer
