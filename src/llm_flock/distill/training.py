@@ -67,10 +67,10 @@ class TrainingProgress:
 
     step: int
     steps: int
-    loss: float
     examples: int
-    rate: float
-    left_s: float
+    loss: float = 0.0
+    rate: float = 0.0
+    left_s: float = 0.0
 
 
 def train(
@@ -105,10 +105,7 @@ def train(
     epoch = 0
     queue: list[list[list[int]]] = []
     began, kept = time.monotonic(), time.monotonic()
-    first, progress = (
-        step,
-        TrainingProgress(step=step, steps=options.steps, loss=0.0, examples=examples, rate=0.0, left_s=0.0),
-    )
+    first, progress = step, TrainingProgress(step=step, steps=options.steps, examples=examples)
     while step < options.steps:
         if not queue:
             # The seed depends on the first step: a resumed training draws new orders.
