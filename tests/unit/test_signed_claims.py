@@ -12,14 +12,14 @@ from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Entry, Message, Offer
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, BidEntry, Message, Offer
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Context,
     ExchangeGrant,
     Proofs,
     ReleaseGrant,
-    Attestation,
+    WitnessStatement,
     most_claims,
     offer_statement,
     unwrap,
@@ -167,9 +167,9 @@ def test_false_words_do_not_count(team: SignedTeam, liar: Liar) -> None:
     assert table is not None
     good = liar.word(0, table[0][0] + 1)
     for word in (
-        Attestation(0, table[0][0] + 1, NO_OWNER, bytes(64)),
-        Attestation(0, table[0][0] + 2, NO_OWNER, good.signature),
-        Attestation(99, 1, NO_OWNER, good.signature),
+        WitnessStatement(0, table[0][0] + 1, NO_OWNER, bytes(64)),
+        WitnessStatement(0, table[0][0] + 2, NO_OWNER, good.signature),
+        WitnessStatement(99, 1, NO_OWNER, good.signature),
     ):
         team.tell(0, liar.says(words=[word]), team.liar)
         team.comm_round()
@@ -200,7 +200,7 @@ def test_old_claims_of_others_are_no_news() -> None:
     """Everything ever said is said again by the liar, as it was."""
     team = SignedTeam(MISSION, line_up(5))
     liar = Liar(team)
-    seen: list[dict[int, tuple[Entry, Certificate]]] = []
+    seen: list[dict[int, tuple[BidEntry, Certificate]]] = []
     for _ in range(6):
         team.begin()
         for _ in range(5):
