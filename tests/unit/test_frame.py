@@ -11,7 +11,7 @@ import pytest
 import llm_flock
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import frame_plan, frame_step, trained_for
-from llm_flock.llm.planner import History, LanguagePlanner
+from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, Reply
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
@@ -172,7 +172,7 @@ def test_a_plan_comes_back_to_its_place() -> None:
 
 def test_history_and_an_own_frame_do_not_go_together() -> None:
     with pytest.raises(InputError, match="frame"):
-        planner(history=History(exchanges=1))
+        planner(history=1)
 
 
 def test_models_that_are_trained_for_it() -> None:

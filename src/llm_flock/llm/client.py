@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Literal, TypeAlias, cast
 
 import httpx2
@@ -19,7 +20,6 @@ from pydantic_ai.direct import model_request
 from pydantic_ai.messages import (
     ModelMessage,
     ModelRequest,
-    ModelRequestPart,
     ModelResponse,
     SystemPromptPart,
     TextPart,
@@ -107,7 +107,7 @@ class PydanticModel:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._model = model
-        self._name = name
+        self.name = name
         self._provider = name.partition(":")[0]
         self._secrets = secrets
         self._price_id = price_id
@@ -117,11 +117,6 @@ class PydanticModel:
         self._asked = settings.plain()
         self._settings = _model_settings(settings, self._provider)
         self._words = ModelRequestParameters()
-
-    @property
-    def name(self) -> str:
-        """`provider:model`, as configured."""
-        return self._name
 
     async def ask(self, call: Call) -> Reply:
         """Answer one call: one try, without retries.
@@ -145,7 +140,7 @@ class PydanticModel:
             # A malformed body that the SDK's parser trips over must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"
-            logger.warning("robot %d, %s: %s", call.robot, self._name, self._clean(detail))
+            logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
         return self._reply(response, self._clock() - started)
 
@@ -165,11 +160,11 @@ class PydanticModel:
         )
         # A server may return anything as its model's name, even the key.
         answered_by = scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH]
-        answered_by = answered_by or self._name.partition(":")[2]
+        answered_by = answered_by or self.name.partition(":")[2]
         cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
         return Reply(
             text=_writable(scrub(response.text or "", self._secrets)),
-            model=self._name if self._name.startswith("simulated:") else f"{self._provider}:{answered_by}",
+            model=self.name if self.name.startswith("simulated:") else f"{self._provider}:{answered_by}",
             settings=self._asked,
             usage=usage,
             cost_usd=cost,
@@ -227,19 +222,12 @@ def _story(error: Exception) -> str:
 def to_model_messages(messages: tuple[ChatMessage, ...]) -> list[ModelMessage]:
     """A conversation in pydantic-ai's form: the messages between two answers are one request."""
     out: list[ModelMessage] = []
-    parts: list[ModelRequestPart] = []
-    for message in messages:
-        if message.role == "assistant":
-            if parts:
-                out.append(ModelRequest(parts=parts))
-                parts = []
-            out.append(ModelResponse(parts=[TextPart(message.text)]))
-        elif message.role == "system":
-            parts.append(SystemPromptPart(message.text))
+    for answers, group in groupby(messages, key=lambda message: message.role == "assistant"):
+        if answers:
+            out += [ModelResponse(parts=[TextPart(message.text)]) for message in group]
         else:
-            parts.append(UserPromptPart(message.text))
-    if parts:
-        out.append(ModelRequest(parts=parts))
+            parts = [(SystemPromptPart if m.role == "system" else UserPromptPart)(m.text) for m in group]
+            out.append(ModelRequest(parts=parts))
     return out
 
 

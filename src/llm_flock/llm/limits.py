@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -89,9 +89,9 @@ class Budget:
     max_cost_usd: float | None = None
 
     def __post_init__(self) -> None:
-        for field, value in (("max_calls", self.max_calls), ("max_tokens", self.max_tokens)):
+        for name, value in (("max_calls", self.max_calls), ("max_tokens", self.max_tokens)):
             if value is not None and value < 1:
-                raise InputError(field, value, "at least 1, or not given")
+                raise InputError(name, value, "at least 1, or not given")
         if self.max_cost_usd is not None and not 0 < self.max_cost_usd < float("inf"):
             raise InputError("max_cost", self.max_cost_usd, "more than 0, or not given")
 
@@ -191,57 +191,47 @@ class Gate(Protocol):
         ...
 
 
+@dataclass(slots=True, kw_only=True)
 class Limits:
     """What all models of one run share. Build one for each run, in the thread of its event loop.
 
-    Args:
+    Attributes:
+        rng: chance for the jitter of waits.
         max_concurrent: calls under way at once.
         timeout_s: longest try, the queue not counted [s].
         retry: when to try again.
         meter: the run's budget and counters.
         gate: admits calls of this run and others; None admits all.
-        rng: chance for the jitter of waits.
         clock: seconds, only differences matter.
         sleep: waits that many seconds.
+        slots: one for each call under way.
     """
 
-    def __init__(
-        self,
-        *,
-        max_concurrent: int = 256,
-        timeout_s: float = 120.0,
-        retry: RetryPolicy | None = None,
-        meter: BudgetMeter | None = None,
-        gate: Gate | None = None,
-        rng: np.random.Generator,
-        clock: Callable[[], float] = time.perf_counter,
-        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-    ) -> None:
-        if max_concurrent < 1:
-            raise InputError("max_concurrent", max_concurrent, "at least 1")
-        if not 0 < timeout_s < float("inf"):
-            raise InputError("timeout_s", timeout_s, "a number of seconds, more than 0")
-        self.slots = asyncio.Semaphore(max_concurrent)
-        self.timeout_s = timeout_s
-        self.retry = retry or RetryPolicy()
-        self.meter = meter or BudgetMeter()
-        self.gate = gate
-        self.rng = rng
-        self.clock = clock
-        self.sleep = sleep
+    rng: np.random.Generator
+    max_concurrent: int = 256
+    timeout_s: float = 120.0
+    retry: RetryPolicy = field(default_factory=RetryPolicy)
+    meter: BudgetMeter = field(default_factory=BudgetMeter)
+    gate: Gate | None = None
+    clock: Callable[[], float] = time.perf_counter
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    slots: asyncio.Semaphore = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.max_concurrent < 1:
+            raise InputError("max_concurrent", self.max_concurrent, "at least 1")
+        if not 0 < self.timeout_s < float("inf"):
+            raise InputError("timeout_s", self.timeout_s, "a number of seconds, more than 0")
+        self.slots = asyncio.Semaphore(self.max_concurrent)
 
 
 class Limited:
     """A `LanguageModel` that queues, times out, retries and counts the calls of another one."""
 
     def __init__(self, model: LanguageModel, limits: Limits) -> None:
+        self.name = model.name
         self._model = model
         self._limits = limits
-
-    @property
-    def name(self) -> str:
-        """The name of the inner model."""
-        return self._model.name
 
     async def ask(self, call: Call) -> Reply:
         """Answer one call, retrying faults.
@@ -306,13 +296,9 @@ class Metered:
     """A `LanguageModel` that only counts: for recordings, which hold faults, waits and refusals already."""
 
     def __init__(self, model: LanguageModel, meter: BudgetMeter) -> None:
+        self.name = model.name
         self._model = model
         self._meter = meter
-
-    @property
-    def name(self) -> str:
-        """The name of the inner model."""
-        return self._model.name
 
     async def ask(self, call: Call) -> Reply:
         """Pass the call on, and count the outcome as the recorded run did.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from llm_flock.errors import AnswerError, InputError, ModelError
@@ -38,25 +37,18 @@ NO_TEXT = "(no text)"
 """Stands for an empty answer in the conversation: providers refuse empty messages."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class History:
-    """Number of earlier exchanges (a question and its accepted answer) that the model sees; None is all of them."""
-
-    exchanges: int | None = 0
-
-
-def parse_history(text: str) -> History:
-    """Read `none`, `last:K` (K >= 1) or `full`.
+def parse_history(text: str) -> int | None:
+    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
 
     Raises:
         InputError: for field `history`.
     """
     if text in ("none", "full"):
-        return History(exchanges=0 if text == "none" else None)
+        return 0 if text == "none" else None
     last, _, count = text.partition(":")
     if last != "last" or not (count.isascii() and count.isdecimal() and len(count) <= 9 and int(count) >= 1):
         raise InputError("history", text, "none, full, or last:K with a whole number K >= 1")
-    return History(exchanges=int(count))
+    return int(count)
 
 
 def _same_task(one: Mission, other: Mission) -> bool:
@@ -101,7 +93,7 @@ class LanguagePlanner:
         model: answers the questions.
         prompts: renders the questions; loaded for the same form of answers.
         max_retries: number of rejected answers that are sent back before giving up.
-        history: earlier exchanges that the model sees.
+        history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
         answers: the paper's text forms, or JSON objects with a schema.
         on_attempt: called after every call, with its outcome.
         check_plan: returns a reason to reject a plan, or None.
@@ -121,7 +113,7 @@ class LanguagePlanner:
         prompts: PromptSet,
         *,
         max_retries: int = 2,
-        history: History | None = None,
+        history: int | None = 0,
         answers: Answers = "text",
         on_attempt: AttemptSink | None = None,
         check_plan: CheckPlan | None = None,
@@ -137,7 +129,7 @@ class LanguagePlanner:
         self._model = model
         self._prompts = prompts
         self._max_retries = max_retries
-        self._kept = (history or History()).exchanges
+        self._kept = history
         if frame == "own" and self._kept != 0:
             raise InputError("frame", frame, "world where history is kept: every question has an own frame of its own")
         self._frame: FrameName = frame

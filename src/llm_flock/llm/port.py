@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -154,9 +154,5 @@ class Attempt:
     latency_s: float = 0.0
 
 
-class AttemptSink(Protocol):
-    """Receives every attempt as soon as it is over."""
-
-    def __call__(self, attempt: Attempt, /) -> None:
-        """Record one attempt."""
-        ...
+AttemptSink: TypeAlias = Callable[[Attempt], None]
+"""Receives every attempt as soon as it is over."""

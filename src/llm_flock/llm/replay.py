@@ -10,7 +10,7 @@ import json
 import logging
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -77,7 +77,25 @@ def to_line(attempt: Attempt) -> dict[str, Any]:
     }
 
 
-class CassetteWriter:
+class _Cassette:
+    """An open file; a context manager."""
+
+    _file: IO[Any]
+
+    def close(self) -> None:
+        """Close the file. It cannot be used afterwards."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class CassetteWriter(_Cassette):
     """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
 
     A run that is killed loses at most the line that was being written.
@@ -107,20 +125,8 @@ class CassetteWriter:
         self._file.write(json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n")
         self._file.flush()
 
-    def close(self) -> None:
-        """Close the file; harmless when it is closed already."""
-        self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class ReplayModel:
+class ReplayModel(_Cassette):
     """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
 
     Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
@@ -135,6 +141,7 @@ class ReplayModel:
     """
 
     def __init__(self, path: Path) -> None:
+        self.name = f"replay:{path}"
         self._path = path
         self._models: set[str] = set()
         try:
@@ -148,11 +155,6 @@ class ReplayModel:
             raise
 
     @property
-    def name(self) -> str:
-        """`replay:FILE`."""
-        return f"replay:{self._path}"
-
-    @property
     def models(self) -> frozenset[str]:
         """Names of the models that answered when the cassette was recorded."""
         return frozenset(self._models)
@@ -160,18 +162,6 @@ class ReplayModel:
     def __len__(self) -> int:
         """Number of recorded attempts."""
         return len(self._offsets)
-
-    def close(self) -> None:
-        """Close the file; the model must not be asked afterwards."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     async def ask(self, call: Call) -> Reply:
         """The recorded answer to this call.

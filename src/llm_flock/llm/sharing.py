@@ -46,14 +46,14 @@ class Rate:
                 raise InputError(field, value, "at least 1, or not given")
 
 
-@dataclass(slots=True, kw_only=True)
-class _PendingCall:
-    """A call under way, and its expected use."""
+@dataclass(slots=True, eq=False)
+class _SentCall:
+    """A call that was sent; tokens and money are those expected until it has ended."""
 
     model: str
     tokens: int
     cost_usd: float
-    logged: list[float]
+    at_s: float
 
 
 class _Traffic:
@@ -64,31 +64,26 @@ class _Traffic:
         self.queue = asyncio.Lock()
         self.under_way = 0
         self._window_s = window_s
-        self._calls: deque[list[float]] = deque()
-        self._tokens = 0.0
+        self._recent: deque[_SentCall] = deque()
 
     def wait_s(self, tokens: int, now: float) -> float:
         """Wait before a call of this size may be sent [s]; infinite until another call ends."""
-        rate = self.rate
+        rate, recent = self.rate, self._recent
         if rate.max_concurrent is not None and self.under_way >= rate.max_concurrent:
             return float("inf")
-        if rate.calls_per_minute is None and rate.tokens_per_minute is None:
-            return 0.0
-        while self._calls and self._calls[0][0] <= now - self._window_s:
-            self._calls.popleft()
-        self._tokens = sum(used for _, used in self._calls) if rate.tokens_per_minute is not None else 0.0
-        full = rate.calls_per_minute is not None and len(self._calls) >= rate.calls_per_minute
+        while recent and recent[0].at_s <= now - self._window_s:
+            recent.popleft()
+        full = rate.calls_per_minute is not None and len(recent) >= rate.calls_per_minute
+        if not full and rate.tokens_per_minute is not None:
+            full = sum(call.tokens for call in recent) + tokens > rate.tokens_per_minute
         # A call larger than the whole limit may go when no other one counts.
-        many = rate.tokens_per_minute is not None and self._tokens + tokens > rate.tokens_per_minute
-        return self._calls[0][0] + self._window_s - now if self._calls and (full or many) else 0.0
+        return recent[0].at_s + self._window_s - now if recent and full else 0.0
 
-    def log(self, tokens: int, now: float) -> list[float]:
-        """Count a call as sent; its entry is (time, tokens), the tokens to be corrected after the answer."""
+    def sent(self, call: _SentCall) -> None:
+        """Count a call."""
         self.under_way += 1
-        entry = [now, float(tokens)]
         if self.rate.calls_per_minute is not None or self.rate.tokens_per_minute is not None:
-            self._calls.append(entry)
-        return entry
+            self._recent.append(call)
 
 
 class SharedGate:
@@ -125,7 +120,7 @@ class SharedGate:
             self._traffic[provider] = _Traffic(rate, window_s)
         self._changed = asyncio.Event()
         self._tickets = itertools.count()
-        self._under_way: dict[int, _PendingCall] = {}
+        self._under_way: dict[int, _SentCall] = {}
         self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
 
     async def enter(self, model: str, call: Call, *, again: bool) -> int:
@@ -147,8 +142,8 @@ class SharedGate:
                     async with asyncio.timeout(None if wait == float("inf") else wait):
                         await self._changed.wait()
             ticket = next(self._tickets)
-            logged = traffic.log(tokens, self._clock())
-            self._under_way[ticket] = _PendingCall(model=model, tokens=tokens, cost_usd=cost, logged=logged)
+            self._under_way[ticket] = call = _SentCall(model, tokens, cost, self._clock())
+            traffic.sent(call)
             if not again:
                 self.spent += Spent(calls=1)
         return ticket
@@ -160,13 +155,13 @@ class SharedGate:
 
     def leave_with(self, ticket: int, usage: Usage | None, cost: float | None) -> None:
         """As `leave`, with the tokens and the price of the call; None for a failed one."""
-        found = self._under_way.pop(ticket)
-        self._traffic[found.model.partition(":")[0]].under_way -= 1
+        call = self._under_way.pop(ticket)
+        self._traffic[call.model.partition(":")[0]].under_way -= 1
         if usage is not None:
-            found.logged[1] = float(usage.total)
+            call.tokens = usage.total
             self.spent += Spent(tokens=usage.total, cost_usd=cost or 0.0)
-            calls, output, paid = self._answers[found.model]
-            self._answers[found.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
+            calls, output, paid = self._answers[call.model]
+            self._answers[call.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
         self._changed.set()
 
     def told_of(self, elsewhere: Spent) -> None:

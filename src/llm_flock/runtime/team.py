@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from llm_flock.llm.fallback import FallbackPlanner
 from llm_flock.llm.frame import trained_for
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights

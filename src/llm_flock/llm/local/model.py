@@ -88,15 +88,10 @@ class LocalModel:
         if settings.reasoning is not None:
             raise InputError("reasoning_effort", settings.reasoning, f"nothing with {name}, which has no such setting")
         self.weights = find_weights(name.partition(":")[2])
-        self._name = name
+        self.name = name
         self._leases = leases
         self._clock = clock
         self._settings: dict[str, Any] = {"temperature": TEMPERATURE, **settings.plain()}
-
-    @property
-    def name(self) -> str:
-        """`local:...`, as configured."""
-        return self._name
 
     async def ask(self, call: Call) -> Reply:
         """Answer one call, in the form that it asks for.
@@ -114,7 +109,7 @@ class LocalModel:
             stop.set()  # a caller that gives up frees the slot
         return Reply(
             text=answer.text,
-            model=self._name,
+            model=self.name,
             settings=self._settings,
             usage=answer.usage,
             cost_usd=0.0,
