@@ -90,7 +90,7 @@ def draw_mission(rng: np.random.Generator, split: Split, teams: Sequence[tuple[s
 
 
 def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
-    """Draw a robot on its way to its place, with or without others around it."""
+    """Draw a robot heading for its place, with or without others around it."""
     assert mission.ideal is not None, "only shapes whose points are known are drawn"
     slot = int(rng.integers(mission.n_places))
     goal = mission.ideal[slot]
@@ -119,10 +119,10 @@ def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
 
 def best_step(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
     """The straight step to the goal in the frame of the prompt, rounded as in an answer."""
-    told = asked.framed
-    mission = told.mission.model_copy(update={"max_step": REACH * told.mission.max_step})
-    question = replace(told, mission=mission, horizon=min(told.horizon, LONGEST_PATH))
-    answer = asyncio.run(GeometryPlanner(told.robot).step(question))
+    framed = asked.framed
+    mission = framed.mission.model_copy(update={"max_step": REACH * framed.mission.max_step})
+    question = replace(framed, mission=mission, horizon=min(framed.horizon, LONGEST_PATH))
+    answer = asyncio.run(GeometryPlanner(framed.robot).step(question))
     assert isinstance(answer, StepAnswer), "there is always a straight step"
     return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
 

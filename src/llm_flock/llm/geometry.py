@@ -27,7 +27,7 @@ TURNS = 72
 
 
 class GeometryPlanner:
-    """A `Planner` that knows the shape: the ideal points in some orientation, and the straight way to the goal.
+    """A `Planner` that knows the shape: the ideal points in some orientation, and straight steps to the goal.
 
     Args:
         robot: id of the robot.

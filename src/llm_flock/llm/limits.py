@@ -1,4 +1,4 @@
-"""What stands between the robots of one run and a provider: a queue, time-outs, retries and a budget."""
+"""Queue, time-outs, retries and budget between the robots of one run and a provider."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RetryPolicy:
     """When to try again after a fault.
 
     The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
-    most longest_wait_s: robots that were all turned away at once do not come back all at once. A wait that the
+    most longest_wait_s: robots that were turned away together do not return together. A wait that the
     provider asks for by Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
 
     Attributes:
@@ -193,7 +193,7 @@ class Gate(Protocol):
 
 @dataclass(slots=True, kw_only=True)
 class Limits:
-    """What all models of one run share. Build one for each run, in the thread of its event loop.
+    """Limits that all models of one run share. Build one for each run, in the thread of its event loop.
 
     Attributes:
         rng: chance for the jitter of waits.

@@ -131,7 +131,7 @@ class LanguagePlanner:
         self._max_retries = max_retries
         self._kept = history
         if frame == "own" and self._kept != 0:
-            raise InputError("frame", frame, "world where history is kept: every question has an own frame of its own")
+            raise InputError("frame", frame, "world where history is kept: every question has its own frame otherwise")
         self._frame: FrameName = frame
         self._json = answers == "json"
         self._on_attempt = on_attempt

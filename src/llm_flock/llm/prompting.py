@@ -106,14 +106,14 @@ class PromptSet:
     _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
 
     @classmethod
-    def named(cls, words: str | None, *, json: bool = False) -> Self:
+    def named(cls, prompts: str | None, *, json: bool = False) -> Self:
         """A packaged set by its name, or the operator's folder; None is `full`.
 
         Raises:
             InputError: as `load`.
         """
-        words = words or "full"
-        return cls.load(packaged=words, json=json) if words in PACKAGED else cls.load(Path(words), json=json)
+        prompts = prompts or "full"
+        return cls.load(packaged=prompts, json=json) if prompts in PACKAGED else cls.load(Path(prompts), json=json)
 
     @classmethod
     def load(cls, directory: Path | None = None, *, packaged: str = "full", json: bool = False) -> Self:

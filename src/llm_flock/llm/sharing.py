@@ -1,4 +1,4 @@
-"""What the runs of a sweep share: one budget, the rates that providers allow, and connections."""
+"""A budget, the rates of providers, and connections that the runs of a sweep share."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WINDOW_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """What a provider allows all runs together; None is without limit.
+    """Limits of a provider for all runs together; None is without limit.
 
     Attributes:
         max_concurrent: calls under way at once.
@@ -206,7 +206,7 @@ class SharedGate:
 
 
 class Lane:
-    """One run's access to what is shared.
+    """One run's access to the shared gate and connections.
 
     Args:
         gate: admits calls; None admits all.
