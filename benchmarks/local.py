@@ -2,7 +2,7 @@
 
 python -m benchmarks local          missions of three and five robots, and how fast the engine is
 python -m benchmarks local-ten      a circle of ten, asked on events only: duration and memory, in an own process
-python -m benchmarks local-table    the same missions with stock weights, with the adapter, and with ideal simulated models
+python -m benchmarks local-table    the same missions: stock weights, the adapter, and ideal simulated models
 """
 
 from __future__ import annotations
