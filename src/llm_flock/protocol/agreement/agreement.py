@@ -6,6 +6,7 @@ of the formation, so the places of a plan stand still in it.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 
 from msgspec.structs import replace
@@ -69,6 +70,7 @@ class Agreement:
         self._sensed: Mapping[int, Point] = {}
         self._knows_blocked = False
         self._occupancy_due = False
+        self._settled: tuple[object, ...] = ()
 
     def sense(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """Take the own believed position and those of sensed robots, by id [units; frame of the mission]."""
@@ -177,22 +179,28 @@ class Agreement:
     def settle(self, heard: list[Message]) -> list[Note]:
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
+        Rules are pure functions, so they are not asked twice in a row with the same arguments.
+
         Args:
             heard: the newest message of each sender, in ascending order of ids, with its plan resolved.
         """
+        arguments = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed, *heard)
+        due = self._occupancy_due or self._all_to_all.collecting
+        if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
+            return []
         own_class = self._validator.plan_class(self.mission, self.plan)
         own = Standing(plan=self.plan, provenance=self.provenance, neighbors=self.neighbors, plan_class=own_class)
-        slot_before = self.claim.slot
+        before = self.claim
         source = self._consensus.choose(own, heard)
         notes = [] if source is None else self._adopt(source, heard)
         if not notes and self.plan is not None:
-            self.claim = self._assignment.update(
-                self.claim, self._assignment_input(self.plan, adopted=True, heard=heard)
-            )
+            claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))
+            self.claim = before if claim == before else claim
         self._occupancy_due = False
+        self._settled = arguments if not notes and self.claim is before and before.offer is None else ()
         if self._all_to_all.large:
             self._unplaced -= {m.sender for m in heard}
             self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not given_all_to_all(m.table, m.slot)}
-        if self.claim.slot != slot_before:
-            notes.append(Note("claimed", {"slot": self.claim.slot, "before": slot_before}))
+        if self.claim.slot != before.slot:
+            notes.append(Note("claimed", {"slot": self.claim.slot, "before": before.slot}))
         return notes

@@ -40,6 +40,11 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
     beats: NDArray[np.int64] | None
     authorization: Authorization | None = None
 
+    @property
+    def repeatable(self) -> bool:
+        """Whether the same payload has nothing more to apply when it is received again in the same round."""
+        return self.authorization is None and self.beats is None and self.message.positions is None
+
 
 class Channel(Protocol):
     """Opens payloads that come in and seals those that go out."""
