@@ -1,13 +1,14 @@
-"""Grammars that hold a model on board to the form of an answer, in llama.cpp's GBNF.
+"""The form of an answer for models that can be held to it: a JSON schema, or a grammar in llama.cpp's GBNF.
 
-A grammar says how an answer is written, never what is right: whatever it lets through is read and verified like any
-other answer. It is made from the number of places, of coordinates and of positions that a question asks for.
+Both say how an answer is written, never what is right: every answer is read and verified. They are made from the number
+of places, of coordinates and of positions that a question asks for.
 """
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
+from typing import Any
 
 from llm_flock.llm.port import AnswerForm, Kind
 
@@ -15,26 +16,34 @@ WHOLE_DIGITS = 6
 """Most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`."""
 
 DECIMALS = 4
-"""Most digits after it: a model that has lost its way must not write a number without end."""
+"""Most digits after it: a confused model must not write a number without end."""
 
 REASON_LINES = 3
 REASON_CHARS = 200
-"""A reason has so many lines of so many characters at most."""
+"""Longest reason: lines, and characters of each."""
 
 CHARS_PER_TOKEN = 3
-"""Of prose; a digit or a bracket is a token of its own."""
+"""In prose; each digit and bracket is one token."""
 
 _PROSE = re.compile(r"[A-Za-z\s]")
 
 
+def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
+    """JSON schema of an answer in this form, for providers that accept one."""
+    point = {"type": "array", "items": {"type": "number"}, "minItems": form.dim, "maxItems": form.dim}
+    if kind == "plan":
+        points = {"type": "array", "items": point, "minItems": form.n, "maxItems": form.n}
+        properties = {"plan": points, "my_plan": {"type": "integer", "minimum": 0, "maximum": form.n - 1}}
+    elif form.horizon == 1:
+        properties = {"position": point}
+    else:
+        properties = {"path": {"type": "array", "items": point, "minItems": 1, "maxItems": form.horizon}}
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
 @lru_cache(maxsize=256)
 def answer_grammar(kind: Kind, form: AnswerForm) -> str:
-    """The grammar of an answer to one question; `root` is where it begins.
-
-    Args:
-        kind: what is asked.
-        form: what the answer may look like.
-    """
+    """The grammar of an answer in this form; it begins at `root`."""
     number = f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?'
     rules = {
         "answer": _json_answer(kind, form) if form.json else _text_answer(kind, form),
@@ -52,7 +61,7 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
 
 
 def longest_answer(kind: Kind, form: AnswerForm) -> int:
-    """Tokens that the longest answer of a grammar takes at most."""
+    """Upper bound of the length of an answer in this form [tokens]."""
     points = form.n if kind == "plan" else form.horizon
     number = 1 + WHOLE_DIGITS + 1 + DECIMALS + len(", ")
     reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons and not form.json else 0
@@ -60,7 +69,7 @@ def longest_answer(kind: Kind, form: AnswerForm) -> int:
 
 
 def tokens_of(text: str) -> int:
-    """Tokens that a text takes, about, and rather too many."""
+    """Length of a text, estimated from above [tokens]."""
     prose = len(_PROSE.findall(text))
     return len(text) - prose + prose // CHARS_PER_TOKEN
 

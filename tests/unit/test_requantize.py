@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from gguf_files import MODEL, gguf, write_model
 
-from llm_flock.llm.local import recast as recasting
-from llm_flock.llm.local.gguf import read_head
-from llm_flock.llm.local.recast import F32, Q4_1, Q8_0, cache_folder, can_recast, q8_from_q4, recast
+from llm_flock.llm.local import requantize
+from llm_flock.llm.local.gguf import read_header
+from llm_flock.llm.local.requantize import F32, Q4_1, Q8_0, cache_folder, q8_from_q4, requantized
 from llm_flock.llm.local.weights import Weights
 
 SIZES = {"norm": (32,), "matrix": (64, 3), "table": (32, 2)}
@@ -74,58 +74,57 @@ def test_the_numbers_stay_what_they_were():
 
 def test_a_file_is_made_once_and_the_rest_of_it_stays(tmp_path, cache):
     source, data = write_small(tmp_path / "m.gguf")
-    head = read_head(source)
-    assert can_recast(head)
-    target = recast(source, head, DIGEST)
+    head = read_header(source)
+    target = requantized(source, head, DIGEST)
     assert target == cache / "m-as-Q8_0-0123456789abcdef.gguf" and [target] == list(cache.iterdir())
-    new = read_head(target)
-    assert new.about == head.about and new.tensors == head.tensors
-    assert {name: place.format for name, place in new.places.items()} == {"norm": F32, "matrix": Q8_0, "table": Q8_0}
+    new = read_header(target)
+    assert new.metadata == head.metadata and new.data_begin == head.data_begin
+    assert {name: tensor.format for name, tensor in new.tensors.items()} == {"norm": F32, "matrix": Q8_0, "table": Q8_0}
     whole = target.read_bytes()
-    begin = -(-new.list_end // 32) * 32
-    parts = {name: whole[begin + place.begin :] for name, place in new.places.items()}
-    assert all(place.begin % 32 == 0 for place in new.places.values())
+    parts = {name: whole[new.data_begin + tensor.offset :] for name, tensor in new.tensors.items()}
+    assert all(tensor.offset % 32 == 0 for tensor in new.tensors.values())
+    assert {name: tensor.shape for name, tensor in new.tensors.items()} == SIZES
     assert parts["norm"].startswith(data["norm"]) and parts["table"].startswith(data["table"])
     matrix = q8_from_q4(np.frombuffer(data["matrix"], np.uint8).reshape(-1, 20)).tobytes()
     assert parts["matrix"].startswith(matrix)
     made = target.stat().st_mtime_ns
-    assert recast(source, head, DIGEST) == target and target.stat().st_mtime_ns == made
+    assert requantized(source, head, DIGEST) == target and target.stat().st_mtime_ns == made
     target.write_bytes(whole[:-1])
-    assert recast(source, head, DIGEST).read_bytes() == whole, "what somebody cut short is made again"
+    assert requantized(source, head, DIGEST).read_bytes() == whole, "what somebody cut short is made again"
 
 
 def test_what_cannot_be_kept_is_read_as_it_is(tmp_path, monkeypatch, caplog, cache):
     source, _ = write_small(tmp_path / "m.gguf")
     cache.parent.write_text("no folder")
-    assert recast(source, read_head(source), DIGEST) == source
+    assert requantized(source, read_header(source), DIGEST) == source
     assert "m.gguf is read as it is, slowly" in caplog.text
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "full"))
-    monkeypatch.setattr(recasting, "_parts", full)
-    assert recast(source, read_head(source), DIGEST) == source
+    monkeypatch.setattr(requantize, "_parts", full)
+    assert requantized(source, read_header(source), DIGEST) == source
     assert list((tmp_path / "full" / "llm-flock").iterdir()) == [], "nothing half done stays behind"
 
 
 def test_files_without_the_slow_format_or_with_another_stay(tmp_path, cache):
     plain = write_model(tmp_path / "plain.gguf")
-    assert recast(plain, read_head(plain), DIGEST) == plain and not cache.exists()
+    assert requantized(plain, read_header(plain), DIGEST) == plain and not cache.exists()
     strange = tmp_path / "strange.gguf"
     strange.write_bytes(gguf(MODEL, {"a": (32,), "b": (32,)}, places={"a": (Q4_1, 0), "b": (14, 32)}))
-    assert not can_recast(read_head(strange))
+    assert requantized(strange, read_header(strange), DIGEST) == strange and not cache.exists()
 
 
-def test_only_packaged_weights_are_recast_and_both_files_are_recorded(tmp_path, cache):
+def test_only_packaged_weights_are_requantized_and_both_files_are_recorded(tmp_path, cache):
     source, _ = write_small(tmp_path / "m.gguf")
     own = Weights(source)
-    assert own.loaded() == source and own.versions() == own.digests()
+    assert own.loaded() == (source,) and own.versions() == own.digests()
     packaged = Weights(source, packaged=True)
     digest = packaged.digests()["m.gguf"].removeprefix("sha256:")
-    assert packaged.loaded().name == f"m-as-Q8_0-{digest[:16]}.gguf"
+    assert packaged.loaded()[0].name == f"m-as-Q8_0-{digest[:16]}.gguf"
     assert list(packaged.digests()) == ["m.gguf"]
-    assert list(packaged.versions()) == ["m.gguf", packaged.loaded().name]
+    assert list(packaged.versions()) == ["m.gguf", packaged.loaded()[0].name]
 
 
 def test_the_cache_is_where_the_system_says(monkeypatch, tmp_path):

@@ -1,4 +1,4 @@
-"""What a simulated model reads: the numbers and words of the packaged prompts, and nothing else."""
+"""Read the packaged prompts: all that a simulated model knows comes from here."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What the system message says.
+    """The content of the system message.
 
     Attributes:
         shape: the shape in words.
-        n_places: number of places: one for each robot, where nothing else is said.
+        n_places: number of places; one for each robot unless stated.
         center: centre of the shape [units].
         spacing: distance between neighbouring places [units].
         max_step: longest step [units].
@@ -54,7 +54,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanPrompt:
-    """What the plan message says: whose plan it is, and whether it is to be JSON."""
+    """The content of the plan message: the robot's id, and whether the answer is to be JSON."""
 
     robot: int
     json: bool
@@ -62,14 +62,14 @@ class PlanPrompt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepPrompt:
-    """What the position update says.
+    """The content of the position update.
 
     Attributes:
         position: own position [units].
         goal: own goal [units].
         goal_text: the goal as it was written.
-        neighbors: where the other robots are said to be, not yet read.
-        horizon: so many positions may be given; with 1 no path is asked for.
+        neighbors: positions of the other robots, as text.
+        horizon: longest path; 1 asks for a single position.
         json: whether the answer is to be JSON.
     """
 
@@ -81,7 +81,7 @@ class StepPrompt:
     json: bool
 
     def seen(self) -> list[Point]:
-        """Positions of the other robots."""
+        """Read the positions of the other robots."""
         dim, values = len(self.position), numbers(self.neighbors)
         return [values[i : i + dim] for i in range(0, len(values), dim)]
 
@@ -93,7 +93,7 @@ def numbers(text: str) -> Point:
 
 @lru_cache(maxsize=64)
 def sensible_decimals(length: float) -> int:
-    """Two, as models answer, and more where lengths are shorter than one unit."""
+    """Decimals of stated numbers: two, and more where lengths are below one unit."""
     return max(2, 2 - math.floor(math.log10(length)))
 
 
@@ -102,7 +102,7 @@ def read_task(system: str) -> Task:
     """Read the system message.
 
     Raises:
-        InputError: for field `prompts`: it does not say the task in the packaged words.
+        InputError: for field `prompts`: it is not in the words of the packaged template.
     """
     team, lines = _PLACES.search(system) or _TEAM.search(system), dict(_LINE.findall(system))
     center = numbers(lines.get("Centre of the shape", ""))
@@ -116,7 +116,7 @@ def read_plan(text: str) -> PlanPrompt:
     """Read the plan message.
 
     Raises:
-        InputError: for field `prompts`: it does not give the robot's id in the packaged words.
+        InputError: for field `prompts`: it is not in the words of the packaged template.
     """
     robot = _ROBOT.search(text)
     if robot is None:
@@ -125,10 +125,10 @@ def read_plan(text: str) -> PlanPrompt:
 
 
 def read_step(text: str) -> StepPrompt:
-    """Read the position update; a long plan in it is passed over.
+    """Read the position update, without the plan in it.
 
     Raises:
-        InputError: for field `prompts`: it does not give position and goal in the packaged words.
+        InputError: for field `prompts`: it is not in the words of the packaged template.
     """
     position = numbers(_line_after(text, STEP_MARK))
     goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
@@ -147,10 +147,10 @@ def read_step(text: str) -> StepPrompt:
 
 
 def check_prompts(prompts: PromptSet, mission: Mission) -> None:
-    """Read the prompts of a sample question, before a run is begun with them.
+    """Read the prompts of sample questions. Call before a run with simulated models.
 
     Raises:
-        InputError: for field `prompts`: a template is in words that simulated models do not understand.
+        InputError: for field `prompts`: a template is not in the packaged words.
     """
     read_task(prompts.system(mission))
     here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
@@ -160,7 +160,7 @@ def check_prompts(prompts: PromptSet, mission: Mission) -> None:
 
 
 def _line_after(text: str, mark: str) -> str:
-    """What follows a mark on its line, "" where there is no such mark."""
+    """The rest of the line after a mark, empty without the mark."""
     begin = text.find(mark)
     if begin < 0:
         return ""
@@ -177,7 +177,7 @@ def _other_words(template: str, text: str) -> InputError:
 def formation(task: Task) -> Points:
     """Ideal points of the task's shape, shape (n, d) [units]; do not change them.
 
-    A shape that is only described in words becomes a circle: that is all a stand-in can imagine.
+    A shape that is only described in words becomes a circle.
     """
     center, n = task.center, task.n_places
     if _GIVEN in task.shape:
@@ -195,7 +195,7 @@ def formation(task: Task) -> Points:
 
 
 def _spec(words: str) -> str:
-    """The named shape that is described by these words."""
+    """The named shape that has this description."""
     polygon = _POLYGON.match(words)
     if polygon is not None:
         return f"polygon:{polygon[1]}"

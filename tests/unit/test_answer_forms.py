@@ -3,10 +3,10 @@
 import re
 
 import pytest
+from answer_readers import parse_path_json, parse_plan, parse_plan_json, parse_step_json
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.llm import answers as read
-from llm_flock.llm.grammar import REASON_LINES, answer_grammar, longest_answer, tokens_of
+from llm_flock.llm.answer_forms import REASON_LINES, answer_grammar, longest_answer, tokens_of
 from llm_flock.llm.port import AnswerForm
 
 _TOKEN = re.compile(r'"(?P<literal>(?:[^"\\]|\\.)*)"|(?P<set>\[(?:[^\]\\]|\\.)*\])|(?P<name>[a-z]+)|(?P<rest>\S|\s)')
@@ -43,7 +43,7 @@ PLAN = "Plan: [[1, 2.5], [-3.25, 4], [0.1234, 999999]]\nmy plan: 2"
 def test_a_plan_has_as_many_places_as_are_asked_for():
     three = AnswerForm(n=3, dim=2)
     assert accepts("plan", three, PLAN)
-    assert read.parse_plan(PLAN, 3, 2)[1] == 2
+    assert parse_plan(PLAN, 3, 2)[1] == 2
     assert not accepts("plan", AnswerForm(n=4, dim=2), PLAN)
     assert not accepts("plan", AnswerForm(n=3, dim=3), PLAN)
     assert not accepts("plan", three, PLAN.replace("plan: 2", "plan: 3"))
@@ -79,14 +79,14 @@ def test_a_step_is_one_position_and_a_path_as_many_as_fit_the_horizon():
             "plan",
             AnswerForm(n=2, dim=2, json=True),
             '{"plan": [[1, 2], [3, 4]], "my_plan": 1}',
-            lambda text: read.parse_plan_json(text, 2, 2),
+            lambda text: parse_plan_json(text, 2, 2),
         ),
-        ("step", AnswerForm(n=2, dim=2, json=True), '{"position": [1, 2]}', lambda t: read.parse_step_json(t, 2)),
+        ("step", AnswerForm(n=2, dim=2, json=True), '{"position": [1, 2]}', lambda t: parse_step_json(t, 2)),
         (
             "step",
             AnswerForm(n=2, dim=3, horizon=2, json=True),
             '{"path": [[1, 2, 3], [4, 5, 6]]}',
-            lambda text: read.parse_path_json(text, 2, 3),
+            lambda text: parse_path_json(text, 2, 3),
         ),
     ],
 )

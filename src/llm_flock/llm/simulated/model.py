@@ -1,7 +1,7 @@
-"""Simulated language models: stand-ins that read nothing but the prompt and answer in prose, or in JSON when asked.
+"""A simulated model in place of a provider's: it reads the prompt, and answers in prose or in JSON.
 
-They stand where a provider's model would, as a `Model` of pydantic-ai; only the words come from here. Whatever
-shows their results says that they are simulated.
+Everything else, from messages to usage, goes through pydantic-ai as with a real one. All results say that they are
+simulated.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from pydantic_ai.usage import RequestUsage
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.llm.geometry import turned
-from llm_flock.llm.profiles import FAILURES, PROFILES, Profile, parse_profile
-from llm_flock.llm.reading import (
+from llm_flock.llm.simulated.profiles import FAILURES, Profile
+from llm_flock.llm.simulated.prompt_reader import (
     PLAN_MARK,
     STEP_MARK,
     PlanPrompt,
@@ -38,46 +38,44 @@ from llm_flock.llm.reading import (
     sensible_decimals,
 )
 
-__all__ = ["PROFILES", "Profile", "Responder", "SimulatedModel", "parse_profile", "simulated_model"]
-
 NOTHING: frozenset[str] = frozenset()
 CHARS_PER_TOKEN = 4
-"""Rule of thumb for tokens, which are only estimated here."""
+"""Tokens are only estimated here."""
 
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
-"""Median [s] and standard deviation of the logarithm of the latency of each profile that only takes its time."""
+"""Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
 
 
 class Responder:
     """One simulated model: text in, text out.
 
     Args:
-        profile: what it gets wrong, and how often.
+        profile: its failures and their rates.
         rng: its chance. The same conversation with the same chance gives the same answers.
     """
 
     def __init__(self, profile: Profile, rng: np.random.Generator) -> None:
-        self._rates = [getattr(profile, name) for name in FAILURES]
+        self._rates = [profile.rates.get(name, 0.0) for name in FAILURES]
         self._always_right = not any(self._rates)
         self._rng = rng
 
     def draw(self) -> frozenset[str]:
-        """The failures that befall the next call."""
+        """Draw the failures of the next call."""
         if self._always_right:
             return NOTHING
         # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
         chance = self._rng.random(len(FAILURES) - 1).tolist()
-        # `brisk`, the last one, came later than the results that others had been measured with: it draws if it is on.
+        # `brisk` was added after published results: it draws only where it is on, so that those stay reproducible.
         chance.append(float(self._rng.random()) if self._rates[-1] else 1.0)
         return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
 
     def latency_s(self, profile: str = "slow") -> float:
-        """How long an answer of a profile in LATENCIES takes [s]."""
+        """Draw the latency of an answer, for a profile in LATENCIES [s]."""
         median, spread = LATENCIES[profile]
         return median * float(self._rng.lognormal(0.0, spread))
 
     def fault(self, model: str, robot: int) -> pai.ModelAPIError:
-        """What a flaky provider raises."""
+        """Draw the error of a flaky provider."""
         match int(self._rng.integers(3)):
             case 0:
                 return pai.ModelRateLimitError(model, f"simulated 429 for robot {robot}", retry_after=0.02)
@@ -91,15 +89,15 @@ class Responder:
 
         Args:
             conversation: (role, text) of each message: `system`, `user` or `assistant`.
-            failures: what befalls this call; drawn where not given.
+            failures: of this call; drawn if left out.
 
         Raises:
-            InputError: for field `prompts`: the question is not asked in the packaged words.
+            InputError: for field `prompts`: the question is not in the words of the packaged templates.
         """
         if failures is None:
             failures = self.draw()
         system = next((text for role, text in conversation if role == "system"), "")
-        # After a rejected answer the question is not the last message.
+        # After a rejected answer, the question is not the last message.
         for role, text in reversed(conversation):
             if role == "user" and STEP_MARK in text:
                 return self._step(read_task(system), read_step(text), failures)
@@ -129,30 +127,31 @@ class Responder:
                     rows[0][0] = math.nan
                 case _:
                     cut = True
-        said = json.dumps({"plan": rows, "my_plan": index}) if prompt.json else f"Plan: {rows}\nmy plan: {index}"
-        if not prompt.json:
+        if prompt.json:
+            said = json.dumps({"plan": rows, "my_plan": index})
+        else:
             said = (
                 f"The shape is {task.shape[:200]}. I put its {task.n_places} places around the centre, "
                 f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
-                f"and take the place with my own number.\n\n{said}"
+                f"and take the place with my own number.\n\nPlan: {rows}\nmy plan: {index}"
             )
         return said[: len(said) * 2 // 3] if cut else said
 
     def _step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> str:
         waypoint, reason, last = self._waypoint(task, prompt, failures)
-        way = [waypoint]
-        while not last and len(way) < prompt.horizon:
-            there = replace(prompt, position=numbers(way[-1]))
+        path = [waypoint]
+        while not last and len(path) < prompt.horizon:
+            there = replace(prompt, position=numbers(path[-1]))
             waypoint, _, last = self._waypoint(task, there, failures)
-            way.append(waypoint)
-        if len(way) > 1:
-            reason += f" In the same way I go on, {len(way)} positions in all."
+            path.append(waypoint)
+        if len(path) > 1:
+            reason += f" In the same way I go on, {len(path)} positions in all."
         if "malformed" in failures:
-            return self._malformed_step(prompt, way)
-        return _stated(prompt, way) if prompt.json else f"{reason}\n\n{_stated(prompt, way)}"
+            return self._malformed_step(prompt, path)
+        return _stated(prompt, path) if prompt.json else f"{reason}\n\n{_stated(prompt, path)}"
 
     def _waypoint(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
-        """The next waypoint, the reason for it, and whether it is where the robot wants to end."""
+        """The next waypoint, the reason for it, and whether the path ends there."""
         if failures:
             return self._faulty_step(task, prompt, failures)
         if math.dist(prompt.position, prompt.goal) <= _reach(task):
@@ -164,8 +163,8 @@ class Responder:
         """A step with a wrong target, of a wrong length, or both."""
         target, reason = prompt.goal, "I head for my goal"
         if "collapse" in failures:
-            everybody = [prompt.position, *prompt.seen()]
-            target = tuple(sum(values) / len(everybody) for values in zip(*everybody, strict=True))
+            seen = [prompt.position, *prompt.seen()]
+            target = tuple(sum(values) / len(seen) for values in zip(*seen, strict=True))
             reason = "I keep to the middle of the robots around me"
         distance = math.dist(prompt.position, target)
         if "overshoot" in failures:
@@ -180,8 +179,8 @@ class Responder:
             return exact, reason + ".", True
         return repr(list(_towards(target, task, prompt))), reason + ".", distance <= _reach(task)
 
-    def _malformed_step(self, prompt: StepPrompt, way: list[str]) -> str:
-        *before, waypoint = way
+    def _malformed_step(self, prompt: StepPrompt, path: list[str]) -> str:
+        *before, waypoint = path
         match int(self._rng.integers(5)):
             case 0:
                 return "It depends on what the others are going to do; I will wait and see."
@@ -190,21 +189,21 @@ class Responder:
             case 2:
                 return _stated(prompt, [*before, "[NaN, " + waypoint.partition(", ")[2]])
             case 3:
-                return _stated(prompt, way)[: len(waypoint)]
+                return _stated(prompt, path)[: len(waypoint)]
             case _:
                 return _stated(prompt, [*before, waypoint[:-1] + " + 0.5]"])
 
 
-def _stated(prompt: StepPrompt, way: Sequence[str]) -> str:
-    """Waypoints in the form that was asked for."""
+def _stated(prompt: StepPrompt, path: Sequence[str]) -> str:
+    """Waypoints in the form that the prompt asks for."""
     if prompt.horizon == 1:
-        return f'{{"position": {way[0]}}}' if prompt.json else f"Position: {way[0]}"
-    rows = ", ".join(way)
+        return f'{{"position": {path[0]}}}' if prompt.json else f"Position: {path[0]}"
+    rows = ", ".join(path)
     return f'{{"path": [{rows}]}}' if prompt.json else f"Path: [{rows}]"
 
 
 def _reach(task: Task) -> float:
-    """How far a step may be said to go, so that rounding of the printed position cannot carry it over the limit."""
+    """Longest stated step: the step limit less what rounding of the printed position may add."""
     return task.max_step - max(1e-6, 10.0 ** -(sensible_decimals(task.max_step) + 1))
 
 
@@ -219,21 +218,28 @@ def _towards(target: Point, task: Task, prompt: StepPrompt) -> Point:
 
 
 class SimulatedModel(Model[None]):
-    """A simulated model as pydantic-ai sees any other.
+    """A simulated model as a model of pydantic-ai.
 
     Args:
-        name: `simulated:PROFILE`.
-        robot: whose model it is, for error texts; the model itself learns that from the prompt only.
-        responder: finds the words.
-        sleep: waits that many seconds.
+        profile: its failures and their rates.
+        robot: its robot, for error texts; the model itself reads the id in the prompt.
+        rng: its chance.
+        sleep: waits for a number of seconds.
     """
 
-    def __init__(self, name: str, robot: int, responder: Responder, sleep: Callable[[float], Awaitable[None]]) -> None:
-        # Asked for JSON as a provider is that knows JSON schemas.
+    def __init__(
+        self,
+        profile: Profile,
+        robot: int,
+        rng: np.random.Generator,
+        *,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        # JSON is asked for as from a provider that knows JSON schemas.
         super().__init__(profile=ModelProfile(supports_json_schema_output=True, supports_json_object_output=True))
-        self._name = name
+        self._name = f"simulated:{profile.text}"
         self._robot = robot
-        self._responder = responder
+        self._responder = Responder(profile, rng)
         self._sleep = sleep
 
     @property
@@ -243,7 +249,7 @@ class SimulatedModel(Model[None]):
 
     @property
     def system(self) -> str:
-        """Who stands behind the model: nobody."""
+        """Stands for the provider."""
         return "simulated"
 
     async def request(
@@ -264,24 +270,6 @@ class SimulatedModel(Model[None]):
             input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
         )
         return ModelResponse(parts=[TextPart(text)], usage=usage, model_name=self._name)
-
-
-def simulated_model(
-    profile: Profile,
-    robot: int,
-    rng: np.random.Generator,
-    *,
-    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-) -> SimulatedModel:
-    """A simulated model named `simulated:PROFILE`.
-
-    Args:
-        profile: what it gets wrong, and how often.
-        robot: whose model it is.
-        rng: its chance.
-        sleep: waits that many seconds.
-    """
-    return SimulatedModel(f"simulated:{profile.text}", robot, Responder(profile, rng), sleep)
 
 
 def _tokens(chars: int) -> int:

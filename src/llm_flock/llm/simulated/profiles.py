@@ -1,10 +1,10 @@
-"""What a simulated model gets wrong, and how often: `distorted@0.3,overshoot@0.3`."""
+"""Failures of a simulated model and their rates: `distorted@0.3,overshoot@0.3`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 
 from llm_flock.errors import InputError
 
@@ -18,31 +18,25 @@ PROFILES: Mapping[str, str] = {
     "flaky": "the call fails as a provider's would: 429 with Retry-After, 500 or a time-out",
     "brisk": "no answer is wrong, but it takes a moment (log-normal, median 0.3 s, spread factor 1.8)",
 }
-"""Every profile, and what it gets wrong."""
+"""Every profile, and its failure."""
+
+
+FAILURES = tuple(name for name in PROFILES if name != "ideal")
+"""The failures, in the order in which chance decides on them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """Share of calls, in [0, 1], that each failure befalls; `text` is how the operator wrote it."""
+    """Share of calls, in [0, 1], that each failure affects, 0 where not given; `text` is the operator's spelling."""
 
     text: str = "ideal"
-    distorted: float = 0.0
-    overshoot: float = 0.0
-    collapse: float = 0.0
-    malformed: float = 0.0
-    slow: float = 0.0
-    flaky: float = 0.0
-    brisk: float = 0.0
-
-
-FAILURES = tuple(field.name for field in fields(Profile) if field.name != "text")
-"""The failures, in the order in which chance decides on them."""
+    rates: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 def parse_profile(text: str) -> Profile:
     """Read profiles separated by commas, each with an optional rate: `overshoot`, `distorted@0.3,slow@0.5`.
 
-    A rate is the share of calls; without one it is 1. `ideal` adds nothing to the others and takes no rate.
+    A rate is a share of calls, 1 if left out. `ideal` adds nothing to the others and takes no rate.
 
     Raises:
         InputError: for field `model`: unknown or repeated profile, or a rate outside [0, 1].
@@ -58,7 +52,7 @@ def parse_profile(text: str) -> Profile:
             raise InputError("model", f"simulated:{text}", "ideal without a rate")
         rates[name] = _rate(text, name, rate) if at else 1.0
     rates.pop("ideal", None)
-    return Profile(text=text, **rates)
+    return Profile(text=text, rates=rates)
 
 
 def _rate(text: str, name: str, rate: str) -> float:
