@@ -17,9 +17,9 @@ from llm_flock.arrays import Point, Vector
 from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 
