@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from llm_flock import formations
+from llm_flock import formations, renamed
 from llm_flock.arrays import Point, Vector
 from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import find_weights
@@ -123,8 +123,12 @@ def _waits(model: str) -> bool:
 
 
 def trial_id(config: RunConfig) -> str:
-    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
-    plain = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights.
+
+    Renamed settings count under their old names, so that a sweep that was started before goes on.
+    """
+    sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    plain = {name: renamed.former(section) for name, section in sections.items()}
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
     for model in models_of(config):
