@@ -19,7 +19,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from sample_records import FakeRun, llm_entry, make_record
 
-from llm_flock.record.schema import LlmEntry, ProtocolEvent, RunInfo
+from llm_flock.record.schema import Entry, LlmEntry, ProtocolEvent, RunInfo, SummaryMessage
 from llm_flock.record.writer import RecordWriter
 
 HOSTILE = (
@@ -230,26 +230,24 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
         class Hostile:
             """Puts hostile words wherever a model or a peer can put any."""
 
-            def __getattr__(self, name: str) -> object:
-                return getattr(writer, name)
+            def write(self, entry: Entry) -> None:
+                writer.write(self.changed(entry))
 
-            def run(self, info: RunInfo) -> None:
-                writer.run(info.model_copy(update={"config": {"model": {"model": HOSTILE}}}))
-
-            def llm(self, entry: LlmEntry) -> None:
+            def changed(self, entry: Entry) -> Entry:
+                if isinstance(entry, RunInfo):
+                    return entry.model_copy(update={"config": {"model": {"model": HOSTILE}}})
+                if isinstance(entry, ProtocolEvent):
+                    return entry.model_copy(update={"kind": "rejected_message", "detail": {"detail": HOSTILE}})
+                if not isinstance(entry, LlmEntry):
+                    return entry
                 changes: dict[str, Any] = {"text": HOSTILE, "rejected": HOSTILE, "parsed": None, "model": HOSTILE}
                 if entry.robot == 1:
                     changes = {"text": None, "error": HOSTILE, "parsed": None, "faults": [HOSTILE]}
                 if entry.robot == 2:
                     changes = {"text": HOSTILE, "parsed": {"waypoint": HOSTILE}, "kind": HOSTILE}
-                writer.llm(
-                    llm_entry(entry.round, entry.robot, messages=[{"role": HOSTILE, "text": HOSTILE}], **changes)
-                )
+                return llm_entry(entry.round, entry.robot, messages=[{"role": HOSTILE, "text": HOSTILE}], **changes)
 
-            def event(self, event: ProtocolEvent) -> None:
-                writer.event(event.model_copy(update={"kind": "rejected_message", "detail": {"detail": HOSTILE}}))
-
-        fake.write(Hostile())  # pyright: ignore[reportArgumentType]
+        fake.write(Hostile())
     with viewer(tmp_path, folder.name) as url, page_at(browser, url) as page:
         ready(page)
         page.keyboard.press("ArrowRight")
@@ -290,7 +288,7 @@ def test_a_record_is_followed_while_it_is_written(tmp_path: Path, browser: Brows
         expect(page.locator(".flock-where")).to_have_text("round 13 of 15")
         page.keyboard.press("End")
         expect(page.locator(".flock-where")).to_have_text("round 15 of 15")
-        writer.summary({"formed": False, "stopped": "rounds"})
+        writer.write(SummaryMessage(result={"formed": False, "stopped": "rounds"}))
         writer.close()
         expect(page.locator(".flock-state")).to_have_text("not formed (rounds)")
 

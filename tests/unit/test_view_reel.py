@@ -9,10 +9,10 @@ from sample_records import FakeRun, llm_entry, make_record
 
 from llm_flock.errors import InputError
 from llm_flock.record.schema import BodySample, FlightEvent, ProtocolEvent, RoundEnd
-from llm_flock.record.tail import RecordTail
+from llm_flock.record.stream import RecordStream
 from llm_flock.record.words import understood, verdict
 from llm_flock.record.writer import RecordWriter
-from llm_flock.viewer.gallery import Gallery, feed, play
+from llm_flock.viewer.gallery import Gallery, play
 from llm_flock.viewer.mind import claims, provenance
 from llm_flock.viewer.named import newest_in, records_in, title_of
 from llm_flock.viewer.reel import Reel
@@ -44,8 +44,8 @@ def test_a_record_is_shown_whole(tmp_path: Path) -> None:
 def test_a_growing_record_is_read_in_whole_messages(tmp_path: Path) -> None:
     whole = make_record(tmp_path / "whole.mcap", n=3, rounds=3).read_bytes()
     growing = tmp_path / "growing.mcap"
-    tail = RecordTail(growing)
-    assert list(tail.new()) == []
+    stream = RecordStream(growing)
+    assert list(stream.entries()) == []
     rounds: list[int] = []
     written = 0
     with growing.open("wb") as file:
@@ -53,9 +53,9 @@ def test_a_growing_record_is_read_in_whole_messages(tmp_path: Path) -> None:
             file.write(whole[written:end])
             file.flush()
             written = end
-            rounds += [entry.round for entry in tail.new() if isinstance(entry, RoundEnd)]
-    assert rounds == [0, 1, 2, 3] and tail.ended
-    assert list(tail.new()) == []
+            rounds += [entry.round for entry in stream.entries() if isinstance(entry, RoundEnd)]
+    assert rounds == [0, 1, 2, 3] and stream.ended
+    assert list(stream.entries()) == []
 
 
 def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:
     plan = reel.states[3].plan_ids[0]
     for number, robot, kind, source in ((1, 0, "proposed", None), (2, 1, "adopted", 0), (3, 2, "adopted", 1)):
         detail = {"plan": plan, "slot": 0} if source is None else {"plan": plan, "from": source}
-        reel.event(ProtocolEvent(round=number, comm_round=0, robot=robot, kind=kind, detail=detail))
+        reel.write(ProtocolEvent(round=number, comm_round=0, robot=robot, kind=kind, detail=detail))
     assert [(step.robot, step.source, step.round) for step in provenance(reel, 2, 3)] == [
         (0, None, 1),
         (1, 0, 2),
@@ -138,7 +138,7 @@ def test_a_live_reel_shows_no_half_round(tmp_path: Path) -> None:
         fake = FakeRun(n=2, rounds=3)
         fake.rounds = 1
         fake.write(writer, finish=False)
-        writer.event(ProtocolEvent(round=2, comm_round=0, robot=0, kind="killed", detail={}))
+        writer.write(ProtocolEvent(round=2, comm_round=0, robot=0, kind="killed", detail={}))
         reel = replayed(tmp_path / "run.mcap")
     assert reel.rounds == 1 and "2" not in reel.news(0, 0, 0)["marks"]
 
@@ -146,8 +146,8 @@ def test_a_live_reel_shows_no_half_round(tmp_path: Path) -> None:
 def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_path: Path) -> None:
     reel = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=3))
     row = [[0.0, 0.0, 1.0]]
-    feed(reel, BodySample(round=2, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[3.9], link=[1.0]))
+    reel.write(BodySample(round=2, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[3.9], link=[1.0]))
     for robot, kind in ((1, "aloft"), (1, "link_lost"), (None, "abort")):
-        feed(reel, FlightEvent(round=2, time_s=1.0, kind=kind, robot=robot, detail={}))
+        reel.write(FlightEvent(round=2, time_s=1.0, kind=kind, robot=robot, detail={}))
     assert reel.news(0, 0, 0)["marks"]["2"]["faults"] == 2
     assert [event.kind for event in reel.events(2) if event.robot == 1][-2:] == ["aloft", "link_lost"]

@@ -14,8 +14,7 @@ from llm_flock.experiments.sweep_file import KeepRecords, TrialSpec
 from llm_flock.experiments.tables import ROUNDS
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.sharing import Lane
-from llm_flock.record.schema import MetricsRow
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
 from llm_flock.runtime.trial import Progress
@@ -35,19 +34,18 @@ class Flown:
 
 
 @dataclass
-class _Book(NullWriter):
-    """Keeps what the tables need: the figures of each round, and of the whole."""
+class _Measurements:
+    """Takes from a record what the tables need: the measurements of each round, and the result."""
 
     rows: list[MetricsRow] = field(default_factory=list[MetricsRow])
     result: Mapping[str, Any] | None = None
 
-    def metrics(self, row: MetricsRow) -> None:
-        """The figures of one round."""
-        self.rows.append(row)
-
-    def summary(self, result: Mapping[str, Any]) -> None:
-        """What the run reports, also where it broke off."""
-        self.result = result
+    def write(self, entry: Entry) -> None:
+        """Keep what is needed of an entry."""
+        if isinstance(entry, MetricsRow):
+            self.rows.append(entry)
+        elif isinstance(entry, SummaryMessage):
+            self.result = entry.result
 
 
 async def fly(
@@ -75,12 +73,12 @@ async def fly(
     shutil.rmtree(scratch, ignore_errors=True)
     out = None if keep == "none" else str(scratch)
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
-    book, broken = _Book(), None
+    found, broken = _Measurements(), None
     try:
-        await run_async(config=config, sink=book, lane=lane, on_round=on_round)
+        await run_async(config=config, sink=found, lane=lane, on_round=on_round)
     except Exception as error:  # noqa: BLE001 - nothing is swallowed: it is stored, counted and shown
         broken = f"{type(error).__name__}: {error}"
-    summary = None if book.result is None else {**book.result, "record": None}
+    summary = None if found.result is None else {**found.result, "record": None}
     formed = summary is not None and summary["formed"] and broken is None
     record = scratch / RECORD_NAME
     kept = record if record.exists() and (keep == "all" or not formed) else None
@@ -90,7 +88,7 @@ async def fly(
         axes=dict(spec.axes),
         config=spec.config.model_dump(mode="json"),
         summary=summary,
-        rounds=round_columns(book.rows),
+        rounds=round_columns(found.rows),
         error=broken,
         cut=broken is None and lane.cut and summary is not None and summary["stopped"] == "budget",
         simulated=any(parse_model(model).kind == "simulated" for model in spec.models)

@@ -201,7 +201,7 @@ class RoundEnd(Entry):
     round: int = Field(description="The round that is complete")
 
 
-class Summary(Entry):
+class SummaryMessage(Entry, title="Summary"):
     """What the run reports. Written at a clean end only, also after an interruption."""
 
     result: dict[str, Any] = Field(description="The figures of the run, as `llm-flock run --json` prints them")
@@ -218,7 +218,7 @@ CHANNELS: dict[str, type[Entry]] = {
     "/body": BodySample,
     "/flight": FlightEvent,
     "/round": RoundEnd,
-    "/summary": Summary,
+    "/summary": SummaryMessage,
 }
 """Model of every channel but `/scene`, whose messages are of Foxglove's making."""
 

@@ -168,7 +168,7 @@ def open_books(
         )
         thinkers.listen(journal.attempt)
         if path is not None:  # a record says where it came from; asking git takes longer than many a round
-            writer.run(_run_info(config, thinkers))
+            writer.write(_run_info(config, thinkers))
         yield journal, None if path is None else str(path)
 
 

@@ -36,7 +36,7 @@ class Swarm:
             self.reel.close()
 
     async def _watch(self) -> None:
-        self.reel.run(run_info(self.config))
+        self.reel.write(run_info(self.config))
         with observing(self.config, self.reel) as observer:
             await look(observer)
 

@@ -8,21 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from llm_flock.errors import FlockError
-from llm_flock.record.schema import (
-    BodySample,
-    Entry,
-    FlightEvent,
-    LlmEntry,
-    MetricsRow,
-    MissionInfo,
-    PlanInfo,
-    ProtocolEvent,
-    RoundEnd,
-    RunInfo,
-    State,
-    Summary,
-)
-from llm_flock.record.tail import RecordTail
+from llm_flock.record.stream import RecordStream
 from llm_flock.viewer.named import FIRST_KEY
 from llm_flock.viewer.reel import Reel
 
@@ -60,45 +46,16 @@ class Gallery:
         return self.reels.get(key)
 
 
-def feed(reel: Reel, entry: Entry) -> None:
-    """Hand one entry of a record to a reel."""
-    match entry:
-        case RunInfo():
-            reel.run(entry)
-        case MissionInfo():
-            reel.mission(entry)
-        case PlanInfo():
-            reel.plan(entry)
-        case ProtocolEvent():
-            reel.event(entry)
-        case LlmEntry():
-            reel.llm(entry)
-        case State():
-            reel.state(entry)
-        case MetricsRow():
-            reel.metrics(entry)
-        case BodySample():
-            reel.body(entry)
-        case FlightEvent():
-            reel.flight(entry)
-        case RoundEnd():
-            reel.end_round(entry.round)
-        case Summary():
-            reel.summary(entry.result)
-        case _:
-            raise AssertionError(entry)
-
-
 def play(path: Path, reel: Reel, *, live: bool, stopped: Callable[[], bool] = lambda: False) -> None:
     """Read a record into a reel, in a thread of its own; with `live`, until the record ends or it is stopped."""
-    tail = RecordTail(path)
+    stream = RecordStream(path)
     pause = threading.Event()
     try:
         while True:
             last = not live or stopped()  # asked first: what was written until then is still read
-            for entry in tail.new():
-                feed(reel, entry)
-            if tail.ended or last:
+            for entry in stream.entries():
+                reel.write(entry)
+            if stream.ended or last:
                 return
             pause.wait(LOOK_S)
     except FlockError as error:

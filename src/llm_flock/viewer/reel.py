@@ -8,15 +8,17 @@ from typing import Any
 
 from llm_flock.record.schema import (
     DEAD,
-    BodySample,
+    Entry,
     FlightEvent,
     LlmEntry,
     MetricsRow,
     MissionInfo,
     PlanInfo,
     ProtocolEvent,
+    RoundEnd,
     RunInfo,
     State,
+    SummaryMessage,
 )
 from llm_flock.viewer.happenings import lane_of_call, lane_of_event
 from llm_flock.viz.style import plan_look
@@ -72,66 +74,55 @@ class Reel:
 
     # ---------------------------------------------------------------- what comes in
 
-    def run(self, info: RunInfo) -> None:
-        """Where the run came from."""
-        self.info = info
+    def write(self, entry: Entry) -> None:
+        """Take an entry of a record; `RoundEnd` makes its round visible."""
+        match entry:
+            case RunInfo():
+                self.info = entry
+            case MissionInfo():
+                self.missions.append(entry)
+            case PlanInfo():
+                self.plans.append(entry)
+                self._number.setdefault(entry.plan_id, len(self._number))
+            case ProtocolEvent():
+                self._event(entry)
+            case LlmEntry():
+                self._calls[entry.round, entry.robot].append(entry)
+                self._mark(entry.round, lane_of_call(entry))
+            case State():
+                for plan_id in entry.plan_ids:
+                    if plan_id is not None:
+                        self._number.setdefault(plan_id, len(self._number))
+                self.states.append(entry)
+            case MetricsRow():
+                self.rows.append(entry)
+            case FlightEvent():
+                self._flight(entry)
+            case RoundEnd():
+                self.rounds = entry.round
+            case SummaryMessage():
+                self.result = entry.result
+            case _:
+                pass  # bodies are not shown between rounds
 
-    def mission(self, info: MissionInfo) -> None:
-        """What the team is asked to do."""
-        self.missions.append(info)
-
-    def plan(self, info: PlanInfo) -> None:
-        """A plan that was not seen before."""
-        self.plans.append(info)
-        self._number.setdefault(info.plan_id, len(self._number))
-
-    def state(self, state: State) -> None:
-        """Every robot after a round."""
-        for plan_id in state.plan_ids:
-            if plan_id is not None:
-                self._number.setdefault(plan_id, len(self._number))
-        self.states.append(state)
-
-    def event(self, event: ProtocolEvent) -> None:
-        """Something that a robot decided or met."""
+    def _event(self, event: ProtocolEvent) -> None:
         self._events[event.round].append(event)
-        lane = lane_of_event(event)
-        if lane is not None:
-            self._marks[event.round][lane] += 1
+        self._mark(event.round, lane_of_event(event))
         if event.kind in ("proposed", "adopted"):
             self._turns[event.robot, str(event.detail.get("plan"))].append((event.round, event.detail.get("from")))
 
-    def llm(self, entry: LlmEntry) -> None:
-        """One call of a language model."""
-        self._calls[entry.round, entry.robot].append(entry)
-        lane = lane_of_call(entry)
-        if lane is not None:
-            self._marks[entry.round][lane] += 1
-
-    def metrics(self, row: MetricsRow) -> None:
-        """The figures of one round."""
-        self.rows.append(row)
-
-    def body(self, sample: BodySample) -> None:
-        """Where bodies are between rounds is not shown."""
-
-    def flight(self, event: FlightEvent) -> None:
-        """What happened to a flight; all but its routine is marked as a fault."""
+    def _flight(self, event: FlightEvent) -> None:
         if event.kind not in ROUTINE:
-            self._marks[event.round]["faults"] += 1
+            self._mark(event.round, "faults")
         if event.robot is not None:
-            told = ProtocolEvent(
+            shown = ProtocolEvent(
                 round=event.round, comm_round=None, robot=event.robot, kind=event.kind, detail=event.detail
             )
-            self._events[event.round].append(told)
+            self._events[event.round].append(shown)
 
-    def end_round(self, number: int) -> None:
-        """The round can be shown."""
-        self.rounds = number
-
-    def summary(self, result: Mapping[str, Any]) -> None:
-        """What the run reports."""
-        self.result = dict(result)
+    def _mark(self, number: int, track: str | None) -> None:
+        if track is not None:
+            self._marks[number][track] += 1
 
     def close(self) -> None:
         """No more is to come."""

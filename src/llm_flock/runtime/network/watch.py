@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from llm_flock.errors import MessageError
-from llm_flock.record.schema import RunInfo
+from llm_flock.record.schema import RunInfo, SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
 from llm_flock.runtime import versions
 from llm_flock.runtime.network.config import SwarmConfig
@@ -108,21 +108,20 @@ async def run_watch(
     """
     with ExitStack() as stack:
         writer = stack.enter_context(NullWriter() if record is None else RecordWriter(record))
-        writer.run(run_info(config))
+        writer.write(run_info(config))
         observer = stack.enter_context(observing(config, writer, on_row))
         await until_stopped(look(observer), parent=parent)
         figures = observer.figures
-        writer.summary(
-            {
-                "formed": observer.formed_s is not None,
-                "mission_s": None
-                if observer.formed_s is None or observer.began_s is None
-                else observer.formed_s - observer.began_s,
-                "min_separation": figures.min_separation,
-                "model_calls": figures.calls,
-                "tokens": figures.tokens,
-            }
-        )
+        result = {
+            "formed": observer.formed_s is not None,
+            "mission_s": None
+            if observer.formed_s is None or observer.began_s is None
+            else observer.formed_s - observer.began_s,
+            "min_separation": figures.min_separation,
+            "model_calls": figures.calls,
+            "tokens": figures.tokens,
+        }
+        writer.write(SummaryMessage(result=result))
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
