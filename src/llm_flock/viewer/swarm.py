@@ -1,4 +1,4 @@
-"""A running swarm of processes, watched from outside: it flies the same whether anybody looks or not."""
+"""A running swarm of processes, watched from outside; it flies the same with or without a viewer."""
 
 from __future__ import annotations
 
@@ -8,46 +8,46 @@ import logging
 from llm_flock.errors import FlockError, InputError
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.watch import give_mission, look, observing, run_info
-from llm_flock.viewer.reel import Reel
+from llm_flock.viewer.recording import Recording
 
 logger = logging.getLogger(__name__)
 
 
-class Swarm:
-    """A swarm on the network.
+class SwarmSource:
+    """Feeds a recording from a swarm on the network.
 
     Args:
-        config: where it is and what it flies.
-        reel: shows it.
+        config: where the swarm is and what it flies.
+        recording: shows it.
     """
 
-    def __init__(self, config: SwarmConfig, reel: Reel) -> None:
+    def __init__(self, config: SwarmConfig, recording: Recording) -> None:
         self.config = config
-        self.reel = reel
+        self.recording = recording
 
     def watch(self) -> None:
-        """Listen until the process ends; to be called in a thread of its own."""
+        """Listen until the process ends. Call it in a thread."""
         try:
             asyncio.run(self._watch())
         except FlockError as error:
-            self.reel.failure = str(error)
+            self.recording.failure = str(error)
             logger.warning("%s", error)
         finally:
-            self.reel.close()
+            self.recording.close()
 
     async def _watch(self) -> None:
-        self.reel.write(run_info(self.config))
-        with observing(self.config, self.reel) as observer:
+        self.recording.write(run_info(self.config))
+        with observing(self.config, self.recording) as observer:
             await look(observer)
 
     async def change(self, fields: dict[str, object]) -> int:
         """Give the swarm another mission; returns the robot that took it.
 
         Raises:
-            InputError: the mission cannot be changed like that, or nobody is there.
+            InputError: the mission cannot be changed like that, or no robot answers.
         """
         self.config.mission.change(**fields)
         taker = await give_mission(self.config, fields, None)
         if taker is None:
-            raise InputError("connect", self.config.network.connect, "where a swarm runs; nobody was there")
+            raise InputError("connect", self.config.network.connect, "where a swarm runs; no robot answered")
         return taker
