@@ -17,8 +17,8 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from llm_flock import graph
+from llm_flock.record.palette import NO_PLAN
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.scene import NO_PLAN
 from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
 from llm_flock.viz.style import FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
 
