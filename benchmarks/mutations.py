@@ -343,8 +343,8 @@ MUTANTS: Sequence[Mutant] = (
         *("repeating", "What is new is said", "a change is not said a second time"),
         *(
             "protocol/messages/dissemination.py",
-            "whole.roll is not None or any(self._changed) or",
-            "whole.roll is not None or",
+            "whole.positions is not None or any(self._changed) or",
+            "whole.positions is not None or",
         ),
         f"{T_SPEECH}::test_what_was_said_is_repeated_only_while_nothing_is_new",
     ),

@@ -24,7 +24,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance, Table
+from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -96,7 +96,7 @@ def says(
     mission: Mission = LINE,
     counter: int = 0,
     plan: Plan | None = None,
-    table: Table | None = None,
+    table: BidTable | None = None,
     table_digest: str | None = None,
     text: str | None = None,
     named_only: bool = False,

@@ -32,14 +32,14 @@ from llm_flock.protocol.events import (
     RoundBegan,
 )
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import UNSAID, Entry, Message, MissionStamp, Offer, Provenance
+from llm_flock.protocol.messages.message import UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Context,
     Proofs,
-    Attestation,
+    WitnessStatement,
     claim_statement,
     claims_of,
     offer_statement,
@@ -200,25 +200,27 @@ class Liar:
 
     def claim(
         self, slot: int, version: int = 0, bid: float = 0.0, number: int | None = None
-    ) -> tuple[Entry, Certificate]:
+    ) -> tuple[BidEntry, Certificate]:
         """An entry for itself, with its own signature."""
         self.number += 1
         number = self.number if number is None else number
-        entry: Entry = (version, bid, self.team.liar)
+        entry: BidEntry = (version, bid, self.team.liar)
         signature = self.keys.sign(claim_statement(self.team.context, slot, entry, number))
         agent = self.team.agents[0]
         assert agent._agreement._signing is not None
         freed = agent._agreement._signing.evidence._freed.get((slot, version, -1))
         return entry, Certificate(number=number, signature=signature, grant=freed)
 
-    def word(self, slot: int, version: int, owner: int = -1) -> Attestation:
+    def word(self, slot: int, version: int, owner: int = -1) -> WitnessStatement:
         """Its word that a place is free."""
-        return Attestation(slot, version, owner, self.keys.sign(word_statement(self.team.context, slot, version, owner)))
+        return WitnessStatement(
+            slot, version, owner, self.keys.sign(word_statement(self.team.context, slot, version, owner))
+        )
 
     def says(
         self,
-        entries: dict[int, tuple[Entry, Certificate]] | None = None,
-        words: Sequence[Attestation] = (),
+        entries: dict[int, tuple[BidEntry, Certificate]] | None = None,
+        words: Sequence[WitnessStatement] = (),
         offer: Offer | None = None,
         offer_number: int = 1,
         slot: int | None = None,

@@ -14,8 +14,8 @@ from llm_flock.arrays import Mask, Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import SWAP_GAIN, merge, rank
 from llm_flock.protocol.agreement.consensus import PlanKey, plan_key
-from llm_flock.protocol.agreement.path_length import way_lengths
-from llm_flock.protocol.messages.message import NO_OWNER, Entry, Table
+from llm_flock.protocol.agreement.path_length import path_lengths
+from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, BidTable
 
 SEEDS = st.integers(0, 2**32)
 
@@ -110,7 +110,7 @@ TABLES = st.lists(ENTRIES, min_size=3, max_size=3).map(tuple)
 
 
 @given(a=TABLES, b=TABLES, c=TABLES)
-def test_merging_is_the_join_of_a_lattice(a: Table, b: Table, c: Table) -> None:
+def test_merging_is_the_join_of_a_lattice(a: BidTable, b: BidTable, c: BidTable) -> None:
     """Lemma 1: whatever the order and however often tables arrive, the outcome is the same."""
     assert merge(a, b) == merge(b, a)
     assert merge(merge(a, b), c) == merge(a, merge(b, c))
@@ -120,7 +120,7 @@ def test_merging_is_the_join_of_a_lattice(a: Table, b: Table, c: Table) -> None:
 
 
 @given(a=ENTRIES, b=ENTRIES)
-def test_entries_of_equal_rank_are_equal(a: Entry, b: Entry) -> None:
+def test_entries_of_equal_rank_are_equal(a: BidEntry, b: BidEntry) -> None:
     """The order of claims is total: no two different claims can stand side by side for ever."""
     assert (rank(a) == rank(b)) == (a == b)
     assert (rank(a) > rank(b)) == (a[0] > b[0] or (a[0] == b[0] and rank(a)[1:] > rank(b)[1:]))
@@ -168,7 +168,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     assert plan is not None
 
     def squared(i: int, slot: int) -> float:
-        return way_lengths(where[i], plan, [slot], mission.spacing)[0] ** 2
+        return path_lengths(where[i], plan, [slot], mission.spacing)[0] ** 2
 
     total, slots, distinct = math.inf, [0], False
     for _ in range(60 * n):

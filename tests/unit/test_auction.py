@@ -7,14 +7,14 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.auction import BOUND_TICKS, AuctionAssignment, gain, merge, vacant
-from llm_flock.protocol.messages.message import Message, Offer, Provenance, Table
+from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment, gain, merge, vacant
+from llm_flock.protocol.messages.message import BidTable, Message, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0]])
 ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
 RULE = AuctionAssignment()
-FREE: Table = ((0, 0.0, -1), (0, 0.0, -1), (0, 0.0, -1))
+FREE: BidTable = ((0, 0.0, -1), (0, 0.0, -1), (0, 0.0, -1))
 
 
 def at(robot: int, x: float, *heard: Message, sensed: dict[int, Point] | None = None) -> AssignmentInput:
@@ -45,7 +45,7 @@ def says(sender: int, claim: Claim) -> Message:
 
 def crossed() -> tuple[Claim, Claim, dict[int, Point]]:
     """Robot 0 at the right owns the left slot, robot 1 at the left owns the middle: both had better exchange."""
-    table: Table = ((0, -1.0, 0), (0, -1.0, 1), (0, 0.0, -1))
+    table: BidTable = ((0, -1.0, 0), (0, -1.0, 1), (0, 0.0, -1))
     bids = (-20.0, -10.0, 0.0)
     return (
         Claim(slot=0, table=table, bids=bids),
@@ -55,9 +55,9 @@ def crossed() -> tuple[Claim, Claim, dict[int, Point]]:
 
 
 def test_merge_is_a_join() -> None:
-    a: Table = ((0, -1.0, 0), (0, 0.0, -1), (2, -9.0, 1))
-    b: Table = ((0, -1.0, 1), (0, -5.0, 2), (1, -1.0, 0))
-    c: Table = ((1, 0.0, -1), (0, -4.0, 3), (2, -9.0, 0))
+    a: BidTable = ((0, -1.0, 0), (0, 0.0, -1), (2, -9.0, 1))
+    b: BidTable = ((0, -1.0, 1), (0, -5.0, 2), (1, -1.0, 0))
+    c: BidTable = ((1, 0.0, -1), (0, -4.0, 3), (2, -9.0, 0))
     assert merge(a, b) == merge(b, a) == ((0, -1.0, 0), (0, -5.0, 2), (2, -9.0, 1))
     assert merge(merge(a, b), c) == merge(a, merge(b, c))
     assert merge(a, a) is a
@@ -74,7 +74,7 @@ def test_an_outbid_robot_takes_the_best_slot_still_winnable() -> None:
 def test_bids_stay_as_they_were_when_the_plan_was_taken_up() -> None:
     """Outbid on its way, a robot that has come to slot 2 still bids for it from where it began."""
     claim = RULE.take(at(0, 9.0))
-    won: Table = ((0, 0.0, -1), (0, 0.0, 1), (0, -10.5, 2))
+    won: BidTable = ((0, 0.0, -1), (0, 0.0, 1), (0, -10.5, 2))
     claim = RULE.update(claim, at(0, 20.0, says(1, Claim(slot=1, table=won))))
     assert claim.bids == (-9.0, -1.0, -11.0)
     assert claim.slot == 0 and claim.table == ((0, -9.0, 0), (0, 0.0, 1), (0, -10.5, 2))
@@ -88,23 +88,23 @@ def test_messages_without_a_table_teach_nothing() -> None:
 def test_all_but_one_slot_are_released_with_a_raised_version() -> None:
     """A robot that finds itself on two slots, from an earlier life on this plan, keeps the better one."""
     claim = RULE.take(at(0, 0.0))
-    old: Table = ((0, -50.0, 2), (0, -0.5, 0), (0, 0.0, -1))
+    old: BidTable = ((0, -50.0, 2), (0, -0.5, 0), (0, 0.0, -1))
     after = RULE.update(claim, at(0, 0.0, says(1, Claim(slot=None, table=old))))
     assert after.slot == 0
     assert after.table == ((0, 0.0, 0), (1, 0.0, -1), (0, 0.0, -1))
 
 
 def test_without_a_winnable_slot_there_is_no_goal() -> None:
-    won: Table = ((0, 0.0, 1), (0, 0.0, 2), (0, 0.0, 3))
+    won: BidTable = ((0, 0.0, 1), (0, 0.0, 2), (0, 0.0, 3))
     claim = RULE.take(at(5, 100.0, says(1, Claim(slot=0, table=won))))
     assert claim.slot is None
-    freed: Table = ((0, 0.0, 1), (0, 0.0, 2), (1, 0.0, -1))
+    freed: BidTable = ((0, 0.0, 1), (0, 0.0, 2), (1, 0.0, -1))
     assert RULE.update(claim, at(5, 100.0, says(1, Claim(slot=0, table=freed)))).slot == 2
 
 
 def test_a_slot_with_a_raised_version_cannot_be_outbid() -> None:
     """Robot 5 stands on slot 1, but an exchange gave it to robot 1: it takes what is still free."""
-    raised: Table = ((0, 0.0, 2), (1, -30.0, 1), (0, 0.0, -1))
+    raised: BidTable = ((0, 0.0, 2), (1, -30.0, 1), (0, 0.0, -1))
     claim = RULE.take(at(5, 10.0, says(1, Claim(slot=1, table=raised))))
     assert claim.slot == 2
 
@@ -123,7 +123,7 @@ def test_a_far_slot_is_handed_on_along_a_ring_and_not_flown_to_across_it() -> No
 
 
 def test_who_has_accepted_offers_the_next_exchange_in_the_same_tick() -> None:
-    table: Table = ((0, 0.0, 1), (0, 0.0, 2), (0, -21.0, 0))
+    table: BidTable = ((0, 0.0, 1), (0, 0.0, 2), (0, -21.0, 0))
     zero = Claim(slot=2, table=table, bids=(-1.0, -11.0, -21.0))
     one = Claim(slot=0, table=table, bids=(0.0, -10.0, -20.0))
     two = Claim(slot=1, table=table, bids=(-10.0, 0.0, -10.0))
@@ -141,7 +141,7 @@ def test_an_exchange_from_offer_to_acceptance() -> None:
     zero, one, sensed = crossed()
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     assert zero.offer == Offer(to=1, give=0, take=1, give_version=0, take_version=0, bid=-10.0)
-    assert (zero.slot, zero.bound) == (0, BOUND_TICKS)
+    assert (zero.slot, zero.bound) == (0, BOUND_ROUNDS)
     one = RULE.update(one, at(1, 1.0, says(0, zero), sensed=sensed))
     assert one.slot == 0 and one.offer is None
     assert one.table == ((1, 0.0, 1), (1, -10.0, 0), (0, 0.0, -1))
@@ -154,7 +154,7 @@ def test_an_exchange_from_offer_to_acceptance() -> None:
 def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks() -> None:
     zero, one, sensed = crossed()
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
-    table: Table = ((0, -1.0, 0), (0, -1.0, 1), (0, -9.0, 2))
+    table: BidTable = ((0, -1.0, 0), (0, -1.0, 1), (0, -9.0, 2))
     rival = Claim(
         slot=2,
         table=table,
@@ -162,7 +162,7 @@ def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks()
         offer=Offer(to=0, give=2, take=0, give_version=0, take_version=0, bid=-1.0),
     )
     there = {**sensed, 2: (-9.0, 0.0)}
-    for _ in range(BOUND_TICKS - 1):
+    for _ in range(BOUND_ROUNDS - 1):
         zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
         assert zero.slot == 0 and zero.offer is not None
     zero = RULE.update(zero, at(0, 12.0, says(2, rival), sensed=there))
@@ -172,7 +172,7 @@ def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks()
 def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_out() -> None:
     """Robot 0 accepts the offer of robot 1, which is free again in that very communication round and accepts the offer
     of robot 2."""
-    table: Table = ((0, 0.0, 0), (0, 0.0, 1), (0, 0.0, 2))
+    table: BidTable = ((0, 0.0, 0), (0, 0.0, 1), (0, 0.0, 2))
     places = {0: 25.0, 1: 12.0, 2: -1.0}
     bids = {i: tuple(-abs(x - 10.0 * a) for a in range(3)) for i, x in places.items()}
     offers = {
@@ -180,7 +180,7 @@ def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_
         2: Offer(to=1, give=2, take=1, give_version=0, take_version=0, bid=bids[2][1]),
     }
     claims = {
-        i: Claim(slot=i, table=table, bids=bids[i], offer=offers.get(i), bound=BOUND_TICKS if i == 2 else 1)
+        i: Claim(slot=i, table=table, bids=bids[i], offer=offers.get(i), bound=BOUND_ROUNDS if i == 2 else 1)
         for i in places
     }
 
@@ -250,13 +250,13 @@ def test_without_swaps_nothing_is_offered() -> None:
 def test_an_offer_that_was_overtaken_is_dropped() -> None:
     zero, one, sensed = crossed()
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
-    taken: Table = ((0, -1.0, 0), (1, -5.0, 2), (1, -5.0, 1))
+    taken: BidTable = ((0, -1.0, 0), (1, -5.0, 2), (1, -5.0, 1))
     zero = RULE.update(zero, at(0, 12.0, says(2, Claim(slot=1, table=taken)), sensed=sensed))
     assert zero.offer is None and zero.slot == 0
 
 
 def test_the_best_partner_is_asked() -> None:
-    table: Table = ((0, -1.0, 0), (0, -1.0, 1), (0, -1.0, 2))
+    table: BidTable = ((0, -1.0, 0), (0, -1.0, 1), (0, -1.0, 2))
     zero = Claim(slot=0, table=table, bids=(-19.0, -9.0, -1.0))
     sensed = {1: (5.0, 0.0), 2: (3.0, 0.0)}
     peers = [

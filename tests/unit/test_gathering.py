@@ -28,16 +28,16 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.membership.all_to_all import ROUNDS, VERSION
 from llm_flock.protocol.membership.rendezvous import HOLD, LINK, WITHIN, landing, meeting_places, meeting_point
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import NO_OWNER, Entry, Message, Provenance
+from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, Message, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 SQUARE = Mission(shape="square", n_robots=40, arena=((-100, -100), (200, 200)))
 PLAN = Plan.of(SQUARE.ideal or ())
-FREE: Entry = (0, 0.0, NO_OWNER)
+FREE: BidEntry = (0, 0.0, NO_OWNER)
 
 
-def owned(count: int) -> tuple[Entry, ...]:
+def owned(count: int) -> tuple[BidEntry, ...]:
     return tuple((0, -1.0, a) if a < count else FREE for a in range(len(PLAN)))
 
 

@@ -10,7 +10,7 @@ from llm_flock.errors import MessageError
 from llm_flock.protocol.messages.codec import WIRE_VERSION, decode, encode, max_payload_bytes
 from llm_flock.protocol.messages.message import (
     BLOCKED,
-    LAST_STAMP,
+    LAST_ROUND,
     UNSAID,
     Message,
     MissionStamp,
@@ -35,7 +35,7 @@ FULL = Message(
     table_digest=table_digest(TABLE),
     offer=Offer(to=0, give=0, take=1, give_version=0, take_version=3, bid=-2.5),
     beats=(7, 3),
-    roll={0: (0, (1.0, 2.0), ()), 1: (9, (3.5, 4.25), (3.0, 4.0))},
+    positions={0: (0, (1.0, 2.0), ()), 1: (9, (3.5, 4.25), (3.0, 4.0))},
 )
 FIELDS = [
     "sender",
@@ -53,7 +53,7 @@ FIELDS = [
     "claims",
     "offer",
     "beats",
-    "roll",
+    "positions",
 ]
 PEDIGREE = ("epoch", "neighbors", "proposer", "sequence")
 OFFER = [0, 0, 1, 0, 3, -2.5]
@@ -145,11 +145,11 @@ def test_slots_left_out_cost_nothing() -> None:
         (spoiled(plan=[[1.0, 2.0], [1.0, 2.0, 3.0]]), "wrong_length"),
         (spoiled(slot=2), "wrong_length"),
         (spoiled(beats=[1]), "wrong_length"),
-        (spoiled(roll={0: [0, [1.0], []]}), "wrong_length"),
-        (spoiled(roll={0: [0, [1.0, 2.0], [1.0]]}), "wrong_length"),
-        (spoiled(roll={2: [0, [1.0, 2.0], []]}), "unknown_id"),
-        (spoiled(roll={0: [0, [1e300, 2.0], []]}), "malformed"),
-        (spoiled(roll={0: [LAST_STAMP + 1, [1.0, 2.0], []]}), "malformed"),
+        (spoiled(positions={0: [0, [1.0], []]}), "wrong_length"),
+        (spoiled(positions={0: [0, [1.0, 2.0], [1.0]]}), "wrong_length"),
+        (spoiled(positions={2: [0, [1.0, 2.0], []]}), "unknown_id"),
+        (spoiled(positions={0: [0, [1e300, 2.0], []]}), "malformed"),
+        (spoiled(positions={0: [LAST_ROUND + 1, [1.0, 2.0], []]}), "malformed"),
         (spoiled(claims=[[2, 0, -1.0, 1]]), "wrong_length"),
         (spoiled(offer=[0, 2, *OFFER[2:]]), "wrong_length"),
         (spoiled(offer=[2, *OFFER[1:]]), "unknown_id"),
@@ -185,7 +185,7 @@ def test_a_full_table_of_a_large_team_fits() -> None:
         table=table,
         table_digest=table_digest(table),
         beats=(2**32,) * n,
-        roll={k: (LAST_STAMP, point, point) for k, point in enumerate(plan.points)},
+        positions={k: (LAST_ROUND, point, point) for k, point in enumerate(plan.points)},
     )
     assert decode(encode(message), n, 2) == message
 

@@ -24,8 +24,9 @@ from llm_flock.protocol.events import (
     Received,
     Sensed,
 )
-from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS, mission_text
-from llm_flock.protocol.messages.message import UNSAID, Table, table_digest
+from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS
+from llm_flock.protocol.messages.message import UNSAID, BidTable, table_digest
+from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer
 
@@ -227,18 +228,18 @@ def test_rules_are_asked_again_about_what_is_spelled_out_of_another_table_and_no
     flight = Flight(agent)
     flight.begin()
 
-    def hear(whole: Table, slots: set[int]) -> int:
+    def hear(whole: BidTable, slots: set[int]) -> int:
         part = tuple(entry if a in slots else UNSAID for a, entry in enumerate(whole))
         flight.comm_round(says(1, plan=PLAN, table=part, table_digest=table_digest(whole)))
         return rule.asked
 
-    table: Table = ((0, -0.0, 0), (0, -5.0, 2), (0, 0.0, 1))
+    table: BidTable = ((0, -0.0, 0), (0, -5.0, 2), (0, 0.0, 1))
     for _ in range(2):
         hear(table, {0, 1, 2})
     assert agent.claim.table == table
     asked = hear(table, {0, 1, 2})
     assert hear(table, {2}) == hear(table, set()) == asked
-    more: Table = ((0, -0.0, 0), (3, -5.0, 1), (0, 0.0, 1))
+    more: BidTable = ((0, -0.0, 0), (3, -5.0, 1), (0, 0.0, 1))
     assert hear(more, {2}) == asked + 1
     assert hear(more, {2}) == asked + 1
     assert hear(more, {1, 2}) == asked + 2

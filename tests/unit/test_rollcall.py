@@ -31,14 +31,14 @@ from llm_flock.protocol.membership.all_to_all import (
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import (
-    LAST_STAMP,
+    LAST_ROUND,
     NO_OWNER,
     UNSAID,
     Message,
     MissionStamp,
+    PositionReport,
     Provenance,
-    Roll,
-    Sighting,
+    TeamPositions,
 )
 from llm_flock.protocol.plan import Plan
 
@@ -51,13 +51,13 @@ def starts(n: int) -> list[Point]:
     return [(float(k), 1.0) for k in range(n)]
 
 
-def sightings(n: int, stamp: int = 0, mark: Point = ()) -> dict[int, Sighting]:
+def sightings(n: int, stamp: int = 0, mark: Point = ()) -> dict[int, PositionReport]:
     return {robot: (stamp, where, mark) for robot, where in enumerate(starts(n))}
 
 
 def say(
     call: AllToAll, where: Point, *, greeting: bool = True, waits_at: Point | None = None, settled: bool = False
-) -> dict[int, Sighting] | None:
+) -> dict[int, PositionReport] | None:
     return call.say(where, waits_at=waits_at, greeting=greeting, settled=settled, spacing=SPACING)
 
 
@@ -148,8 +148,8 @@ def test_the_newest_is_believed_and_who_was_restarted_counts_on_from_its_former_
     assert call.others == [(2.0, 2.0)]
     said = say(call, (0.0, 0.0), waits_at=(3.0, 0.0))
     assert said == {0: (31, (3.0, 0.0), (3.0, 0.0)), 1: (30, (2.0, 2.0), ())}
-    call.hear({0: (LAST_STAMP, (1.0, 1.0), ())})
-    assert say(call, (0.0, 0.0), waits_at=(3.0, 0.0)) == {0: (LAST_STAMP, (1.0, 1.0), ()), 1: (30, (2.0, 2.0), ())}
+    call.hear({0: (LAST_ROUND, (1.0, 1.0), ())})
+    assert say(call, (0.0, 0.0), waits_at=(3.0, 0.0)) == {0: (LAST_ROUND, (1.0, 1.0), ()), 1: (30, (2.0, 2.0), ())}
 
 
 def test_one_waits_until_nobody_new_is_heard_of_for_long() -> None:
@@ -193,7 +193,7 @@ def test_places_that_are_left_over_are_free_and_robots_may_be_left_over_too() ->
     assert [owner for _, _, owner in assigned(few, (VERSION, ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0))))] == [1, 2]
 
 
-def moment(roll: Roll | None) -> AssignmentInput:
+def moment(roll: TeamPositions | None) -> AssignmentInput:
     return AssignmentInput(
         robot=1,
         position=(0.0, 0.0),
@@ -203,7 +203,7 @@ def moment(roll: Roll | None) -> AssignmentInput:
         adopted=True,
         heard=(),
         sensed={},
-        roll=roll,
+        positions=roll,
     )
 
 
@@ -262,9 +262,9 @@ def test_a_robot_keeps_what_it_hears_of_the_roll() -> None:
     agent = Agent(0, mission, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     agent.handle(RoundBegan(round=1, position=(48.0, 50.0), neighbors=1, sensed={1: (50.0, 50.0)}, observed=()))
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
-    message = Message(sender=1, sequence=0, neighbors=1, mission=MissionStamp(0, mission.digest), roll=heard)
+    message = Message(sender=1, sequence=0, neighbors=1, mission=MissionStamp(0, mission.digest), positions=heard)
     agent.handle(Received(encode(message)))
-    assert {robot: agent._agreement.roll.known[robot] for robot in heard} == heard
-    elsewhere = msgspec.structs.replace(message, mission=MissionStamp(0, "0" * 16), roll={3: (0, (9.0, 9.0), ())})
+    assert {robot: agent._agreement.all_to_all.known[robot] for robot in heard} == heard
+    elsewhere = msgspec.structs.replace(message, mission=MissionStamp(0, "0" * 16), positions={3: (0, (9.0, 9.0), ())})
     agent.handle(Received(encode(elsewhere)))
-    assert 3 not in agent._agreement.roll.known
+    assert 3 not in agent._agreement.all_to_all.known

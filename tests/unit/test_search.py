@@ -9,19 +9,19 @@ from llm_flock.protocol.membership.search import (
     Search,
     advance,
 )
-from llm_flock.protocol.messages.message import NO_OWNER, Table
+from llm_flock.protocol.messages.message import NO_OWNER, BidTable
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)
 
 
-def table(*owners: int) -> Table:
+def table(*owners: int) -> BidTable:
     return tuple((0, -1.0 if owner != NO_OWNER else 0.0, owner) for owner in owners)
 
 
 def step(
-    search: Search, x: float, slot: int, owners: Table, *, at_goal: bool = True, strangers: int = 1, silent: int = 0
+    search: Search, x: float, slot: int, owners: BidTable, *, at_goal: bool = True, strangers: int = 1, silent: int = 0
 ) -> Search:
     return advance(
         search,
@@ -37,7 +37,7 @@ def step(
     )
 
 
-def rounds_until_off(slot: int, owners: Table) -> int:
+def rounds_until_off(slot: int, owners: BidTable) -> int:
     search, count = Search(), 0
     while search.target is None:
         search, count = step(search, 10.0 * slot, slot, owners), count + 1
@@ -87,7 +87,7 @@ def test_new_knowledge_ends_the_tour() -> None:
     assert step(search, 25.0, 2, table(0, 1, 2, 3), at_goal=False).target is None
 
 
-def off_among_many(slot: int, owners: Table) -> Search:
+def off_among_many(slot: int, owners: BidTable) -> Search:
     search = Search()
     while search.target is None:
         search = step(search, 10.0 * slot, slot, owners, strangers=MANY + 1)
@@ -111,7 +111,7 @@ def test_while_many_are_missing_news_from_afar_do_not_make_it_wait_anew() -> Non
     assert step(waited, 0.0, 0, near, strangers=MANY + 1).waited == 1
 
 
-def looking_on(slot: int, owners: Table, *, strangers: int, silent: int) -> tuple[Search, list[int], list[object]]:
+def looking_on(slot: int, owners: BidTable, *, strangers: int, silent: int) -> tuple[Search, list[int], list[object]]:
     """Rounds of waiting before each tour, and the tours, of a robot that meets nobody and counts its looks."""
     search, waits, ways, entries = Search(), [0], list[object](), list(owners)
     for _ in range(300):

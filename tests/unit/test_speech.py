@@ -13,7 +13,15 @@ from llm_flock.mission import SAFETY_FIELDS, Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.dissemination import MISSION_FIELDS, SMALL, Dissemination, mission_text
-from llm_flock.protocol.messages.message import UNSAID, Entry, Message, MissionStamp, Provenance, Table, table_digest
+from llm_flock.protocol.messages.message import (
+    UNSAID,
+    BidEntry,
+    BidTable,
+    Message,
+    MissionStamp,
+    Provenance,
+    table_digest,
+)
 from llm_flock.protocol.plan import Plan
 
 WIDE = ((-5000.0, -5000.0), (5000.0, 5000.0))
@@ -27,7 +35,7 @@ def plan_of(mission: Mission, turn: float = 0.0) -> Plan:
     return Plan.of([[x + turn, y - turn] for x, y in mission.ideal])
 
 
-def table_of(mission: Mission, **owned: Entry) -> Table:
+def table_of(mission: Mission, **owned: BidEntry) -> BidTable:
     """A table with these entries, `s3` for slot 3."""
     entries = [UNSAID] * mission.n_places
     for name, entry in owned.items():
@@ -39,7 +47,7 @@ def standing(
     mission: Mission = MISSION,
     sender: int = 0,
     plan: Plan | None = None,
-    table: Table | None = None,
+    table: BidTable | None = None,
     counter: int = 0,
     slot: int | None = None,
 ) -> Message:
@@ -142,7 +150,7 @@ def test_a_roll_is_said_once() -> None:
     talker.say(standing())
     talker.say(standing())
     assert talker.dissemination.again() is not None
-    talker.say(replace(standing(), roll={0: (0, (1.0, 2.0), ())}))
+    talker.say(replace(standing(), positions={0: (0, (1.0, 2.0), ())}))
     assert talker.dissemination.again() is None
 
 
@@ -223,7 +231,7 @@ def test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a
 
 def test_what_changed_in_a_large_table_is_said_in_two_broadcasts() -> None:
     talker = Talker(LARGE)
-    entries: dict[str, Entry] = {"s0": (0, -1.0, 1)}
+    entries: dict[str, BidEntry] = {"s0": (0, -1.0, 1)}
     talker.say(standing(LARGE, table=table_of(LARGE, **entries)))
     said: list[set[int]] = []
     for slot in (5, 7, None, None):

@@ -16,7 +16,7 @@ from llm_flock.protocol.events import (
     Note,
 )
 from llm_flock.protocol.membership.search import LOOKS
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Table
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, BidTable
 from llm_flock.protocol.planning import StepAnswer
 
 FAR: Point = (50.0, 90.0)
@@ -24,7 +24,7 @@ FAR: Point = (50.0, 90.0)
 
 def test_the_place_of_who_falls_silent_is_free_with_a_raised_version() -> None:
     flight = Flight(make())
-    theirs: Table = ((0, 0.0, NO_OWNER), (4, -1.0, 1), (0, 0.0, NO_OWNER))
+    theirs: BidTable = ((0, 0.0, NO_OWNER), (4, -1.0, 1), (0, 0.0, NO_OWNER))
     flight.round(says(1, (0, 2, 0), plan=PLAN, table=theirs))
     assert flight.agent.claim.table is not None and flight.agent.claim.table[1][2] == 1
     for number in range(3):
@@ -37,7 +37,7 @@ def test_who_was_taken_for_dead_takes_its_place_back() -> None:
     flight.round()
     slot = flight.agent.claim.slot
     assert slot == 0
-    released: Table = ((3, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER))
+    released: BidTable = ((3, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER))
     flight.round(says(1, plan=PLAN, table=released))
     table = flight.agent.claim.table
     assert flight.agent.claim.slot == 0 and table is not None and (table[0][0], table[0][2]) == (4, 0)
@@ -61,7 +61,7 @@ def test_a_place_under_a_body_without_a_mind_is_nobodys_until_it_has_moved_off()
 
 def test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so() -> None:
     """Those who noted it may be out of sight by now, and it has never met a body itself."""
-    told: Table = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    told: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     flight = Flight(make(), here=PLAN.points[1])
     flight.round(says(1, plan=PLAN, table=told))
     flight.round()
@@ -71,7 +71,7 @@ def test_a_robot_that_begins_again_where_its_body_blocked_a_place_says_so() -> N
 
 def test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is() -> None:
     """A late joiner has not counted the silence yet: it takes the dead for alive."""
-    told: Table = ((0, 0.0, NO_OWNER), (3, 0.0, BLOCKED), (0, 0.0, NO_OWNER))
+    told: BidTable = ((0, 0.0, NO_OWNER), (3, 0.0, BLOCKED), (0, 0.0, NO_OWNER))
     flight = Flight(make())
     body = {1: PLAN.points[1]}
     for _ in range(2):
@@ -81,7 +81,7 @@ def test_a_place_on_which_somebody_stands_is_left_to_those_who_know_who_that_is(
 
 def test_who_is_known_to_live_blocks_no_place() -> None:
     """Its counter goes on, so it will move off; two that wait beside a place would else keep it from each other."""
-    told: Table = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    told: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     flight = Flight(make())
     beside = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
     owners: list[int] = []
@@ -96,7 +96,7 @@ def test_who_is_known_to_live_blocks_no_place() -> None:
 def test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free() -> None:
     """Nobody else may be near enough, and in the others' tables the place is blocked for ever."""
     near = Mission(shape="line", n_robots=3, comm_range=15)
-    told: Table = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    told: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     flight = Flight(make(mission=near), here=(40.0, 90.0))
     for _ in range(10):
         flight.begin()
@@ -119,7 +119,7 @@ def test_places_out_of_sight_are_left_as_others_say() -> None:
     near = Mission(shape="line", n_robots=3, comm_range=15)
     flight = Flight(make(mission=near))
     body = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
-    told: Table = ((0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (2, 0.0, BLOCKED))
+    told: BidTable = ((0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (2, 0.0, BLOCKED))
     flight.round(says(1, (0, 2, 0), mission=near, plan=PLAN, table=told), sensed=body)
     for _ in range(3):
         flight.round(sensed=body)
@@ -133,7 +133,7 @@ def test_a_place_that_was_looked_at_in_vain_is_a_gap_that_names_who_is_missing()
     The silent one keeps its place: who hears nobody takes nobody's.
     """
     flight = Flight(make())
-    kept: Table = ((0, 0.0, NO_OWNER), (0, -1.0, 1), (0, 0.0, NO_OWNER))
+    kept: BidTable = ((0, 0.0, NO_OWNER), (0, -1.0, 1), (0, 0.0, NO_OWNER))
     flight.round(says(1, (0, 2, 0), plan=PLAN, table=kept))
     notes: list[Note] = []
     for _ in range(120):

@@ -5,30 +5,30 @@ from itertools import permutations
 
 import pytest
 
-from llm_flock.protocol.agreement.path_length import BESIDE, FAR, LARGEST, REACH, stop_on_the_way, way_lengths
+from llm_flock.protocol.agreement.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths
 from llm_flock.protocol.plan import Plan
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 
 
 def test_a_near_place_is_as_far_as_it_is() -> None:
-    assert way_lengths((3.0, 4.0), ROW, [0], 10.0) == pytest.approx([5.0])
-    assert way_lengths((12.0, 9.0), ROW, [1], 10.0) == pytest.approx([math.hypot(2.0, 9.0)])
+    assert path_lengths((3.0, 4.0), ROW, [0], 10.0) == pytest.approx([5.0])
+    assert path_lengths((12.0, 9.0), ROW, [1], 10.0) == pytest.approx([math.hypot(2.0, 9.0)])
 
 
 def test_a_lone_hop_counts_more_by_as_often_as_it_is_too_long() -> None:
-    assert way_lengths((-60.0, 0.0), ROW, [0], 10.0) == pytest.approx([60.0 * 60.0 / (REACH * 10.0)])
+    assert path_lengths((-60.0, 0.0), ROW, [0], 10.0) == pytest.approx([60.0 * 60.0 / (REACH * 10.0)])
 
 
 def test_a_far_place_is_reached_along_the_row() -> None:
-    assert way_lengths((0.0, 0.0), ROW, [3], 10.0) == pytest.approx([30.0])
+    assert path_lengths((0.0, 0.0), ROW, [3], 10.0) == pytest.approx([30.0])
 
 
 def test_across_a_ring_the_way_follows_it() -> None:
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     chord = math.dist(ring.points[0], ring.points[1])
-    assert way_lengths(ring.points[0], ring, [30], chord) == pytest.approx([30 * chord])
-    assert way_lengths(ring.points[0], ring, [45], chord) == pytest.approx([15 * chord])
+    assert path_lengths(ring.points[0], ring, [30], chord) == pytest.approx([30 * chord])
+    assert path_lengths(ring.points[0], ring, [45], chord) == pytest.approx([15 * chord])
 
 
 def test_ways_are_the_cheapest_of_all_orders_of_places() -> None:
@@ -43,13 +43,13 @@ def test_ways_are_the_cheapest_of_all_orders_of_places() -> None:
         orders = (order for n in range(5) for order in permutations(others, n))
         stops = ([here, *(plan.points[a] for a in order), plan.points[slot]] for order in orders)
         cheapest = min(sum(map(hop, way, way[1:])) for way in stops)
-        assert way_lengths(here, plan, [slot], 10.0) == pytest.approx([cheapest])
+        assert path_lengths(here, plan, [slot], 10.0) == pytest.approx([cheapest])
 
 
 def test_in_very_large_plans_the_way_is_straight() -> None:
     row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
-    assert way_lengths((0.0, 0.0), row, [LARGEST], 10.0) == pytest.approx([10.0 * LARGEST])
-    assert way_lengths((0.0, 900.0), row, [0], 10.0) == pytest.approx([900.0])
+    assert path_lengths((0.0, 0.0), row, [LARGEST], 10.0) == pytest.approx([10.0 * LARGEST])
+    assert path_lengths((0.0, 900.0), row, [0], 10.0) == pytest.approx([900.0])
 
 
 RING = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
@@ -57,11 +57,11 @@ CHORD = math.dist(RING.points[0], RING.points[1])
 
 
 def test_a_near_place_is_flown_to_straight() -> None:
-    assert stop_on_the_way(RING.points[0], RING, int(FAR), (0.0, 0.0), CHORD) is None
+    assert next_stop(RING.points[0], RING, int(FAR), (0.0, 0.0), CHORD) is None
 
 
 def test_a_far_place_is_flown_to_beside_the_places_between() -> None:
-    stop = stop_on_the_way(RING.points[0], RING, 20, (0.0, 0.0), CHORD)
+    stop = next_stop(RING.points[0], RING, 20, (0.0, 0.0), CHORD)
     assert stop is not None
     assert math.hypot(*stop) == pytest.approx(100.0 - BESIDE * CHORD)
     assert min(math.dist(stop, RING.points[k]) for k in (2, 3, 4)) == pytest.approx(BESIDE * CHORD)
@@ -69,14 +69,14 @@ def test_a_far_place_is_flown_to_beside_the_places_between() -> None:
 
 
 def test_from_afar_the_first_place_is_where_the_cheapest_way_begins() -> None:
-    stop = stop_on_the_way((40.0, 0.0), RING, 15, (0.0, 0.0), CHORD)
+    stop = next_stop((40.0, 0.0), RING, 15, (0.0, 0.0), CHORD)
     assert stop is not None and stop[0] > 80.0 and 0.0 <= stop[1] < 60.0
 
 
 def test_a_place_at_which_the_cheapest_way_begins_is_flown_to_straight() -> None:
-    assert stop_on_the_way((10.0, 0.0), RING, 0, (0.0, 0.0), CHORD) is None
+    assert next_stop((10.0, 0.0), RING, 0, (0.0, 0.0), CHORD) is None
 
 
 def test_in_plans_of_very_many_places_the_way_is_straight() -> None:
     row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
-    assert stop_on_the_way((0.0, 0.0), row, LARGEST, (0.0, 0.0), 10.0) is None
+    assert next_stop((0.0, 0.0), row, LARGEST, (0.0, 0.0), 10.0) is None

@@ -17,7 +17,7 @@ from llm_flock.llm.sharing import Lane
 from llm_flock.record.schema import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ async def fly(
     keep: KeepRecords,
     scratch: Path,
     earlier: tuple[Earlier, ...] = (),
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
 ) -> Flown:
     """Fly one trial. Whatever breaks it off is reported, and counts; only an interruption goes through.
 

@@ -21,28 +21,29 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.path_length import way_lengths
-from llm_flock.protocol.membership.all_to_all import assigned, given_all_to_all
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
+from llm_flock.protocol.agreement.path_length import path_lengths
+from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
+from llm_flock.protocol.membership.occupancy import Occupancy
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 
 BID_DECIMALS = 9
 
-Precedence: TypeAlias = Callable[[int, Entry], tuple[int, int]]
+Precedence: TypeAlias = Callable[[int, BidEntry], tuple[int, int]]
 
 SWAP_GAIN = 0.01
 """An exchange must lower the sum of the squared ways by at least this share of the squared spacing."""
 
-BOUND_TICKS = 4
+BOUND_ROUNDS = 4
 """How long an offer binds its maker; an answer takes two communication rounds where nothing is lost."""
 
 
-def rank(entry: Entry) -> tuple[int, bool, float, int]:
+def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
     """Order of claims on one slot: higher version, then owned before free, then higher bid, then lower owner."""
     version, bid, owner = entry
     return (version, owner != NO_OWNER, bid, -owner)
 
 
-def merge(mine: Table, theirs: Table, said: Sequence[int] | None = None) -> Table:
+def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -> BidTable:
     """Slot by slot the claim of higher rank; associative, commutative and idempotent.
 
     Args:
@@ -53,17 +54,15 @@ def merge(mine: Table, theirs: Table, said: Sequence[int] | None = None) -> Tabl
     return merged(mine, [(theirs, said)])[0]
 
 
-def merged(mine: Table, others: Iterable[tuple[Table, Sequence[int] | None]]) -> tuple[Table, set[int]]:
+def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None]]) -> tuple[BidTable, set[int]]:
     """`merge` with several tables and the slots of them that matter; also the slots that changed."""
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
-        # Tables are long, and what is heard is mostly known: entries that were read from the same bytes are the same
-        # object (`llm_flock.protocol.messages.codec`), which costs the least to see.
         if said is None:
-            said = compress(range(len(entries)), map(operator.is_not, entries, theirs))
+            said = compress(range(len(entries)), map(operator.ne, entries, theirs))
         for a in said:
             their, my = theirs[a], entries[a]
-            if their is my or their is UNSAID or their[0] < my[0]:
+            if their == my or their is UNSAID or their[0] < my[0]:
                 continue
             if their[0] > my[0] or ((their[1] >= my[1] or my[2] == NO_OWNER) and rank(their) > rank(my)):
                 entries[a] = their
@@ -71,7 +70,7 @@ def merged(mine: Table, others: Iterable[tuple[Table, Sequence[int] | None]]) ->
     return (tuple(entries) if touched else mine), touched
 
 
-def changed(table: Table, new: Mapping[int, Entry]) -> Table:
+def changed(table: BidTable, new: Mapping[int, BidEntry]) -> BidTable:
     """The table with some entries replaced; the same object where there are none."""
     if not new:
         return table
@@ -81,7 +80,7 @@ def changed(table: Table, new: Mapping[int, Entry]) -> Table:
     return tuple(entries)
 
 
-def vacant(table: Table) -> list[int]:
+def vacant(table: BidTable) -> list[int]:
     """Slots that nobody is known to own."""
     return [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
 
@@ -111,7 +110,7 @@ class AuctionAssignment:
         """Fix the bids for this plan and claim the best slot that can be won."""
         distances = np.linalg.norm(now.plan.array - np.array(now.position), axis=1)
         bids = tuple((-distances).round(BID_DECIMALS).tolist())
-        empty: Table = (UNSAID,) * len(now.plan)
+        empty: BidTable = (UNSAID,) * len(now.plan)
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
@@ -119,11 +118,11 @@ class AuctionAssignment:
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
-        if now.roll is not None:
-            table, more = merged(table, [(assigned(now.plan, now.roll), None)])
+        if now.positions is not None:
+            table, more = merged(table, [(optimal_assignment(now.plan, now.positions), None)])
             touched |= more
         if now.granted is None:
-            table = observed_occupancy(reclaimed(now.robot, claim, table), now)
+            table = with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)
         else:
             table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
@@ -133,7 +132,7 @@ class AuctionAssignment:
             slot = claim.slot
         else:
             among = touched if claim.slot is None else touched | {claim.slot}
-            table, slot = keep_one(now.robot, table, among, now.order)
+            table, slot = keep_one(now.robot, table, among, now.precedence)
             if slot is None and offer is None:
                 table, slot = best_won(now.robot, bids, table)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
@@ -143,7 +142,7 @@ class AuctionAssignment:
         return claim if claim.offer is not None else _offered(claim, now)
 
 
-def reclaimed(robot: int, claim: Claim, table: Table) -> Table:
+def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
     """Take back a slot that others released because they had not heard of this robot for long."""
     slot = claim.slot
     if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
@@ -151,29 +150,29 @@ def reclaimed(robot: int, claim: Claim, table: Table) -> Table:
     return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
 
 
-def observed_occupancy(table: Table, now: AssignmentInput) -> Table:
-    """The table after a look around: slots of the silent are free, and those under still bodies belong to nobody."""
-    if not (now.silent or now.blocked or now.clear):
+def with_occupancy(table: BidTable, seen: Occupancy | None) -> BidTable:
+    """The table with the slots of silent robots free and those under still bodies blocked."""
+    if seen is None or not (seen.silent or seen.blocked or seen.clear):
         return table
-    new: dict[int, Entry] = {}
+    new: dict[int, BidEntry] = {}
     for a, (version, _, owner) in enumerate(table):
-        if a in now.blocked:
+        if a in seen.blocked:
             if owner != BLOCKED:
                 new[a] = (version + 1, 0.0, BLOCKED)
-        elif owner in now.silent or (owner == BLOCKED and a in now.clear):
+        elif owner in seen.silent or (owner == BLOCKED and a in seen.clear):
             new[a] = (version + 1, 0.0, NO_OWNER)
     return changed(table, new)
 
 
-def _ended(offer: Offer, robot: int, table: Table) -> bool:
+def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
     """Whether an offer was answered or refused: either slot has moved on in the table."""
     mine, theirs = table[offer.give], table[offer.take]
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
 def keep_one(
-    robot: int, table: Table, among: Iterable[int], order: Precedence | None = None
-) -> tuple[Table, int | None]:
+    robot: int, table: BidTable, among: Iterable[int], precedence: Precedence | None = None
+) -> tuple[BidTable, int | None]:
     """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
 
     Signed claims have an order of their own, by which everybody knows which one counts: the others are freed together.
@@ -182,17 +181,17 @@ def keep_one(
         robot: own id.
         table: all claims known.
         among: slots that it may own: its own of before, and those in which something has changed since.
-        order: the order of signed claims; then any slot may be its own.
+        precedence: precedence of signed claims; then any slot may be its own.
     """
-    if order is not None:
+    if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
-        return table, max(every, key=lambda a: order(a, table[a]), default=None)
+        return table, max(every, key=lambda a: precedence(a, table[a]), default=None)
     owned = [a for a in among if table[a][2] == robot]
     keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a), default=None)
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def best_won(robot: int, bids: tuple[float, ...], table: Table) -> tuple[Table, int | None]:
+def best_won(robot: int, bids: tuple[float, ...], table: BidTable) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none."""
     for a in _preferred(bids):
         version, bid, owner = table[a]
@@ -217,7 +216,7 @@ def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight
     def ways(here: Point) -> list[float]:
         if straight:
             return [math.dist(here, now.plan.points[a]) for a in (mine, theirs)]
-        return way_lengths(here, now.plan, (mine, theirs), now.spacing)
+        return path_lengths(here, now.plan, (mine, theirs), now.spacing)
 
     (keep, take), (their_take, their_keep) = ways(now.position), ways(there)
     return keep**2 + their_keep**2 - take**2 - their_take**2
@@ -281,4 +280,4 @@ def _offered(claim: Claim, now: AssignmentInput) -> Claim:
         take_version=table[chosen.slot][0],
         bid=claim.bids[chosen.slot],
     )
-    return replace(claim, offer=offer, bound=BOUND_TICKS)
+    return replace(claim, offer=offer, bound=BOUND_ROUNDS)

@@ -39,7 +39,7 @@ BESIDE = 0.6
 """Those who fly along the formation pass its places at so many spacings, on the side of the centre."""
 
 
-def way_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
+def path_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
     """Lengths of the cheapest ways to some places, by any others [units].
 
     Args:
@@ -59,7 +59,7 @@ def _by_places(here: Point, plan: Plan, spacing: float) -> list[float]:
     return (_hops(here, plan, spacing) + _between(plan, spacing)).min(axis=1).tolist()
 
 
-def stop_on_the_way(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
+def next_stop(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
     """Where to fly on the way to a far place: beside a place ahead; None where the straight way is the cheapest.
 
     Args:

@@ -22,7 +22,7 @@ import numpy as np
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
-from llm_flock.protocol.messages.message import NO_OWNER, Entry
+from llm_flock.protocol.messages.message import NO_OWNER, BidEntry
 from llm_flock.protocol.plan import Plan
 
 HOLLOW = 0.5
@@ -47,7 +47,7 @@ LINK = 0.95
 PLANE = 2
 
 
-def meeting_places(mission: Mission, plan: Plan, table: Sequence[Entry]) -> Plan:
+def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
     """Where the places of a plan are for now: on the circle of the mean radius while most are nobody's.
 
     Args:

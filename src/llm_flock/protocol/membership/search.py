@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages.message import NO_OWNER, Table
+from llm_flock.protocol.messages.message import NO_OWNER, BidTable
 from llm_flock.protocol.plan import Plan
 
 PATIENCE = 1
@@ -81,7 +81,7 @@ def advance(
     position: Point,
     plan: Plan,
     slot: int,
-    table: Table,
+    table: BidTable,
     center: Point,
     spacing: float,
     at_goal: bool,

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import functools
 import operator
 from typing import Annotated
 
 import msgspec
-import msgspec.structs
-import numpy as np
-from numpy.typing import NDArray
 
-from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
     BLOCKED,
-    LAST_STAMP,
+    LAST_ROUND,
     MAX_BID,
     UNSAID,
-    Entry,
+    BidTable,
     Message,
     MissionStamp,
     Offer,
     Provenance,
-    Table,
 )
 from llm_flock.protocol.plan import Plan
 
@@ -39,7 +34,7 @@ Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE
 Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
 Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
 """Far more than any honest robot counts, and far enough from the integers of a machine to be raised without harm."""
-Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_STAMP)]
+Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_ROUND)]
 Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 
 
@@ -75,7 +70,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
     offer: _WireOffer | None
     beats: tuple[Counter, ...] | None
-    roll: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
+    positions: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
 
 
 _VERSION = bytes([WIRE_VERSION])
@@ -112,7 +107,7 @@ def encode(message: Message, sequence: int | None = None) -> bytes:
         if offer is None
         else _WireOffer(offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid),
         beats=message.beats,
-        roll=message.roll,
+        positions=message.positions,
     )
     return _VERSION + _ENCODER.encode(wire)
 
@@ -125,28 +120,8 @@ def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
     return tuple([(a, *table[a]) for a in slots if table[a] != UNSAID])
 
 
-@functools.lru_cache(maxsize=256)
-def _plan(points: tuple[Point, ...]) -> Plan:
-    """The plan of these points: a few plans come in many messages, and rounding a long one takes milliseconds."""
-    return Plan(points)
-
-
-@functools.lru_cache(maxsize=64)
-def _unsaid(places: int) -> Table:
-    return (UNSAID,) * places
-
-
-@functools.lru_cache(maxsize=2**18)
-def _entry(version: int, bid: float, owner: int) -> Entry:
-    """One object for equal entries: they come in many messages, and whoever compares tables need not look inside."""
-    return version, bid, owner
-
-
-@functools.lru_cache(maxsize=4096)
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:
-    """A message from bytes that anybody may have sent.
-
-    Pure, so equal payloads are decoded once (a broadcast has many receivers).
+    """The message in a payload from an untrusted sender. Pure.
 
     Raises:
         MessageError: with reason `oversized`, `version`, `malformed`, `wrong_length` or `unknown_id`.
@@ -168,7 +143,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         neighbors=wire.neighbors,
         mission=MissionStamp(wire.mission, mission_digest),
         mission_text=wire.mission_text,
-        plan=None if wire.plan is None else _plan(wire.plan),
+        plan=None if wire.plan is None else Plan(wire.plan),
         plan_digest=None if wire.plan_digest is None else wire.plan_digest.hex(),
         places=wire.places,
         provenance=None
@@ -196,30 +171,16 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
             bid=offer.bid,
         ),
         beats=wire.beats,
-        roll=wire.roll,
+        positions=wire.positions,
     )
 
 
-@functools.lru_cache(maxsize=4096)
-def completed(payload: bytes, n_robots: int, dim: int, plan: Plan, plan_class: int) -> Message:
-    """`decode`, with the plan that is named and how good it is: what all receivers that know both make of the bytes."""
-    return msgspec.structs.replace(decode(payload, n_robots, dim), plan=plan, plan_class=plan_class)
-
-
-@functools.lru_cache(maxsize=4096)
-def heartbeats(payload: bytes, n_robots: int, dim: int) -> NDArray[np.int64] | None:
-    """The heartbeats that `decode` finds, as an array of shape (N,); None where there are none."""
-    beats = decode(payload, n_robots, dim).beats
-    return None if beats is None else np.array(beats, dtype=np.int64)
-
-
-def _table(wire: _WireMessage) -> Table | None:
-    if not wire.claims:
-        return None if wire.claims is None else _unsaid(wire.places)
+def _table(wire: _WireMessage) -> BidTable | None:
+    if wire.claims is None:
+        return None
     table = [UNSAID] * wire.places
-    slots, versions, bids, owners = zip(*wire.claims, strict=True)
-    for slot, entry in zip(slots, map(_entry, versions, bids, owners), strict=True):
-        table[slot] = entry
+    for slot, version, bid, owner in wire.claims:
+        table[slot] = (version, bid, owner)
     return tuple(table)
 
 
@@ -231,8 +192,8 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
         named.add(wire.offer.to)
     if wire.claims:
         named.add(max(map(_OWNER, wire.claims)))
-    if wire.roll:
-        named.add(max(wire.roll))
+    if wire.positions:
+        named.add(max(wire.positions))
     if max(named) >= n_robots:
         raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
     if max(wire.neighbors, wire.provenance.neighbors if wire.provenance else 0) >= n_robots:
@@ -242,7 +203,7 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
 def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
     if wire.beats is not None and len(wire.beats) != n_robots:
         raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
-    if wire.roll and not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in wire.roll.values()):
+    if wire.positions and not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in wire.positions.values()):
         raise MessageError("wrong_length", f"a position has {dim} coordinates")
     if (wire.plan_digest is None) != (wire.provenance is None) or (wire.plan is not None and wire.plan_digest is None):
         raise MessageError("malformed", "a plan and its provenance go together")

@@ -24,22 +24,22 @@ NO_OWNER = -1
 BLOCKED = -2
 """Stands for the owner of a slot that nobody can take, because a body that does not move is on it."""
 
-Entry: TypeAlias = tuple[int, float, int]
+BidEntry: TypeAlias = tuple[int, float, int]
 """One slot of an auction table: (version, bid, owner); owner is NO_OWNER for a free slot."""
 
-Table: TypeAlias = tuple[Entry, ...]
+BidTable: TypeAlias = tuple[BidEntry, ...]
 
-Sighting: TypeAlias = tuple[int, Point, Point]
+PositionReport: TypeAlias = tuple[int, Point, Point]
 """What a robot says of itself in a roll call: the round of the mission, 0 for when the mission came; where it is then;
 and where it is for the second call, empty before that [units; frame of the mission]."""
 
-Roll: TypeAlias = tuple[int, tuple[Point, ...]]
+TeamPositions: TypeAlias = tuple[int, tuple[Point, ...]]
 """A complete call: the version of its claims, and where each robot is, by id [units; frame of the mission]."""
 
-LAST_STAMP = 1023
+LAST_ROUND = 1023
 """Rounds of sightings are counted up to here."""
 
-UNSAID: Entry = (0, 0.0, NO_OWNER)
+UNSAID: BidEntry = (0, 0.0, NO_OWNER)
 """The lowest entry: merging it changes nothing, so it stands for the slots that a message leaves out."""
 
 
@@ -48,6 +48,10 @@ class MissionStamp(msgspec.Struct, frozen=True, order=True):
 
     counter: int
     digest: str
+
+
+NO_MISSION = MissionStamp(0, "0" * 16)
+"""The stamp of a message that names no mission."""
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
@@ -111,25 +115,27 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         beats: how often it has heard each robot's heart beat, by id; None where that is not said.
         roll: what robots have said in the roll call, by id; None where that is not said.
         plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
+        proofs: signatures that the message came with (teams with keys only); never part of the message itself.
     """
 
     sender: int
     sequence: int
     neighbors: int
-    mission: MissionStamp = MissionStamp(0, "0" * 16)
+    mission: MissionStamp = NO_MISSION
     mission_text: str | None = None
     plan: Plan | None = None
     plan_digest: str | None = None
     places: int = 0
     provenance: Provenance | None = None
     slot: int | None = None
-    table: Table | None = None
+    table: BidTable | None = None
     said: tuple[int, ...] | None = None
     table_digest: str | None = None
     offer: Offer | None = None
     beats: tuple[int, ...] | None = None
-    roll: dict[int, Sighting] | None = None
+    positions: dict[int, PositionReport] | None = None
     plan_class: int = 0
+    proofs: object = None
 
     def __post_init__(self) -> None:
         origin, plan = self.provenance, self.plan
@@ -143,6 +149,6 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
             msgspec.structs.force_setattr(self, "table_digest", table_digest(self.table))
 
 
-def table_digest(table: Table) -> str:
+def table_digest(table: BidTable) -> str:
     """16 hexadecimal digits that stand for all claims on a plan."""
     return hashlib.blake2b(msgspec.msgpack.encode(table), digest_size=8).hexdigest()

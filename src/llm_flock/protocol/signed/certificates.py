@@ -18,7 +18,7 @@ import msgspec
 from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.codec import max_payload_bytes
-from llm_flock.protocol.messages.message import BLOCKED, MAX_BID, NO_OWNER, Entry, MissionStamp, Offer, Provenance
+from llm_flock.protocol.messages.message import BLOCKED, MAX_BID, NO_OWNER, BidEntry, MissionStamp, Offer, Provenance
 
 OPERATOR = -2
 """Member id of who gives missions."""
@@ -51,19 +51,6 @@ class Authenticator(Protocol):
     def check(self, member: int, statement: bytes, signature: bytes) -> bool:
         """Whether a member signed this statement."""
         ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Authorization:
-    """The operator's signature under a mission.
-
-    Attributes:
-        counter: of the mission; higher than that of the one before.
-        signature: on the counter and the mission's digest.
-    """
-
-    counter: int
-    signature: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +89,7 @@ class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True,
     accepted_number: Number
     accepted: Signature
 
-    def entries(self) -> dict[int, tuple[Entry, int]]:
+    def entries(self) -> dict[int, tuple[BidEntry, int]]:
         """What it makes of the two places, and the numbers that these claims have."""
         return {
             self.give: ((self.give_version + 1, self.accepted_bid, self.to), self.accepted_number),
@@ -146,7 +133,7 @@ class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
     grant: Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)] | None
 
 
-class Attestation(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """A robot's word that a place is free or blocked from a version on."""
 
     slot: Robot
@@ -160,7 +147,7 @@ class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
 
     claims: tuple[_Claim, ...] = ()
     grants: tuple[Grant, ...] = ()
-    words: tuple[Attestation, ...] = ()
+    words: tuple[WitnessStatement, ...] = ()
     offer: tuple[Number, Signature] | None = None
     origin: Signature | None = None
     mission: Signature | None = None
@@ -227,7 +214,7 @@ def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
 # What is signed. Every statement begins with its kind, so none can be taken for one of another kind.
 
 
-def claim_statement(context: Context, slot: int, entry: Entry, number: int) -> bytes:
+def claim_statement(context: Context, slot: int, entry: BidEntry, number: int) -> bytes:
     """An owner's: this place is mine."""
     return _statement("claim", context, slot, *entry, number)
 
@@ -273,7 +260,7 @@ def _statement(kind: str, context: Context, *values: float) -> bytes:
     return _ENCODER.encode((kind, context.mission.counter, context.mission.digest, context.plan, *values))
 
 
-def plausible(entry: Entry, number: int, places: int) -> bool:
+def plausible(entry: BidEntry, number: int, places: int) -> bool:
     """Whether anybody honest ever writes such an entry."""
     version, bid, owner = entry
     if owner == NO_OWNER:

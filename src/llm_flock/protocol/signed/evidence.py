@@ -7,13 +7,13 @@ that lies holds one place at most and changes nobody else's. The rules are in `c
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
 
 import msgspec.structs
 
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.agreement.auction import rank
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, Entry, Message, Offer, Table
+from llm_flock.protocol.membership.occupancy import Occupancy
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
     WITNESSES,
     Authenticator,
@@ -22,7 +22,7 @@ from llm_flock.protocol.signed.certificates import (
     ExchangeGrant,
     Proofs,
     ReleaseGrant,
-    Attestation,
+    WitnessStatement,
     acceptance_statement,
     claim_statement,
     claims_of,
@@ -54,15 +54,15 @@ class Evidence:
 
     def _forget(self) -> None:
         self._number = 0
-        self._held: dict[tuple[int, Entry], Certificate] = {}
+        self._held: dict[tuple[int, BidEntry], Certificate] = {}
         self._freed: dict[tuple[int, int, int], ReleaseGrant] = {}
         self._last: dict[int, tuple[int, int]] = {}
         self._offers: dict[Offer, tuple[int, bytes]] = {}
         self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
         self._words: dict[tuple[int, int, int], dict[int, bytes]] = {}
         self._own: tuple[tuple[int, int, int], ...] = ()
-        self._outdated: set[tuple[int, Entry]] = set()
-        self._outdated_before: set[tuple[int, Entry]] = set()
+        self._outdated: set[tuple[int, BidEntry]] = set()
+        self._outdated_before: set[tuple[int, BidEntry]] = set()
 
     def turn_to(self, context: Context) -> None:
         """Another plan, or the same one for another mission, is a clean page."""
@@ -89,7 +89,7 @@ class Evidence:
 
     # ---------------------------------------------------------------- what is heard
 
-    def admit(self, message: Message, proofs: Proofs, table: Table) -> Message:
+    def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without what it has no certificate for; entries that change nothing are left out unchecked.
 
         Args:
@@ -113,7 +113,7 @@ class Evidence:
             offer=self._hear_offer(message, proofs, most_claims(len(table))),
         )
 
-    def _fit(self, slot: int, entry: Entry, certificate: Certificate | None, places: int) -> bool:
+    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, places: int) -> bool:
         version, _, owner = entry
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
@@ -132,7 +132,7 @@ class Evidence:
         self._keep(slot, entry, certificate)
         return True
 
-    def _keep(self, slot: int, entry: Entry, certificate: Certificate) -> None:
+    def _keep(self, slot: int, entry: BidEntry, certificate: Certificate) -> None:
         self._held[slot, entry] = certificate
         owner, place = entry[2], (certificate.number, slot)
         self._last[owner] = max(place, self._last.get(owner, place))
@@ -141,7 +141,7 @@ class Evidence:
         if isinstance(certificate.grant, ReleaseGrant):
             self._freed[slot, entry[0], NO_OWNER] = certificate.grant
 
-    def _holds(self, slot: int, entry: Entry, certificate: Certificate) -> bool:
+    def _holds(self, slot: int, entry: BidEntry, certificate: Certificate) -> bool:
         """Whether the certificate bears the entry out."""
         version, _, owner = entry
         grant = certificate.grant
@@ -169,7 +169,7 @@ class Evidence:
             and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)
         )
 
-    def _hear_word(self, sender: int, word: Attestation, table: Table) -> None:
+    def _hear_word(self, sender: int, word: WitnessStatement, table: BidTable) -> None:
         """A word counts where it is about the next version of what is held."""
         slot, version, owner = what = (word.slot, word.version, word.owner)
         if slot >= len(table) or version != table[slot][0] + 1 or sender in self._words.get(what, {}):
@@ -196,18 +196,16 @@ class Evidence:
 
     # ---------------------------------------------------------------- what is held
 
-    def order(self, slot: int, entry: Entry) -> tuple[int, int]:
-        """Of several places a robot keeps the one that it claimed last: the highest of these."""
+    def precedence(self, slot: int, entry: BidEntry) -> tuple[int, int]:
+        """Precedence of a claim among several of one robot: the last one counts."""
         return (self._held[slot, entry].number, slot)
 
-    def survey(self, table: Table, silent: Collection[int], blocked: Collection[int], clear: Collection[int]) -> None:
-        """Once a round: of which places this robot can say that they are free, or blocked.
+    def witness(self, table: BidTable, seen: Occupancy) -> None:
+        """State, once a round, of which slots this robot can say that they are free, or blocked.
 
         Args:
-            table: what is held.
-            silent: robots that were heard of and are no more.
-            blocked: places with a body on them that does not move.
-            clear: places that surely have none.
+            table: the entries held.
+            seen: what sensors and heartbeats say.
         """
         for slot, entry in enumerate(table):
             certificate = self._held.get((slot, entry))
@@ -218,9 +216,9 @@ class Evidence:
         self._outdated_before, self._outdated = self._outdated, set()
         own: dict[int, tuple[int, int]] = {slot: (entry[0] + 1, NO_OWNER) for slot, entry in left}
         for slot, (version, _, owner) in enumerate(table):
-            if slot in blocked and owner != BLOCKED:
+            if slot in seen.blocked and owner != BLOCKED:
                 own[slot] = (version + 1, BLOCKED)
-            elif owner in silent or (owner == BLOCKED and slot in clear):
+            elif owner in seen.silent or (owner == BLOCKED and slot in seen.clear):
                 own[slot] = (version + 1, NO_OWNER)
         self._own = tuple((slot, *what) for slot, what in own.items())
         for slot, version, owner in self._own:
@@ -228,9 +226,9 @@ class Evidence:
             if self._robot not in words:
                 words[self._robot] = self._authenticator.sign(word_statement(self._page, slot, version, owner))
 
-    def granted(self, table: Table) -> Table:
+    def granted(self, table: BidTable) -> BidTable:
         """What enough robots have said of places: entries to merge, UNSAID elsewhere."""
-        entries: list[Entry] = [UNSAID] * len(table)
+        entries: list[BidEntry] = [UNSAID] * len(table)
         for (slot, version, owner), words in list(self._words.items()):
             if version <= table[slot][0]:
                 del self._words[slot, version, owner]
@@ -262,7 +260,7 @@ class Evidence:
             if version >= table[slot][0]
         }
 
-    def _accept(self, table: Table, maker: int, offer: Offer, number: int, signature: bytes) -> None:
+    def _accept(self, table: BidTable, maker: int, offer: Offer, number: int, signature: bytes) -> None:
         """Sign the acceptance of an offer, if that is what the table says."""
         given, taken = table[offer.give], table[offer.take]
         new = (offer.give_version + 1, self._robot), (offer.take_version + 1, offer.bid, maker)
@@ -299,7 +297,9 @@ class Evidence:
             elif version > 0:
                 certificates[slot] = Certificate(number=0, grant=self._freed[slot, version, owner])
         claims, grants = claims_of(certificates)
-        words = tuple(Attestation(*what, self._words[what][self._robot]) for what in self._own if what in self._words)
+        words = tuple(
+            WitnessStatement(*what, self._words[what][self._robot]) for what in self._own if what in self._words
+        )
         return Proofs(claims=claims, grants=grants, words=words, offer=self._offer(message.offer))
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:

@@ -21,7 +21,7 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.journal import metrics_row, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Frame, Report
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 Row = list[float]
 
@@ -47,7 +47,9 @@ class Observer:
         on_row: told of every row of the record.
     """
 
-    def __init__(self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None) -> None:
+    def __init__(
+        self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+    ) -> None:
         self.mission = config.mission
         self.figures = Figures()
         self.began_s: float | None = None
@@ -254,7 +256,7 @@ class Observer:
         self._sink.write(RoundEnd(round=self._row))
         if self._on_row is not None:
             self._on_row(
-                Progress(
+                TrialProgress(
                     round=self._row,
                     rounds=0,
                     at_goal=row.robots_at_goal,
