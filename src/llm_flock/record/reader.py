@@ -33,20 +33,20 @@ E = TypeVar("E", bound=Entry)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRecord:
-    """One run, read into memory: its complete rounds, and what a clean end added.
+    """One run, read into memory: its complete rounds, and the summary of a clean end.
 
     Attributes:
         path: the file.
-        run: where it came from.
-        missions: every mission it had, oldest first.
+        run: configuration, versions and seed.
+        missions: every mission, oldest first.
         plans: every plan, in the order in which they were first seen.
         states: the team after each round; the first is the start.
         events: what robots decided or met.
         llm: model calls.
-        metrics: the figures of each round.
-        bodies: of a flight, every drone some ten times a second, measured and commanded [m].
-        flight: of a flight, what happened to it.
-        result: what the run reported; None when it did not end cleanly.
+        metrics: the measurements of each round.
+        bodies: of a real flight, every drone about ten times a second, measured and commanded [m].
+        flight: of a real flight, its events.
+        result: the run's summary; None when it did not end cleanly.
         positions: true positions, shape (rounds + 1, n, d) [units; world frame].
     """
 
@@ -86,7 +86,7 @@ class RunRecord:
 
     @property
     def models(self) -> tuple[str, ...]:
-        """The models that were asked, each once, in order of their first call."""
+        """The models that were called, each once, in the order of their first calls."""
         return tuple(dict.fromkeys(entry.model for entry in self.llm))
 
 

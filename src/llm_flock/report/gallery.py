@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from llm_flock.errors import FlockError, InputError
 from llm_flock.experiments.store import TRIALS, read_trial
 from llm_flock.record.reader import RunRecord, read_record
-from llm_flock.record.schema import LlmEntry
+from llm_flock.record.schema import ChatLine, LlmEntry
 from llm_flock.report.diagnosis import Cause, find_causes
 from llm_flock.report.results import OUTCOMES, Results, TrialRow
 from llm_flock.runtime.api import RECORD_NAME, run
@@ -31,25 +31,18 @@ REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
 """Figures that are the same when the same code flies the same trial again."""
 
 
-class Message(NamedTuple):
-    """One message of a conversation; its role is system, user, assistant, or "verdict" for what became of the answer."""
-
-    role: str
-    text: str
-
-
 class Story(NamedTuple):
     """Something that went wrong in a trial.
 
     Attributes:
         sentence: what happened.
         about: whose conversation follows, and when; empty without one.
-        conversation: of the robot that caused it.
+        conversation: of the robot that caused it; the role "verdict" says what became of an answer.
     """
 
     sentence: str
     about: str
-    conversation: tuple[Message, ...]
+    conversation: tuple[ChatLine, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,19 +158,21 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
     return read_record(folder / RECORD_NAME), f"No record was kept; flown again from its configuration.{odd}"
 
 
-def _conversation(entries: Sequence[LlmEntry]) -> Iterator[Message]:
+def _conversation(entries: Sequence[LlmEntry]) -> Iterator[ChatLine]:
     """The last call of a thread with all messages before it, the answer, and what became of it."""
     if not entries:
         return
     last = entries[-1]
     for message in last.messages:
-        yield Message(message.role, _short(message.text))
+        yield message.model_copy(update={"text": _short(message.text)})
     if last.text is not None:
-        yield Message("assistant", _short(last.text))
+        yield ChatLine(role="assistant", text=_short(last.text))
     if last.parsed is not None:
-        yield Message("verdict", "The answer was taken.")
+        yield ChatLine(role="verdict", text="The answer was taken.")
     else:
-        yield Message("verdict", f"The answer was not used: {last.rejected or last.error or 'no answer came'}")
+        yield ChatLine(
+            role="verdict", text=f"The answer was not used: {last.rejected or last.error or 'no answer came'}"
+        )
 
 
 def _short(text: str) -> str:

@@ -197,14 +197,14 @@ class Recording:
         """How the plan that a robot follows in a round came to it, from the proposal on; empty without a plan."""
         plan_id = self.states[number].plan_ids[robot]
         found: list[PlanOrigin] = []
-        who: int | None = robot
-        while plan_id is not None and who is not None and len(found) <= self.n_robots:
-            origins = self._origins.get((who, plan_id), ())
+        holder: int | None = robot
+        while plan_id is not None and holder is not None and len(found) <= self.n_robots:
+            origins = self._origins.get((holder, plan_id), ())
             origin = next((one for one in reversed(origins) if one.round <= number), None)
             if origin is None:
                 break
             found.append(origin)
-            number, who = origin.round, origin.source
+            number, holder = origin.round, origin.source
         return found[::-1]
 
     def claims_heard(self, robot: int, number: int) -> list[HeardClaim]:

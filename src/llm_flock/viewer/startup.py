@@ -69,8 +69,7 @@ def _parse(text: str) -> _Request | None:
 class StartupServer:
     """Answers on the viewer's socket until the viewer takes over; starts at once, in a thread.
 
-    Everybody gets a page that says that the viewer is starting. A run is shown after `show`, to the viewer's own
-    pages only.
+    Any browser gets a page that says that the viewer is starting. After `show`, the viewer's own pages get the run.
 
     Args:
         sock: the listening socket.

@@ -90,7 +90,7 @@ def check_shape(shape: object) -> None:
 
 
 def _free(model: str) -> bool:
-    """Whether anybody may ask a model: it costs nothing, reaches nobody, and reads no file but those of the package."""
+    """Whether a page may use a model: it costs nothing, uses no network, and reads no file outside the package."""
     provider, _, name = model.partition(":")
     packaged = provider == "local" and is_packaged(name)
     return "=" not in model and (model == "geometry" or provider == "simulated" or packaged)
