@@ -2,7 +2,7 @@
 
 python -m benchmarks.mutants            # all of them
 python -m benchmarks.mutants NAME ...   # only these
-python -m benchmarks.mutants --table    # the rows of the table in docs/testing.md
+python -m benchmarks.mutants --table    # the rows of the table in docs/explanation/testing.md
 
 The named tests have to pass on the sources as they are, and to fail on the mutant. Exit code 1 where one survives.
 """

@@ -31,7 +31,7 @@ class Mutant:
 
     @property
     def row(self) -> str:
-        """This mutant's row in the table of docs/testing.md."""
+        """This mutant's row in the table of docs/explanation/testing.md."""
         path, _, function = self.test.partition("::")
         return f"| `{self.name}` | {self.invariant} | {self.change} | `{Path(path).name}`: `{function}` |"
 

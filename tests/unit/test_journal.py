@@ -9,7 +9,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.record.schema import Entry, LlmEntry, ProtocolEvent
 from llm_flock.record.writer import NullWriter, RecordSink
-from llm_flock.runtime import journal as books
+from llm_flock.runtime import journal as journals
 from llm_flock.runtime.journal import Journal
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=())
@@ -40,7 +40,7 @@ def test_notes_and_calls_are_written_to_the_sink() -> None:
 
 
 def test_without_a_reader_calls_are_counted_and_not_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(books, "ProtocolEvent", None)
-    monkeypatch.setattr(books, "LlmEntry", None)
+    monkeypatch.setattr(journals, "ProtocolEvent", None)
+    monkeypatch.setattr(journals, "llm_entry", None)
     journal = kept(NullWriter())
     assert (journal.calls, journal.calls_failed, journal.faults["timeout"]) == (1, 1, 1)

@@ -37,6 +37,6 @@ def test_a_snippet_that_is_gone_or_stands_twice_is_refused() -> None:
 
 
 def test_the_documentation_lists_the_mutants() -> None:
-    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "explanation" / "testing.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `[a-z-]+` \|.*\|$", page, re.MULTILINE)
     assert rows == [mutant.row for mutant in MUTANTS]

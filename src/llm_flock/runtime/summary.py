@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 from llm_flock import metrics
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.entries import finite
 from llm_flock.runtime.episode import Episode
-from llm_flock.runtime.journal import Journal, finite
+from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule

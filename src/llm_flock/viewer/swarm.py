@@ -6,8 +6,9 @@ import asyncio
 import logging
 
 from llm_flock.errors import FlockError, InputError
+from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.watch import give_mission, look, observing, run_info
+from llm_flock.runtime.network.watch import give_mission, look, observing
 from llm_flock.viewer.recording import Recording
 
 logger = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ class SwarmSource:
             self.recording.close()
 
     async def _watch(self) -> None:
-        self.recording.write(run_info(self.config))
+        self.recording.write(run_info(self.config, simulated=self.config.simulated))
         with observing(self.config, self.recording) as observer:
             await look(observer)
 

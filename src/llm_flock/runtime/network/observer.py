@@ -18,7 +18,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
-from llm_flock.runtime.journal import metrics_row, mission_info
+from llm_flock.runtime.entries import metrics_row, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Frame, Report
 from llm_flock.runtime.trial import TrialProgress
