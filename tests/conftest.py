@@ -15,6 +15,7 @@ from typing import Any
 import pydantic_ai.models
 import pytest
 from hypothesis import settings
+from skipped_waits import skip_waits
 
 TESTS = Path(__file__).parent
 OFFLINE_SUITES = ("unit", "property")
@@ -93,6 +94,12 @@ def guarded_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
         return resolve(host, *args, **kwargs)
 
     monkeypatch.setattr(socket, "getaddrinfo", guarded_resolve)
+
+
+@pytest.fixture
+def skipped_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time in which the test's event loop only waits is skipped: see `skipped_waits.py` for where that is allowed."""
+    skip_waits(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import shlex
 import tomllib
@@ -45,6 +46,7 @@ def mentioned_targets(line: str) -> list[str]:
     return [] if match is None else [word for word in match[1].split() if "=" not in word]
 
 
+@functools.cache
 def commands() -> dict[str, set[str]]:
     """Every command of the command line, with the options that it takes."""
 
