@@ -16,7 +16,7 @@ from llm_flock.llm.port import Call, Reply
 from llm_flock.record.reader import iter_messages
 from llm_flock.record.schema import without_volatile
 from llm_flock.runtime import journal
-from llm_flock.runtime.trial import Progress, Trial
+from llm_flock.runtime.trial import Trial, TrialProgress
 from llm_flock.transport.memory import MemoryTransport
 
 VOLATILE: dict[str, Any] = {"wall_s": 0.0, "latency_mean_s": 0.0}
@@ -245,7 +245,7 @@ def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
     async def scene() -> None:
         third = asyncio.Event()
 
-        def watch(now: Progress) -> None:
+        def watch(now: TrialProgress) -> None:
             if now.round == 3:
                 third.set()
 

@@ -24,8 +24,9 @@ from llm_flock.protocol.events import (
     Received,
     Sensed,
 )
-from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS, mission_text
+from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS
 from llm_flock.protocol.messages.message import UNSAID, BidTable, table_digest
+from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer
 

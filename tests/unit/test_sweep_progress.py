@@ -10,7 +10,7 @@ from llm_flock.experiments.executors import Flight, Landed
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_progress import Tally
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 
 def landed(calls: int, *, formed: bool = True, error: str | None = None, cut: bool = False) -> Landed:
@@ -18,8 +18,8 @@ def landed(calls: int, *, formed: bool = True, error: str | None = None, cut: bo
     return Landed(fresh=True, formed=formed, cut=cut, error=error, spent=spent, wall_s=1.0)
 
 
-def progress(round_number: int, calls: int) -> Progress:
-    return Progress(
+def progress(round_number: int, calls: int) -> TrialProgress:
+    return TrialProgress(
         round=round_number, rounds=15, at_goal=0, n_robots=3, plans_in_use=1, distinct_goals=3, error=None,
         model_calls=calls, tokens=0, cost_usd=0.0,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from sample_records import llm_entry, make_record
 from llm_flock.cli.conversation import show_conversation, show_overview
 from llm_flock.cli.display import LiveLine
 from llm_flock.record.reader import RunRecord, read_record
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 AWKWARD = ["text:{x}", "text:[/]foo", "text:{task.fields[label]} [bold", "text:a\\"]
 
@@ -27,7 +27,7 @@ def test_the_live_line_shows_any_label_on_a_terminal(
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
-    now = Progress(
+    now = TrialProgress(
         round=2,
         rounds=60,
         n_robots=3,

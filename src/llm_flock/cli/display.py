@@ -13,7 +13,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from llm_flock.runtime.result import Summary
-    from llm_flock.runtime.trial import Progress
+    from llm_flock.runtime.trial import TrialProgress
 
 
 class LiveLine:
@@ -47,7 +47,7 @@ class LiveLine:
     ) -> None:
         self._bar.stop()
 
-    def update(self, now: Progress) -> None:
+    def update(self, now: TrialProgress) -> None:
         """Show the state after a round."""
         error = "" if now.error is None else f" · error {now.error:.2f}"
         cost = "" if not now.cost_usd else f" · {now.cost_usd:.4f} USD"

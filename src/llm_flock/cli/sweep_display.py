@@ -25,7 +25,7 @@ from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.sweep_progress import Tally
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
@@ -66,7 +66,7 @@ class SweepLine:
         self.tally.begin(flown, pending)
         self._show(force=True)
 
-    def progress(self, flight: Flight, now: Progress) -> None:
+    def progress(self, flight: Flight, now: TrialProgress) -> None:
         """See `executors.Watcher`."""
         self.tally.progress(flight, now)
         self._show()

@@ -23,7 +23,7 @@ from llm_flock.experiments.sweep_trial import fly
 from llm_flock.experiments.trials import end_with_parent, interrupts_held
 from llm_flock.llm.limits import Budget
 from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 try:
     import resource
@@ -91,7 +91,7 @@ class Landed:
 class Watcher(Protocol):
     """Told of what happens, in the thread that flies."""
 
-    def progress(self, flight: Flight, now: Progress) -> None:
+    def progress(self, flight: Flight, now: TrialProgress) -> None:
         """A trial has flown another round; only where trials are flown in this process."""
         ...
 

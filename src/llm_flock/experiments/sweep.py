@@ -22,7 +22,7 @@ from llm_flock.experiments.sweep_trial import code_version
 from llm_flock.llm.models import check_priced, parse_base_urls
 from llm_flock.llm.sharing import Spent
 from llm_flock.runtime.team import Thinkers
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
 
@@ -75,7 +75,7 @@ class Silent:
     def begin(self, flown: Mapping[str, Sequence[StoredTrial]], pending: Sequence[Flight]) -> None:
         """Ignored."""
 
-    def progress(self, flight: Flight, now: Progress) -> None:
+    def progress(self, flight: Flight, now: TrialProgress) -> None:
         """Ignored."""
 
     def landed(self, flight: Flight, landed: Landed | None) -> None:
@@ -93,7 +93,7 @@ class _Relay:
     reason: str | None = None
     elsewhere: list[Flight] = field(default_factory=list[Flight])
 
-    def progress(self, flight: Flight, now: Progress) -> None:
+    def progress(self, flight: Flight, now: TrialProgress) -> None:
         """See `Watcher`."""
         self.display.progress(flight, now)
 

@@ -15,7 +15,7 @@ from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import parse_model
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 REHEARSAL_S = 5.0
 """A rehearsal is broken off after so long, and what it used is taken on to the last round [s]."""
@@ -141,9 +141,9 @@ class _LongEnough(Exception):
 def _rehearse(config: RunConfig) -> Expected:
     """One trial of a stand-in, or what is to be thought of it where it takes long."""
     began = time.perf_counter()
-    last: list[Progress] = []
+    last: list[TrialProgress] = []
 
-    def note(now: Progress) -> None:
+    def note(now: TrialProgress) -> None:
         last[:] = [now]
         if time.perf_counter() - began > REHEARSAL_S:
             raise _LongEnough

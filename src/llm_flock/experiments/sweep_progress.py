@@ -11,7 +11,7 @@ from llm_flock.experiments.executors import Flight, Landed
 from llm_flock.experiments.store import StoredTrial
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 NEARLY = 0.95
 """A trial that is under way counts as no more of a whole one than this."""
@@ -44,7 +44,7 @@ class Tally:
         self._count: Counter[str] = Counter()
         self._left: Counter[str] = Counter()
         self._size: dict[str, float] = {}
-        self._under_way: dict[str, tuple[str, Progress]] = {}
+        self._under_way: dict[str, tuple[str, TrialProgress]] = {}
         self._flown: Counter[str] = Counter()
         self.trials = self.over = self.formed = self.broken = self.cut = 0
         self.spent = Spent()
@@ -66,7 +66,7 @@ class Tally:
         self.trials = self.over + len(pending)
         self._began = self._clock()
 
-    def progress(self, flight: Flight, now: Progress) -> None:
+    def progress(self, flight: Flight, now: TrialProgress) -> None:
         """See `executors.Watcher`."""
         self._under_way[flight.spec.id] = flight.spec.cell, now
 
@@ -133,7 +133,7 @@ class Tally:
         """How much there is to do in one trial, in calls, or by its size where nothing else is known."""
         return self._one(cell).calls or self._size.get(cell, 1.0)
 
-    def _part(self, cell: str, now: Progress) -> float:
+    def _part(self, cell: str, now: TrialProgress) -> float:
         """How much of a trial under way is done."""
         return min(NEARLY, max(now.model_calls / max(1.0, self._work(cell)), now.round / max(1, now.rounds)))
 

@@ -18,7 +18,7 @@ from llm_flock.record.schema import MetricsRow
 from llm_flock.record.writer import NullWriter
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ async def fly(
     keep: KeepRecords,
     scratch: Path,
     earlier: tuple[Earlier, ...] = (),
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
 ) -> Flown:
     """Fly one trial. Whatever breaks it off is reported, and counts; only an interruption goes through.
 

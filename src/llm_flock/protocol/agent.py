@@ -16,6 +16,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
 from llm_flock.protocol.agreement.consensus import ConsensusRule
+from llm_flock.protocol.agreement.exchange import Exchange
 from llm_flock.protocol.events import (
     TRANSITIONS,
     AgreementEnded,
@@ -38,14 +39,17 @@ from llm_flock.protocol.events import (
     Sensed,
     Stopped,
 )
+from llm_flock.protocol.membership.all_to_all import AllToAll
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
-from llm_flock.protocol.membership.replanning import Gaps
+from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.membership.waiting import waiting_place
+from llm_flock.protocol.messages.channel import Channel, PlainChannel
 from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
 from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
+from llm_flock.protocol.signed import signed
 from llm_flock.protocol.signed.certificates import Authenticator
 from llm_flock.protocol.verification.validator import Validator
 
@@ -89,21 +93,34 @@ class Agent:
         authenticator: Authenticator | None = None,
     ) -> None:
         self.robot = robot
-        self._own_clock = own_clock
         self.phase = Phase.IDLE
-        self._validator = Validator(mission, verify=verify, shield_on=shield_on, any_size=gaps == "replan")
-        liveness = Liveness(robot, mission.n_robots, time_out)
+        self._own_clock = own_clock
+        self._liveness = liveness = Liveness(robot, mission.n_robots, time_out)
+        self._replanning = Replanning(robot, liveness, gaps)
+        self._validator = validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
+        all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
+        channel: Channel = PlainChannel(robot, mission.n_robots, mission.dim)
+        if authenticator is not None:
+            channel, assignment = signed(robot, mission, authenticator, liveness, assignment)
         self._agreement = Agreement(
-            robot, mission, consensus, assignment, self._validator, liveness, gaps=gaps, authenticator=authenticator
+            robot,
+            mission,
+            consensus,
+            assignment,
+            validator=validator,
+            liveness=liveness,
+            replanning=self._replanning,
+            all_to_all=all_to_all,
         )
-        self._pilot = Pilot(
-            robot, mission, self._validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event
+        self._exchange = Exchange(
+            robot, self._agreement, validator=validator, liveness=liveness, channel=channel, all_to_all=all_to_all
         )
+        self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
+        self._connectivity = ConnectivityRecovery(self._agreement, liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
         self._asked: PlanQuestion | None = None
         self._asked_about: object = None
-        self._connectivity = ConnectivityRecovery(self._agreement)
 
     @property
     def position(self) -> Point:
@@ -147,13 +164,8 @@ class Agent:
 
     @property
     def rejected(self) -> Counter[str]:
-        """Messages refused on receipt, by reason."""
-        return self._agreement.rejected
-
-    @property
-    def quiet(self) -> bool:
-        """Whether repeating the last communication round would change nothing here."""
-        return self._agreement.quiet
+        """Messages and claims refused on receipt, by reason."""
+        return self._exchange.rejected
 
     @property
     def influence(self) -> float:
@@ -183,7 +195,7 @@ class Agent:
             case Received():
                 phase, effects = self.phase, self._receive(event)
             case CommRoundBegan():
-                phase, effects = self.phase, [Broadcast(self._agreement.broadcast())]
+                phase, effects = self.phase, [Broadcast(self._exchange.broadcast())]
             case CommRoundEnded():
                 phase, effects = self._settle()
             case Sensed():
@@ -191,7 +203,7 @@ class Agent:
             case HeartbeatDue():
                 phase, effects = self.phase, self._begin_period(event.period)
             case MissionGiven():
-                phase, effects = self.phase, [self._agreement.obey(event.mission, event.order)]
+                phase, effects = self.phase, [self._exchange.give_mission(event.mission, event.authorization)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -216,7 +228,7 @@ class Agent:
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
-        places = agreement.places
+        places = self._replanning.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
         if places is None or listening:
             # Who joins a team that is at work hears it out before it proposes a plan of its own.
             return Phase.AGREEING, []
@@ -242,8 +254,12 @@ class Agent:
         agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
-        agreement.begin_round(number, near, event.neighbors)
-        agreement.watch_team(may_shrink=self._connectivity.given_up)
+        self._liveness.begin_round(number, near)
+        agreement.begin_round(event.neighbors)
+        self._exchange.begin_round(near)
+        self._replanning.watch(
+            agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
+        )
         return []
 
     def _look_about(self, event: Sensed) -> list[Effect]:
@@ -255,7 +271,7 @@ class Agent:
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. A step in question whose plan or place has changed by that is asked for anew."""
-        notes: list[Effect] = [*self._agreement.settle()]
+        notes: list[Effect] = [*self._agreement.settle(self._exchange.drain())]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()
@@ -282,13 +298,12 @@ class Agent:
         )
         self._seen = number, event
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
-        self._agreement.look(scene.here, sensed)
+        self._agreement.sense(scene.here, sensed)
 
     def _receive(self, event: Received) -> list[Effect]:
-        agreement = self._agreement
-        before = agreement.mission
-        notes: list[Effect] = [*agreement.receive(event.payload, event.sender)]
-        if agreement.mission is not before and self._seen is not None:
+        before = self.mission
+        notes: list[Effect] = [*self._exchange.receive(event.payload, event.sender)]
+        if self.mission is not before and self._seen is not None:
             self._look(*self._seen)
         return notes
 

@@ -13,8 +13,8 @@ import msgspec
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
+from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.signed.certificates import Authorization
 
 
 class Phase(StrEnum):
@@ -83,11 +83,11 @@ class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         mission: what it is.
-        order: the operator's signature, where robots take nothing else.
+        authorization: the operator's signature, where robots accept nothing else.
     """
 
     mission: Mission
-    order: Authorization | None = None
+    authorization: Authorization | None = None
 
 
 class Planned(msgspec.Struct, frozen=True):

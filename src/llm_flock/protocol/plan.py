@@ -32,7 +32,7 @@ class Plan:
         array = np.array(self.points, dtype=np.float64).reshape(len(self.points), -1).round(DECIMALS) + 0.0
         array.setflags(write=False)
         rows: list[list[float]] = array.tolist()
-        rounded: tuple[Point, ...] = tuple(tuple(row) for row in rows)
+        rounded: tuple[Point, ...] = tuple(map(tuple, rows))
         content = array.astype("<f8").tobytes()
         object.__setattr__(self, "points", rounded)
         object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=8).hexdigest())

@@ -27,7 +27,7 @@ from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
-from llm_flock.runtime.trial import Progress, Steer, Trial
+from llm_flock.runtime.trial import Steer, Trial, TrialProgress
 from llm_flock.transport.memory import MemoryTransport
 
 RECORD_NAME = "run.mcap"
@@ -44,7 +44,7 @@ async def run_async(
     consensus: str | ConsensusRule | None = None,
     assignment: str | AssignmentRule | None = None,
     config: RunConfig | None = None,
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
     lane: Lane | None = None,
     steer: Steer | None = None,
@@ -114,7 +114,7 @@ def minds(config: RunConfig, consensus: ConsensusRule, assignment: AssignmentRul
 async def _fly(
     config: RunConfig,
     mind: Callable[[int], Agent],
-    on_round: Callable[[Progress], None] | None,
+    on_round: Callable[[TrialProgress], None] | None,
     sink: RecordSink | None,
     lane: Lane | None,
     steer: Steer | None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -53,7 +53,7 @@ SILENT_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
+class TrialProgress:
     """What a live display needs to know after each round."""
 
     round: int
@@ -92,7 +92,7 @@ class Trial:
         bodies: Bodies,
         transport: MemoryTransport,
         journal: Journal,
-        on_round: Callable[[Progress], None] | None = None,
+        on_round: Callable[[TrialProgress], None] | None = None,
         steer: Steer | None = None,
     ) -> None:
         self.config = config
@@ -180,14 +180,8 @@ class Trial:
     async def _fly_round(self, number: int) -> None:
         self._let_happen(number)
         await self._think_plans(number)
-        comm_rounds = self.config.protocol.comm_rounds or 1
-        for comm_round in range(comm_rounds):
-            before = replace(self.transport.traffic)
+        for comm_round in range(self.config.protocol.comm_rounds or 1):
             self._exchange(number, comm_round)
-            if self.transport.clear and all(agent.quiet for _, agent in self._minds()):
-                # Nobody has anything new to say: the other exchanges of this round are like this one.
-                self.transport.repeat(before, comm_rounds - comm_round - 1)
-                break
         moves = await self._think_steps(number)
         await self._move(moves)
         for robot, agent in self._minds():
@@ -279,7 +273,7 @@ class Trial:
         plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
         error = journal.errors[-1]
         self._on_round(
-            Progress(
+            TrialProgress(
                 round=self.round,
                 rounds=self.config.trial.rounds,
                 at_goal=journal.at_goal,

@@ -76,19 +76,6 @@ class MemoryTransport:
                 late = int(rng.integers(0, faults.delay + 1)) if faults.delay else 0
                 self._due[self._tick + late].append((receiver, payload))
 
-    @property
-    def clear(self) -> bool:
-        """Whether all that was sent has arrived, and nothing goes wrong on the way."""
-        return not self.faults.any and not self._due
-
-    def repeat(self, before: Traffic, times: int) -> None:
-        """Count what was sent since `before` once more for each of so many communication rounds."""
-        traffic = self.traffic
-        traffic.sent += times * (traffic.sent - before.sent)
-        traffic.bytes += times * (traffic.bytes - before.bytes)
-        traffic.delivered += times * (traffic.delivered - before.delivered)
-        self._tick += times
-
     def deliver(self) -> list[tuple[int, bytes]]:
         """What arrives in this communication round, as (receiver, payload) in the order of arrival; begins the next."""
         arriving = self._due.pop(self._tick, [])

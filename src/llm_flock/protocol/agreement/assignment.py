@@ -10,7 +10,16 @@ from typing import Protocol
 import msgspec
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.messages.message import BidEntry, BidTable, Message, Offer, TeamPositions
+from llm_flock.protocol.membership.occupancy import Occupancy
+from llm_flock.protocol.messages.message import (
+    NO_MISSION,
+    BidEntry,
+    BidTable,
+    Message,
+    MissionStamp,
+    Offer,
+    TeamPositions,
+)
 from llm_flock.protocol.plan import Plan
 
 
@@ -37,19 +46,18 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         robot: own id.
-        position: own believed position [units; world frame].
+        position: own believed position [units; frame of the mission].
         plan: the plan that is followed.
         spacing: wanted distance between neighbouring robots [units].
-        chosen: the index that its own model named for itself, None where the model gave no plan.
+        chosen: the slot that the robot's own model named, None where the model gave no plan.
         adopted: whether the plan is another robot's.
-        heard: this communication round's newest message of each robot on the same plan, in ascending order of ids.
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        silent: robots that were heard of and are no more.
-        blocked: places that nobody can take, because a body that does not move is on them.
-        clear: places that surely have no such body.
-        granted: entries that enough robots have signed together (signed claims only).
-        roll: where everybody is; None where that is not known, or no news.
-        order: of several places of one's own the one with the highest of these is kept (signed claims only).
+        heard: the newest message of each robot on the same plan, in ascending order of ids.
+        sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
+        mission: the mission that the plan was made for.
+        occupancy: what sensors and heartbeats say about the slots; None except once a round.
+        positions: where every robot is; None where that is not known, or not new (all-to-all assignment).
+        granted: entries that enough robots have signed together; None in a team without keys.
+        precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
     """
 
     robot: int
@@ -60,19 +68,17 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     adopted: bool
     heard: Sequence[Message]
     sensed: Mapping[int, Point]
-    silent: frozenset[int] = frozenset()
-    blocked: frozenset[int] = frozenset()
-    clear: frozenset[int] = frozenset()
-    granted: BidTable | None = None
+    mission: MissionStamp = NO_MISSION
+    occupancy: Occupancy | None = None
     positions: TeamPositions | None = None
-    order: Callable[[int, BidEntry], tuple[int, int]] | None = None
+    granted: BidTable | None = None
+    precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
 
 
 class AssignmentRule(Protocol):
     """Chooses a robot's own slot.
 
-    A rule is a pure function of its arguments. What it looks at in a message is who sends it, `neighbors`, `plan`,
-    `provenance`, `plan_class`, `slot`, `table` and `offer`: it is not asked anew while these stay as they are.
+    A rule is a pure function of its arguments.
     `llm_flock.testing.check_assignment_rule` tests a new rule.
     """
 

@@ -22,7 +22,8 @@ from msgspec.structs import replace
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.agreement.path_length import path_lengths
-from llm_flock.protocol.membership.all_to_all import assigned, given_all_to_all
+from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
+from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 
 BID_DECIMALS = 9
@@ -57,13 +58,11 @@ def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None
     """`merge` with several tables and the slots of them that matter; also the slots that changed."""
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
-        # Tables are long, and what is heard is mostly known: entries that were read from the same bytes are the same
-        # object (`llm_flock.protocol.messages.codec`), which costs the least to see.
         if said is None:
-            said = compress(range(len(entries)), map(operator.is_not, entries, theirs))
+            said = compress(range(len(entries)), map(operator.ne, entries, theirs))
         for a in said:
             their, my = theirs[a], entries[a]
-            if their is my or their is UNSAID or their[0] < my[0]:
+            if their == my or their is UNSAID or their[0] < my[0]:
                 continue
             if their[0] > my[0] or ((their[1] >= my[1] or my[2] == NO_OWNER) and rank(their) > rank(my)):
                 entries[a] = their
@@ -120,10 +119,10 @@ class AuctionAssignment:
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
         if now.positions is not None:
-            table, more = merged(table, [(assigned(now.plan, now.positions), None)])
+            table, more = merged(table, [(optimal_assignment(now.plan, now.positions), None)])
             touched |= more
         if now.granted is None:
-            table = observed_occupancy(reclaimed(now.robot, claim, table), now)
+            table = with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)
         else:
             table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
@@ -133,7 +132,7 @@ class AuctionAssignment:
             slot = claim.slot
         else:
             among = touched if claim.slot is None else touched | {claim.slot}
-            table, slot = keep_one(now.robot, table, among, now.order)
+            table, slot = keep_one(now.robot, table, among, now.precedence)
             if slot is None and offer is None:
                 table, slot = best_won(now.robot, bids, table)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
@@ -151,16 +150,16 @@ def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
     return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
 
 
-def observed_occupancy(table: BidTable, now: AssignmentInput) -> BidTable:
-    """The table after a look around: slots of the silent are free, and those under still bodies belong to nobody."""
-    if not (now.silent or now.blocked or now.clear):
+def with_occupancy(table: BidTable, seen: Occupancy | None) -> BidTable:
+    """The table with the slots of silent robots free and those under still bodies blocked."""
+    if seen is None or not (seen.silent or seen.blocked or seen.clear):
         return table
     new: dict[int, BidEntry] = {}
     for a, (version, _, owner) in enumerate(table):
-        if a in now.blocked:
+        if a in seen.blocked:
             if owner != BLOCKED:
                 new[a] = (version + 1, 0.0, BLOCKED)
-        elif owner in now.silent or (owner == BLOCKED and a in now.clear):
+        elif owner in seen.silent or (owner == BLOCKED and a in seen.clear):
             new[a] = (version + 1, 0.0, NO_OWNER)
     return changed(table, new)
 
@@ -172,7 +171,7 @@ def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
 
 
 def keep_one(
-    robot: int, table: BidTable, among: Iterable[int], order: Precedence | None = None
+    robot: int, table: BidTable, among: Iterable[int], precedence: Precedence | None = None
 ) -> tuple[BidTable, int | None]:
     """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
 
@@ -182,11 +181,11 @@ def keep_one(
         robot: own id.
         table: all claims known.
         among: slots that it may own: its own of before, and those in which something has changed since.
-        order: the order of signed claims; then any slot may be its own.
+        precedence: precedence of signed claims; then any slot may be its own.
     """
-    if order is not None:
+    if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
-        return table, max(every, key=lambda a: order(a, table[a]), default=None)
+        return table, max(every, key=lambda a: precedence(a, table[a]), default=None)
     owned = [a for a in among if table[a][2] == robot]
     keep = max(owned, key=lambda a: (table[a][0], table[a][1], -a), default=None)
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep

@@ -28,8 +28,7 @@ class ConsensusRule(Protocol):
     """Chooses the message whose plan is to be adopted.
 
     A rule is a pure function of its arguments: the same arguments give the same choice, in any order of `heard`
-    (one newest message per sender, ascending ids). What it looks at in a message is who sends it, `neighbors`, `plan`,
-    `provenance`, `plan_class`, `slot`, `table` and `offer`: it is not asked anew while these stay as they are.
+    (the newest message of each sender, in ascending order of ids).
     `llm_flock.testing.check_consensus_rule` tests a new rule.
     """
 

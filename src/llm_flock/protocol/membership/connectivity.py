@@ -1,4 +1,4 @@
-"""How a robot stays in touch with its team, or finds those it misses: where it flies on the way to its place."""
+"""Connectivity recovery: intermediate targets that keep a robot in touch with its team, or find missing robots."""
 
 from __future__ import annotations
 
@@ -9,37 +9,42 @@ from llm_flock.metrics import AT_GOAL
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.path_length import ACROSS, next_stop
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import given_all_to_all
+from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
+from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
 from llm_flock.protocol.membership.search import MANY, Search, advance
 from llm_flock.protocol.plan import Plan
 
 
 class ConnectivityRecovery:
-    """One robot's connectivity for the others.
+    """Where one robot flies to stay in touch with its team, or to find robots that it misses.
 
     Args:
-        agreement: know who is missing, and who claims which place.
+        agreement: the plan, and the claims on its slots.
+        liveness: which robots are missing.
+        all_to_all: whether a large team waits for its missing robots.
     """
 
-    def __init__(self, agreement: Agreement) -> None:
+    def __init__(self, agreement: Agreement, liveness: Liveness, all_to_all: AllToAll) -> None:
         self._agreement = agreement
+        self._liveness = liveness
+        self._all_to_all = all_to_all
         self._search = Search()
 
     @property
     def given_up(self) -> bool:
-        """Whether nobody looks for those who are missing any more."""
+        """Whether the search for missing robots has ended without success."""
         return self._search.given_up
 
     def where_to(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
-        """Where the robot flies before it flies to its place, None where it need not; once a round.
+        """The intermediate target, None if the robot flies straight to its place. Call once a round.
 
         Args:
             here: own believed position [units; frame of the mission].
             plan: the plan that is followed.
             slot: own place in it.
         """
-        live, table, mission = self._agreement.liveness, self._agreement.claim.table, self._agreement.mission
+        live, table, mission = self._liveness, self._agreement.claim.table, self._agreement.mission
         waits, ended = self._wait_for_others(here, plan, slot)
         if waits is not None:
             return waits, ended
@@ -54,29 +59,29 @@ class ConnectivityRecovery:
         return target, notes
 
     def _wait_for_others(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
-        """Where a robot of a large team in pieces waits for the others, not searching; None where it does not."""
+        """The point where a robot of a large team in pieces waits for the others; None if it does not wait."""
         agreement, mission = self._agreement, self._agreement.mission
-        if not agreement.all_to_all.waiting or agreement.placed:
+        if not self._all_to_all.waiting or agreement.placed:
             return None, []
-        point = meeting_point(mission, plan, here, agreement.all_to_all.others)
+        point = meeting_point(mission, plan, here, self._all_to_all.others)
         if point is None:
             return None, []
-        agreement.all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
+        self._all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
         searched, self._search = self._search, Search()
         ended = [Note("search", {"begun": False, "vacant": list(searched.known[1])})] if searched.way else []
         return point, ended
 
     def _places_for_now(self, plan: Plan) -> Plan:
-        """The places of the plan, or where those of a large team in pieces meet first, until they give that up."""
-        live, table = self._agreement.liveness, self._agreement.claim.table
+        """The places of the plan, or those on the rendezvous circle of a large team in pieces."""
+        live, table = self._liveness, self._agreement.claim.table
         if table is None or self.given_up or len(live.strangers) + len(live.silent) <= MANY:
             return plan
         return meeting_places(self._agreement.mission, plan, table)
 
     def _look_for_others(self, here: Point, plan: Plan, slot: int) -> list[Note]:
-        """Begin, continue or end the search for robots that hold the slots known as vacant; note what stays empty."""
+        """Begin, continue or end the search for robots in vacant slots; note the slots that stay empty."""
         agreement = self._agreement
-        table, live, mission = agreement.claim.table, agreement.liveness, agreement.mission
+        table, live, mission = agreement.claim.table, self._liveness, agreement.mission
         if table is None:
             return []
         before = self._search
@@ -92,7 +97,7 @@ class ConnectivityRecovery:
             strangers=len(live.strangers),
             silent=len(live.silent),
         )
-        agreement.look_at(self._search.looked)
+        agreement.count_search(self._search.looked)
         notes = list[Note]()
         if bool(before.way) != bool(self._search.way):
             vacant = list(self._search.known[1])

@@ -1,25 +1,44 @@
-"""What a robot sees of bodies without a mind: where they stand, and which places of a plan they keep from everybody."""
+"""Slots that robots without a heartbeat occupy or leave free: what sensors and heartbeats say about a plan's places."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 
+import msgspec
+
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
+from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.plans import blocked_within
 
+NONE = frozenset[int]()
 
-def bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collection[int]) -> tuple[Point, ...]:
-    """Bodies in sight without a mind [units; frame of the mission].
 
-    None while the formation travels: it passes them by, and no place stays under them.
+class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot can say about the slots of a plan.
+
+    Attributes:
+        silent: robots whose heartbeats have stopped; their slots are free.
+        blocked: slots that no robot can take, because a body that does not move stands there.
+        clear: slots that certainly have no such body.
+    """
+
+    silent: frozenset[int] = NONE
+    blocked: frozenset[int] = NONE
+    clear: frozenset[int] = NONE
+
+
+def still_bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collection[int]) -> tuple[Point, ...]:
+    """Positions of sensed robots whose heartbeats have stopped [units; frame of the mission].
+
+    Empty while the formation travels: it passes such bodies, and no place stays under them.
 
     Args:
         mission: the mission in force.
         sensed: positions of the robots within sensing range, by id [units; frame of the mission].
-        silent: robots that were heard of and are no more.
+        silent: robots whose heartbeats have stopped.
     """
     if mission.velocity is not None:
         return ()
@@ -27,11 +46,39 @@ def bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collection[int
 
 
 def sight(mission: Mission) -> float:
-    """How far away a place may be so that every body is sensed that could block it [units]."""
+    """Largest distance of a place at which every body that could block it is sensed [units]."""
     return mission.sensing - max(blocked_within(mission), 0.0)
 
 
-def observed_occupancy(
+def observe(
+    mission: Mission,
+    plan: Plan,
+    position: Point,
+    sensed: Mapping[int, Point],
+    liveness: Liveness,
+    *,
+    hears_others: bool,
+    knows_blocked: bool,
+) -> Occupancy:
+    """The occupancy of a plan's slots as one robot sees it. Call once a round.
+
+    Args:
+        mission: the mission in force.
+        plan: the plan that is followed.
+        position: own believed position [units; frame of the mission].
+        sensed: positions of the robots within sensing range, by id [units; frame of the mission].
+        liveness: heartbeats of the team.
+        hears_others: whether any message arrived; a robot that hears none is itself cut off, and declares nobody dead.
+        knows_blocked: whether the robot's bid table has blocked slots.
+    """
+    bodies = still_bodies(mission, sensed, liveness.silent)
+    blocked, clear = NONE, NONE
+    if bodies or knows_blocked:
+        blocked, clear = occupied_slots(mission, plan, position, sensed, bodies, liveness.living)
+    return Occupancy(silent=liveness.silent if hears_others else NONE, blocked=blocked, clear=clear)
+
+
+def occupied_slots(
     mission: Mission,
     plan: Plan,
     position: Point,
@@ -39,23 +86,23 @@ def observed_occupancy(
     still: Sequence[Point],
     living: Collection[int],
 ) -> tuple[frozenset[int], frozenset[int]]:
-    """Places that a body without a mind keeps anybody from taking, and places that have none, as far as can be told.
+    """Slots blocked by a body without a heartbeat, and slots that certainly have none.
 
-    Whose body it is that stands on a place may be known to others only: such a place counts as neither. Nor does one
-    that is too far away to be seen with all that could block it. Who is known to live will move off by itself.
+    A slot is neither if an unidentified body stands there, which may be known to others, or if it is too far away to
+    see everything that could block it. Robots known to live do not block a slot: they will move away.
 
     Args:
         mission: the mission in force.
-        plan: whose places are looked at.
-        position: where the robot looks from [units; frame of the mission].
+        plan: the plan whose slots are examined.
+        position: position of the observing robot [units; frame of the mission].
         sensed: positions of the robots within sensing range, by id [units; frame of the mission].
-        still: those of them that have no mind (`bodies`).
-        living: robots that have one, as far as can be told (`Liveness.living`).
+        still: those of robots without a heartbeat (`still_bodies`).
+        living: robots with a heartbeat (`Liveness.living`).
     """
     too_near = blocked_within(mission)
     places = [a for a, place in enumerate(plan.points) if math.dist(position, place) <= sight(mission)]
 
-    def under(those: Collection[Point]) -> frozenset[int]:
-        return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in those))
+    def under(bodies: Collection[Point]) -> frozenset[int]:
+        return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in bodies))
 
     return under(still), frozenset(places) - under([x for j, x in sensed.items() if j not in living])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import operator
 from typing import Annotated
 
 import msgspec
-import msgspec.structs
-import numpy as np
-from numpy.typing import NDArray
 
-from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
@@ -19,7 +15,6 @@ from llm_flock.protocol.messages.message import (
     LAST_ROUND,
     MAX_BID,
     UNSAID,
-    BidEntry,
     BidTable,
     Message,
     MissionStamp,
@@ -125,28 +120,8 @@ def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
     return tuple([(a, *table[a]) for a in slots if table[a] != UNSAID])
 
 
-@functools.lru_cache(maxsize=256)
-def _plan(points: tuple[Point, ...]) -> Plan:
-    """The plan of these points: a few plans come in many messages, and rounding a long one takes milliseconds."""
-    return Plan(points)
-
-
-@functools.lru_cache(maxsize=64)
-def _unsaid(places: int) -> BidTable:
-    return (UNSAID,) * places
-
-
-@functools.lru_cache(maxsize=2**18)
-def _entry(version: int, bid: float, owner: int) -> BidEntry:
-    """One object for equal entries: they come in many messages, and whoever compares tables need not look inside."""
-    return version, bid, owner
-
-
-@functools.lru_cache(maxsize=4096)
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:
-    """A message from bytes that anybody may have sent.
-
-    Pure, so equal payloads are decoded once (a broadcast has many receivers).
+    """The message in a payload from an untrusted sender. Pure.
 
     Raises:
         MessageError: with reason `oversized`, `version`, `malformed`, `wrong_length` or `unknown_id`.
@@ -168,7 +143,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         neighbors=wire.neighbors,
         mission=MissionStamp(wire.mission, mission_digest),
         mission_text=wire.mission_text,
-        plan=None if wire.plan is None else _plan(wire.plan),
+        plan=None if wire.plan is None else Plan(wire.plan),
         plan_digest=None if wire.plan_digest is None else wire.plan_digest.hex(),
         places=wire.places,
         provenance=None
@@ -200,26 +175,12 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     )
 
 
-@functools.lru_cache(maxsize=4096)
-def completed(payload: bytes, n_robots: int, dim: int, plan: Plan, plan_class: int) -> Message:
-    """`decode`, with the plan that is named and how good it is: what all receivers that know both make of the bytes."""
-    return msgspec.structs.replace(decode(payload, n_robots, dim), plan=plan, plan_class=plan_class)
-
-
-@functools.lru_cache(maxsize=4096)
-def heartbeats(payload: bytes, n_robots: int, dim: int) -> NDArray[np.int64] | None:
-    """The heartbeats that `decode` finds, as an array of shape (N,); None where there are none."""
-    beats = decode(payload, n_robots, dim).beats
-    return None if beats is None else np.array(beats, dtype=np.int64)
-
-
 def _table(wire: _WireMessage) -> BidTable | None:
-    if not wire.claims:
-        return None if wire.claims is None else _unsaid(wire.places)
+    if wire.claims is None:
+        return None
     table = [UNSAID] * wire.places
-    slots, versions, bids, owners = zip(*wire.claims, strict=True)
-    for slot, entry in zip(slots, map(_entry, versions, bids, owners), strict=True):
-        table[slot] = entry
+    for slot, version, bid, owner in wire.claims:
+        table[slot] = (version, bid, owner)
     return tuple(table)
 
 

@@ -1,84 +1,40 @@
-"""What is said in full: long things are named by a digest, and spelled out where a neighbour may lack them.
+"""How much of its knowledge a robot spells out: long parts are named by a digest unless a neighbour may lack them.
 
-Everything in a message may be merged in parts and in any order, so what to leave out is a matter of cost and never of
-right. Whoever hears a digest that differs from its own spells out its side, until it hears its own digest back; so a
-lost message is repeated as long as it matters, and robots that agree exchange a few dozen bytes. Neighbours come and go
-between rounds, so the first exchange of a round greets those that are not known to agree. Large tables are spelled out
-once a round at most, and otherwise by what changed (delta states: Almeida, Shoker, Baquero: Delta state
-replicated data types, 2018).
+Receivers may merge parts of a message in any order, so leaving something out costs time and never correctness. A robot
+that hears a digest other than its own spells out its side until it hears its own digest back. Lost messages are thus
+repeated for as long as they matter, and robots that agree exchange a few dozen bytes. Neighbours come and go between
+rounds, so the first message of a round greets every neighbour that is not known to agree. Large bid tables are spelled
+out at most once a round, and otherwise by their changes (delta states: Almeida, Shoker, Baquero: Delta state replicated
+data types, 2018).
 """
 
 from __future__ import annotations
 
-import json
 import operator
 from itertools import compress
-from typing import Any, cast
 
 from msgspec.structs import replace
 
-from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import UNSAID, BidTable, Message, table_digest
+from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 
 SMALL = 64
-"""Plans and tables of up to so many places are spelled out once a round whoever is near, and tables in every exchange
-in which a digest differs."""
+"""Plans and tables of at most this many slots are spelled out once a round to all neighbours; such tables also in every
+communication round in which a digest differs."""
 
 REMEMBERED_PLANS = 1024
-"""So many plans are known by their digest."""
+"""Most plans that are known by their digest, so that a flood of plans costs bounded memory."""
 
-MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
-"""What is said of a mission; all else is a robot's own, and no message changes it."""
-
-
-def mission_text(mission: Mission) -> str:
-    """A mission as it is said to others."""
-    return mission.model_dump_json(include=set(MISSION_FIELDS))
-
-
-def mission_fields(text: str) -> dict[str, Any]:
-    """The fields of a mission that came over the radio.
-
-    Raises:
-        MessageError: it is not a JSON object of fields that may change.
-    """
-    try:
-        said: object = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
-    fields = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": said}
-    if not fields.keys() <= MISSION_FIELDS:
-        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
-    return fields
-
-
-def mission_said(message: Message, own: Mission) -> Mission:
-    """The mission that a message says in full, with the limits and surroundings of the own one.
-
-    They are not said, and stay as they are: a mission with others has another digest.
-
-    Raises:
-        MessageError: with reason `malformed` or `other_mission`.
-    """
-    try:
-        said = own.change(**mission_fields(message.mission_text or ""))
-    except InputError as error:
-        raise MessageError("other_mission", str(error)) from None
-    if said.digest != message.mission.digest:
-        raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
-    return said
-
-
-_KNOWN = operator.attrgetter("mission", "plan_digest", "table_digest")
-"""What a neighbour shows to know: by this is chosen what to tell it."""
+_KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
+"""The part of a message that shows what its sender knows."""
 
 
 class Dissemination:
-    """What one robot has said and what it knows of its neighbours' knowledge."""
+    """What one robot has sent, and what it knows of its neighbours' knowledge."""
 
     def __init__(self) -> None:
         self._peers: dict[int, Message] = {}
@@ -88,21 +44,21 @@ class Dissemination:
         self._greeting = True
         self._table: BidTable | None = None
         self._digested: tuple[BidTable | None, str | None] = (None, None)
-        self._changed: tuple[frozenset[int], ...] = ()  # since each of the last two broadcasts
-        self._plan_said: str | None = None
-        self._said: Message | None = None
+        self._changed: tuple[frozenset[int], ...] = ()  # slots, since each of the last two broadcasts
+        self._plan_sent: str | None = None
+        self._sent: Message | None = None
         self._sequence = 0
         self._payload = b""
+        self._plans: dict[str, Plan] = {}
         self._standing: tuple[object, ...] = ()
         self._news = True
-        self._plans: dict[str, Plan] = {}
 
     def begin_round(self, around: frozenset[int], neighbors: int) -> None:
-        """Neighbours come and go between rounds: forget who was not heard in the last one.
+        """Forget neighbours that were silent in the last round.
 
         Args:
             around: ids of the robots that are sensed within radio range.
-            neighbors: how many robots the radio counts within range.
+            neighbors: number of robots that the radio counts within range.
         """
         self._peers = {j: self._peers[j] for j in self._heard}
         self._heard = set()
@@ -110,31 +66,31 @@ class Dissemination:
         self._greeting = True
 
     def hear(self, message: Message) -> None:
-        """Remember what a neighbour has."""
+        """Remember what a neighbour knows."""
         before = self._peers.get(message.sender)
-        if before is None or (before is not message and _KNOWN(before) != _KNOWN(message)):
+        if before is not message and (before is None or _KNOWLEDGE(before) != _KNOWLEDGE(message)):
             self._news = True
         self._peers[message.sender] = message
         self._heard.add(message.sender)
 
-    def named(self, message: Message, own: Plan | None) -> Plan | None:
-        """The plan that a message names; None if it names none, or one that was never said in full here.
+    def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
+        """The plan that a message names; None if it names none, or one that never arrived in full.
 
         Args:
-            message: what was heard.
-            own: the plan that is followed.
+            message: the message received.
+            own: the plan that this robot follows.
         """
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
             return named if named is not None and len(named.points) == message.places else None
         if len(self._plans) >= REMEMBERED_PLANS:
-            self._plans.clear()  # whoever floods the radio with plans may cost time, but not memory
+            self._plans.clear()
         self._plans[plan.digest] = plan
         return plan
 
     def forget_plans(self) -> None:
-        """Another mission has come: no plan of before is heard of any more."""
+        """Forget all plans. Call when another mission comes into force."""
         self._plans = {}
 
     @property
@@ -142,35 +98,37 @@ class Dissemination:
         """Whether the next broadcast is the first of a round."""
         return self._greeting
 
-    def again(self, *standing: object) -> bytes | None:
-        """The last bytes once more; None where something is new, or this robot stands otherwise than it did then.
+    def unchanged(self, *standing: object) -> bytes | None:
+        """The last payload if composing again would give the same one, else None.
+
+        A robot in agreement repeats itself in most communication rounds; this saves a tenth of a large team's time.
 
         Args:
-            standing: all that `whole` is made of but the roll.
+            standing: everything that the message is made of, apart from the team's positions.
         """
         same, self._standing = standing == self._standing, standing
         return self._payload if same and not (self._news or self._greeting) else None
 
-    def say(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
-        """The bytes to send; equal ones as long as there is nothing else to say.
+    def compose(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
+        """The bytes to broadcast; equal ones as long as there is nothing else to say.
 
         Args:
-            whole: the standing, everything spelled out; `sequence` is set here.
+            whole: the robot's knowledge with everything spelled out; `sequence` is set here.
             mission: the mission in force.
-            liveness: whose heartbeats are passed on, once a round.
+            liveness: heartbeats, which are passed on once a round.
         """
         self._note_changes(whole.table)
         plan = whole.plan
         digest = None if plan is None else plan.digest
         mine = whole.mission, digest, whole.table_digest
-        others = [heard for heard in self._peers.values() if _KNOWN(heard) != mine]
+        others = [heard for heard in self._peers.values() if _KNOWLEDGE(heard) != mine]
         agreeing = self._peers.keys() - {heard.sender for heard in others} if others else self._peers.keys()
         greeting, self._greeting = self._greeting, False
-        known = self._around <= agreeing and len(agreeing) >= self._neighbors
-        meets = greeting and (not known or plan is None or len(plan) <= SMALL)
-        spell_plan = meets or self._plan_said != digest or any(m.plan_digest != digest for m in others)
-        before, self._plan_said = self._plan_said, digest
-        part, said = self._part(whole, others, meets=meets, greeting=greeting)
+        all_agree = self._around <= agreeing and len(agreeing) >= self._neighbors
+        meets = greeting and (not all_agree or plan is None or len(plan) <= SMALL)
+        spell_plan = meets or self._plan_sent != digest or any(m.plan_digest != digest for m in others)
+        before, self._plan_sent = self._plan_sent, digest
+        part, slots = self._part(whole, others, meets=meets, greeting=greeting)
         message = replace(
             whole,
             sequence=0,
@@ -179,41 +137,41 @@ class Dissemination:
             plan_digest=digest,
             places=0 if plan is None else len(plan),
             table=part,
-            said=said,
+            said=slots,
             table_digest=whole.table_digest,
             beats=liveness.beats if greeting else None,
         )
-        if message != self._said:
-            self._said = message
+        if message != self._sent:
+            self._sent = message
             self._payload = encode(message, self._sequence)
             self._sequence += 1
-        # A greeting, a roll, and what has just changed are not said again in the next communication round.
-        self._news = greeting or whole.positions is not None or any(self._changed) or before != self._plan_said
+        # Greetings, positions and changes are not repeated, so the next payload differs from this one.
+        self._news = greeting or whole.positions is not None or any(self._changed) or before != digest
         return self._payload
 
     def digest(self, table: BidTable | None) -> str | None:
-        """Digest of the own table, worked out once for each that there is."""
+        """Digest of the robot's own table, computed once for each table."""
         if table is not self._digested[0]:
             self._digested = (table, None if table is None else table_digest(table))
         return self._digested[1]
 
     def _note_changes(self, table: BidTable | None) -> None:
-        """Which slots of a large table changed since the last broadcast."""
+        """Find the slots of a large table that changed since the last broadcast."""
         before, changed = self._table, frozenset[int]()
         if table is not before:
             self._table = table
             if table is not None and before is not None and len(before) == len(table) > SMALL:
-                changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
+                changed = frozenset(compress(range(len(table)), map(operator.ne, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
     def _part(
         self, whole: Message, others: list[Message], *, meets: bool, greeting: bool
     ) -> tuple[BidTable | None, tuple[int, ...] | None]:
-        """The table, or what of it has to be said, and which slots that are; `others` know something else."""
+        """The table, or the part of it to spell out, and the slots of that part; `others` know something else."""
         table = whole.table
         if table is None:
             return None, None
-        differs = any(m.plan_digest == self._plan_said and m.table_digest != whole.table_digest for m in others)
+        differs = any(m.plan_digest == self._plan_sent and m.table_digest != whole.table_digest for m in others)
         small = len(table) <= SMALL
         if meets or (differs and (small or greeting)):
             return table, None

@@ -1,4 +1,4 @@
-"""What a robot has heard since its last decision: the newest message of each sender, and everybody's heartbeats."""
+"""Messages and heartbeats received since the last decision."""
 
 from __future__ import annotations
 
@@ -6,60 +6,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock.protocol.messages.message import Message
-from llm_flock.protocol.signed.certificates import Proofs
-
-NO_PROOFS = Proofs()
-
-REMEMBERED = 256
-"""So many different messages are remembered in a round: whoever floods the radio may cost time, but not memory."""
 
 
 class Inbox:
-    """Messages of one communication round, and what their bytes mean as long as neighbours repeat them."""
+    """The newest message of each sender, and all heartbeats, of one communication round."""
 
     def __init__(self) -> None:
-        self.proofs: dict[int, Proofs] = {}
-        """What each sender's message was signed with."""
-        self.beats: list[NDArray[np.int64]] = []
-        """Heartbeats of this communication round, each of shape (N,)."""
         self._newest: dict[int, Message] = {}
-        self._understood: dict[bytes, Message] = {}
+        self._beats: list[NDArray[np.int64]] = []
 
-    def begin_round(self) -> None:
-        """Neighbours say something new once a round."""
-        self._understood.clear()
-
-    def void(self) -> None:
-        """Another mission has come: nothing that was said before counts."""
+    def clear_messages(self) -> None:
+        """Drop the messages and keep the heartbeats. Call when another mission comes into force."""
         self._newest = {}
-        self._understood.clear()
 
-    def again(self, payload: bytes) -> Message | None:
-        """What these bytes said in this round already; then that is taken down once more."""
-        message = self._understood.get(payload)
-        if message is not None:
-            self.take(message, NO_PROOFS)
-        return message
+    def add_beats(self, beats: NDArray[np.int64] | None) -> None:
+        """Keep the heartbeat counters of a message, shape (N,)."""
+        if beats is not None:
+            self._beats.append(beats)
 
-    def take(self, message: Message, proofs: Proofs, repeated_as: bytes | None = None) -> None:
-        """Take down a message, unless a newer one of its sender has come.
-
-        Args:
-            message: what was said.
-            proofs: what it was signed with.
-            repeated_as: its bytes, where nothing in it is of a single use; they mean the same for the whole round.
-        """
-        if repeated_as is not None:
-            if len(self._understood) >= REMEMBERED:
-                self._understood.clear()
-            self._understood[repeated_as] = message
+    def add(self, message: Message) -> None:
+        """Keep a message unless a newer one of its sender is here."""
         known = self._newest.get(message.sender)
         if known is None or message.sequence >= known.sequence:
             self._newest[message.sender] = message
-            self.proofs[message.sender] = proofs
 
     def drain(self) -> tuple[list[Message], list[NDArray[np.int64]]]:
-        """The newest message of each sender, in ascending order of senders, and the heartbeats; empties the inbox."""
-        heard, beats = [self._newest[sender] for sender in sorted(self._newest)], self.beats
-        self._newest, self.beats = {}, []
+        """The messages in ascending order of senders, and the heartbeats; empties the inbox."""
+        heard, beats = [self._newest[sender] for sender in sorted(self._newest)], self._beats
+        self._newest, self._beats = {}, []
         return heard, beats

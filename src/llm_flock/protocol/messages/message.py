@@ -50,6 +50,10 @@ class MissionStamp(msgspec.Struct, frozen=True, order=True):
     digest: str
 
 
+NO_MISSION = MissionStamp(0, "0" * 16)
+"""The stamp of a message that names no mission."""
+
+
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """Where a plan comes from: fixed when it is proposed, carried along unchanged.
 
@@ -111,12 +115,13 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         beats: how often it has heard each robot's heart beat, by id; None where that is not said.
         roll: what robots have said in the roll call, by id; None where that is not said.
         plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
+        proofs: signatures that the message came with (teams with keys only); never part of the message itself.
     """
 
     sender: int
     sequence: int
     neighbors: int
-    mission: MissionStamp = MissionStamp(0, "0" * 16)
+    mission: MissionStamp = NO_MISSION
     mission_text: str | None = None
     plan: Plan | None = None
     plan_digest: str | None = None
@@ -130,6 +135,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     beats: tuple[int, ...] | None = None
     positions: dict[int, PositionReport] | None = None
     plan_class: int = 0
+    proofs: object = None
 
     def __post_init__(self) -> None:
         origin, plan = self.provenance, self.plan

@@ -8,9 +8,11 @@ from dataclasses import replace
 import msgspec
 
 from llm_flock.arrays import Point, moved
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Reason
+from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
@@ -51,7 +53,7 @@ class Pilot:
 
     Args:
         robot: own id.
-        mission: its limits.
+        mission: sets its limits.
         validator: checks what planners answer.
         shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
         noise_bound: largest error of a believed position [units].
@@ -64,7 +66,7 @@ class Pilot:
         self.on_path = False  # whether this round's step was foreseen, and nobody asked for it
         self._robot = robot
         self._validator = validator
-        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
+        self._safety = Safety(robot, Limits.of(mission), noise_bound) if shield_on else None
         self._horizon = HORIZON if on_event else 1
         self._committed: CommittedPath | None = None
         self._question: StepQuestion | None = None
@@ -86,8 +88,6 @@ class Pilot:
         ahead = scene.ahead
         self._scene = scene
         self._aim = plan.points[slot or 0] if target is None else target
-        if self._safety is not None:
-            self._safety.mission = mission  # its limits are always the same, its spacing may have changed
         self._question = StepQuestion(
             mission=mission,
             robot=self._robot,
@@ -164,7 +164,8 @@ class Pilot:
         notes: list[Effect] = [*fallback_notes("step", "geometry", failure)]
         flown, origin = fit, Origin.MODEL
         if self._safety is not None:
-            flight = self._safety.step(scene.position, scene.sensed, fit, self._aim, scene.drift)
+            tolerance = AT_GOAL * question.mission.spacing
+            flight = self._safety.step(scene.position, scene.sensed, fit, self._aim, tolerance, scene.drift)
             flown, origin = flight.waypoint, flight.origin
             notes.extend(flight.notes)
         if origin is Origin.MODEL and flown != asked:  # clipped to the goal or to the step limit

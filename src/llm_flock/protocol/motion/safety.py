@@ -8,11 +8,10 @@ from collections.abc import Mapping
 import msgspec
 
 from llm_flock.arrays import Point, moved
-from llm_flock.metrics import AT_GOAL
-from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.motion import progress as timing
 from llm_flock.protocol.motion import shield
+from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 
 CLOSE = 1e-6
@@ -32,16 +31,16 @@ class Safety:
 
     Args:
         robot: own id.
-        mission: limits, arena and obstacles.
+        limits: safe distance, step limit, arena and obstacles.
         noise_bound: largest error of a believed position [units].
     """
 
-    def __init__(self, robot: int, mission: Mission, noise_bound: float) -> None:
+    def __init__(self, robot: int, limits: Limits, noise_bound: float) -> None:
         self._robot = robot
-        self.mission = mission
+        self._limits = limits
         self._noise_bound = noise_bound
         self._progress: timing.GoalProgress | None = None
-        self._lap = (timing.LAP_AT_OBSTACLES if mission.obstacles else timing.LAP) + 2 * (robot % 4)
+        self._lap = (timing.LAP_AT_OBSTACLES if limits.obstacles else timing.LAP) + 2 * (robot % 4)
 
     def stay(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep:
         """Without a wish a robot stays where it is, unless somebody is too near."""
@@ -54,6 +53,7 @@ class Safety:
         sensed: Mapping[int, Point],
         wish: Point,
         goal: Point,
+        tolerance: float,
         drift: Point = (),
     ) -> SafeStep:
         """The safe waypoint for a wish.
@@ -63,20 +63,21 @@ class Safety:
             sensed: believed positions of the robots within sensing range, by id.
             wish: where its planner wants to be next.
             goal: where it has to end [units; frame of the mission].
+            tolerance: distance from the goal that is near enough [units].
             drift: how far that frame has travelled [units]; empty where it stands still. GoalProgress is made in it.
         """
         apart = self._separate(position, sensed)
         if apart is not None:
             return apart
-        mission = self.mission
+        limits = self._limits
         here = moved(position, drift, -1.0)
         was_blocked = self._progress is not None and self._progress.blocked
         seen = timing.watch(
             self._progress,
             here,
             goal,
-            gain=timing.GAIN_SHARE * mission.max_step,
-            within=AT_GOAL * mission.spacing + self._noise_bound,
+            gain=timing.GAIN_SHARE * limits.max_step,
+            within=tolerance + self._noise_bound,
             lap=self._lap,
         )
         self._progress = seen
@@ -92,22 +93,22 @@ class Safety:
             seen,
             here,
             lambda target: moved(self._project(position, moved(target, drift), others), drift, -1.0),
-            length=min(mission.max_step, max(distance, mission.safe_distance)),
-            follow=bool(mission.obstacles),
+            length=min(limits.max_step, max(distance, limits.safe_distance)),
+            follow=bool(limits.obstacles),
         )
         notes = () if was_blocked else (Note("deadlock", {"goal_distance": distance, "rounds": seen.idle}),)
         return SafeStep(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
-        mission, noise = self.mission, self._noise_bound
+        limits, noise = self._limits, self._noise_bound
         return shield.project(
             position,
             wish,
             others,
-            safe_distance=mission.safe_distance,
-            max_step=mission.max_step,
+            safe_distance=limits.safe_distance,
+            max_step=limits.max_step,
             noise_bound=noise,
-            also=lambda longest: static_half_spaces(position, mission, max_step=longest, noise_bound=noise),
+            also=lambda longest: static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
         )
 
     def _separate(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep | None:
@@ -115,9 +116,9 @@ class Safety:
 
         Robots that are near such a crowd make way: those inside cannot leave while the others stand around them.
         """
-        mission = self.mission
-        limit = mission.safe_distance - 2.0 * self._noise_bound - CLOSE
-        reach = mission.safe_distance + mission.max_step
+        limits = self._limits
+        limit = limits.safe_distance - 2.0 * self._noise_bound - CLOSE
+        reach = limits.safe_distance + limits.max_step
         near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
         places = {self._robot: position, **near}
         crowd = _too_near(places, limit)
@@ -127,7 +128,7 @@ class Safety:
         members = [apart.get(j, position) for j in sorted(crowd)]
         middle = tuple(sum(axis) / len(members) for axis in zip(*members, strict=True))
         away = math.dist(position, middle)
-        share = mission.max_step / away if away > 0.0 else 0.0
+        share = limits.max_step / away if away > 0.0 else 0.0
         wish = tuple(x + share * (x - c) for x, c in zip(position, middle, strict=True))
         flown = self._project(position, wish, tuple(apart.values()))
         nearest = min(math.dist(x, position) for x in near.values())

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
+from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.projection import HalfSpace
 
 
@@ -53,12 +53,12 @@ def obstacle_half_spaces(
 
 
 def static_half_spaces(
-    position: Point, mission: Mission, *, max_step: float, noise_bound: float = 0.0
+    position: Point, limits: Limits, *, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """Walls and obstacles of a mission."""
-    walls = wall_half_spaces(position, mission.arena, max_step=max_step, noise_bound=noise_bound)
-    if not mission.obstacles:
+    """The walls and obstacles within one step, as sides of the robot's cell."""
+    walls = wall_half_spaces(position, limits.arena, max_step=max_step, noise_bound=noise_bound)
+    if not limits.obstacles:
         return walls
     return walls + obstacle_half_spaces(
-        position, mission.obstacles, buffer=mission.body_radius, max_step=max_step, noise_bound=noise_bound
+        position, limits.obstacles, buffer=limits.body_radius, max_step=max_step, noise_bound=noise_bound
     )

@@ -53,19 +53,6 @@ class Authenticator(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Authorization:
-    """The operator's signature under a mission.
-
-    Attributes:
-        counter: of the mission; higher than that of the one before.
-        signature: on the counter and the mission's digest.
-    """
-
-    counter: int
-    signature: bytes
-
-
 @dataclass(frozen=True, slots=True)
 class Context:
     """What claims are about: a mission and a plan."""

@@ -7,12 +7,12 @@ that lies holds one place at most and changes nobody else's. The rules are in `c
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
 
 import msgspec.structs
 
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
     WITNESSES,
@@ -196,20 +196,16 @@ class Evidence:
 
     # ---------------------------------------------------------------- what is held
 
-    def order(self, slot: int, entry: BidEntry) -> tuple[int, int]:
-        """Of several places a robot keeps the one that it claimed last: the highest of these."""
+    def precedence(self, slot: int, entry: BidEntry) -> tuple[int, int]:
+        """Precedence of a claim among several of one robot: the last one counts."""
         return (self._held[slot, entry].number, slot)
 
-    def survey(
-        self, table: BidTable, silent: Collection[int], blocked: Collection[int], clear: Collection[int]
-    ) -> None:
-        """Once a round: of which places this robot can say that they are free, or blocked.
+    def witness(self, table: BidTable, seen: Occupancy) -> None:
+        """State, once a round, of which slots this robot can say that they are free, or blocked.
 
         Args:
-            table: what is held.
-            silent: robots that were heard of and are no more.
-            blocked: places with a body on them that does not move.
-            clear: places that surely have none.
+            table: the entries held.
+            seen: what sensors and heartbeats say.
         """
         for slot, entry in enumerate(table):
             certificate = self._held.get((slot, entry))
@@ -220,9 +216,9 @@ class Evidence:
         self._outdated_before, self._outdated = self._outdated, set()
         own: dict[int, tuple[int, int]] = {slot: (entry[0] + 1, NO_OWNER) for slot, entry in left}
         for slot, (version, _, owner) in enumerate(table):
-            if slot in blocked and owner != BLOCKED:
+            if slot in seen.blocked and owner != BLOCKED:
                 own[slot] = (version + 1, BLOCKED)
-            elif owner in silent or (owner == BLOCKED and slot in clear):
+            elif owner in seen.silent or (owner == BLOCKED and slot in seen.clear):
                 own[slot] = (version + 1, NO_OWNER)
         self._own = tuple((slot, *what) for slot, what in own.items())
         for slot, version, owner in self._own:

@@ -25,7 +25,7 @@ from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.team import Thinkers
-from llm_flock.runtime.trial import Progress, Trial
+from llm_flock.runtime.trial import Trial, TrialProgress
 from llm_flock.transport.memory import MemoryTransport
 
 TAKING_OFF = "taking off"
@@ -66,7 +66,7 @@ class Flight:
         config: FlightConfig,
         robots: Sequence[Robot],
         *,
-        on_round: Callable[[Progress], None] | None = None,
+        on_round: Callable[[TrialProgress], None] | None = None,
         on_stage: Callable[[str], None] | None = None,
     ) -> None:
         self._config = config

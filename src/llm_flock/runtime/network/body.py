@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
+from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.projection import clip
 from llm_flock.protocol.motion.shield_async import Sighting, project_async
 from llm_flock.protocol.motion.surroundings import static_half_spaces
@@ -38,7 +39,7 @@ class Pilotage:
     def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
         self.waypoint: Point | None = None
         self.news = asyncio.Event()
-        self._mission = mission
+        self._mission, self._limits = mission, Limits.of(mission)
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._shield_on = shield_on
         self._body: Body | None = None
@@ -116,7 +117,7 @@ class Pilotage:
             safe_distance=self._mission.safe_distance,
             speed=self._speed,
             period_s=lasts_s,
-            also=static_half_spaces(here, self._mission, max_step=self._speed * lasts_s),
+            also=static_half_spaces(here, self._limits, max_step=self._speed * lasts_s),
         )
         # A cell is convex and holds its robot, or lets it move away only: a shorter move the same way is safe as well.
         return _towards(here, target, longest)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
-from llm_flock.protocol.messages.dissemination import MISSION_FIELDS
 from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.protocol.signed.certificates import mission_statement
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.wire import Order

@@ -43,9 +43,9 @@ from llm_flock.protocol.events import (
     Sensed,
     Stopped,
 )
+from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
-from llm_flock.protocol.signed.certificates import Authorization
 from llm_flock.runtime.network import wire
 from llm_flock.runtime.network.body import STILL, Pilotage
 from llm_flock.runtime.network.config import SwarmConfig
@@ -143,7 +143,7 @@ class Mind:
             self.notes.append(Happened(kind="rejected_message", detail={"reason": "mission", "detail": str(error)}))
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
-        self.handle(MissionGiven(mission=mission, order=signed))
+        self.handle(MissionGiven(mission=mission, authorization=signed))
 
     def _sight(self) -> dict[str, Any]:
         """What is seen; a robot on its way takes the place to which it flies for its own."""

@@ -20,7 +20,7 @@ from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, MissionI
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Frame, Report
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 
 Row = list[float]
 
@@ -46,7 +46,9 @@ class Observer:
         on_row: told of every row of the record.
     """
 
-    def __init__(self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None) -> None:
+    def __init__(
+        self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+    ) -> None:
         self.mission = config.mission
         self.figures = Figures()
         self.began_s: float | None = None
@@ -238,7 +240,7 @@ class Observer:
         plan_ids = [told[robot].plan_id for robot in robots]
         slots = [told[robot].slot for robot in robots]
         error = self._residual()
-        progress = Progress(
+        progress = TrialProgress(
             round=self._row,
             rounds=0,
             at_goal=metrics.robots_at_goal(list(distances.values()), self.mission.spacing),

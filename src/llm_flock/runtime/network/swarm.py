@@ -26,7 +26,7 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.runtime.network.config import SwarmConfig, check_models
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.watch import CHECK_S, attend, visit
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 from llm_flock.transport.zenoh import Link
 
 START_S = 60.0
@@ -245,7 +245,7 @@ class Swarm:
 async def launched(
     config: SwarmConfig,
     *,
-    on_row: Callable[[Progress], None] | None = None,
+    on_row: Callable[[TrialProgress], None] | None = None,
     absent: frozenset[int] = frozenset(),
 ) -> AsyncGenerator[Swarm]:
     """A swarm whose processes run, and have all ended when the context is left.
@@ -304,7 +304,7 @@ def _formed(observer: Observer) -> bool:
     return observer.formed_s is not None
 
 
-async def run_swarm(config: SwarmConfig, on_row: Callable[[Progress], None] | None = None) -> SwarmResult:
+async def run_swarm(config: SwarmConfig, on_row: Callable[[TrialProgress], None] | None = None) -> SwarmResult:
     """Fly one mission with a swarm of processes on this machine.
 
     Raises:

@@ -17,7 +17,7 @@ from llm_flock.runtime.network.joining import open_link, ordered
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Frame, Report, pack, unpack
-from llm_flock.runtime.trial import Progress
+from llm_flock.runtime.trial import TrialProgress
 from llm_flock.transport.seal import OPERATOR, WATCHER, WORLD
 from llm_flock.transport.zenoh import Link
 
@@ -70,7 +70,7 @@ def run_info(config: SwarmConfig) -> RunInfo:
 
 @contextmanager
 def observing(
-    config: SwarmConfig, sink: RecordSink, on_row: Callable[[Progress], None] | None = None
+    config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; needs a running event loop."""
     observer = Observer(config, sink, on_row)
@@ -92,7 +92,7 @@ async def look(observer: Observer) -> None:
 async def run_watch(
     config: SwarmConfig,
     record: Path | None,
-    on_row: Callable[[Progress], None] | None = None,
+    on_row: Callable[[TrialProgress], None] | None = None,
     parent: int | None = None,
 ) -> None:
     """Watch until the process is told to end.

@@ -1,0 +1,157 @@
+"""The channel of a team with keys: who speaks, who proposed the plan, whose heart beats, and who gave the mission.
+
+Claims on places have signatures of their own, kept by `Evidence`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from llm_flock.errors import MessageError
+from llm_flock.protocol.membership.liveness import Liveness
+from llm_flock.protocol.messages.channel import Authorization, Inbound, read
+from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
+from llm_flock.protocol.signed.certificates import (
+    MOST_EPOCHS,
+    OPERATOR,
+    Authenticator,
+    Proofs,
+    beat_statement,
+    mission_statement,
+    origin_statement,
+    unwrap,
+    wrap,
+)
+from llm_flock.protocol.signed.evidence import Evidence
+
+REMEMBERED_ORIGINS = 1024
+"""Most plan origins whose signatures are kept."""
+
+
+class SignedChannel:
+    """Decorates the plain channel with signatures; see `llm_flock.protocol.messages.channel.Channel`.
+
+    Args:
+        robot: own id.
+        n_robots: team size N.
+        dim: dimension d of space.
+        authenticator: signs and checks signatures.
+        evidence: signatures on claims, which travel with the messages.
+        liveness: tells which heartbeats are news, so that only those are checked.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        n_robots: int,
+        dim: int,
+        *,
+        authenticator: Authenticator,
+        evidence: Evidence,
+        liveness: Liveness,
+    ) -> None:
+        self._robot, self._n_robots, self._dim = robot, n_robots, dim
+        self._authenticator = authenticator
+        self._evidence = evidence
+        self._liveness = liveness
+        self._origins: dict[tuple[Provenance, str], bytes] = {}
+        self._beats: dict[int, dict[int, bytes]] = {}
+        self._authorization: Authorization | None = None
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Claims without a certificate."""
+        return self._evidence.refused
+
+    def open(self, payload: bytes, sender: int | None) -> Inbound:
+        """Unwrap, decode and verify.
+
+        Raises:
+            MessageError: as `unwrap` and `read`, and with reason `impostor`, `forged_origin` or
+                `many_plans`.
+        """
+        content, proofs = unwrap(payload, self._n_robots)
+        message = read(content, self._robot, self._n_robots, self._dim).message
+        if message.sender != sender:
+            raise MessageError("impostor", f"robot {sender} speaks as robot {message.sender}")
+        self._check_origin(message, proofs)
+        beats = self._verified_beats(message, proofs)
+        return Inbound(
+            message=msgspec.structs.replace(message, proofs=proofs),
+            beats=None if beats is None else np.array(beats, dtype=np.int64),
+            authorization=Authorization(counter=message.mission.counter, signature=proofs.mission or b""),
+        )
+
+    def _check_origin(self, message: Message, proofs: Proofs) -> None:
+        origin, plan = message.provenance, message.plan_digest
+        if origin is None or plan is None:
+            return
+        if not origin.sequence <= origin.epoch <= MOST_EPOCHS:
+            raise MessageError("many_plans", f"plan {origin.sequence} of robot {origin.proposer} in {origin.epoch}")
+        if (origin, plan) in self._origins:
+            return
+        signature = proofs.origin or b""
+        if not self._authenticator.check(origin.proposer, origin_statement(origin, plan), signature):
+            raise MessageError("forged_origin", f"robot {origin.proposer} has not signed this plan")
+        self._remember(origin, plan, signature)
+
+    def _remember(self, origin: Provenance, plan: str, signature: bytes) -> None:
+        if len(self._origins) >= REMEMBERED_ORIGINS:
+            self._origins.clear()
+        self._origins[origin, plan] = signature
+
+    def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
+        """Check the operator's signature; as in `Channel`."""
+        statement = mission_statement(stamp)
+        if authorization is None or not self._authenticator.check(OPERATOR, statement, authorization.signature):
+            raise MessageError("no_order", f"the operator has not signed mission {stamp.counter}")
+        self._authorization = authorization
+
+    def _verified_beats(self, message: Message, proofs: Proofs) -> tuple[int, ...] | None:
+        """Heartbeats that are news and signed by the robot whose they are; 0 in place of all others."""
+        if message.beats is None:
+            return None
+        signatures = dict(enumerate(proofs.beats or ()))
+        return tuple(
+            count if count > known and self._is_signed(j, count, signatures.get(j, b"")) else 0
+            for j, (count, known) in enumerate(zip(message.beats, self._liveness.beats, strict=True))
+        )
+
+    def _is_signed(self, robot: int, count: int, signature: bytes) -> bool:
+        good = self._evidence.signed_by(robot, beat_statement(robot, count), signature)
+        if good:
+            self._beats.setdefault(robot, {})[count] = signature
+        return good
+
+    def seal(self, payload: bytes) -> bytes:
+        """The message together with the certificates of everything in it; signs what is this robot's own."""
+        message = decode(payload, self._n_robots, self._dim)
+        authorization = self._authorization
+        proofs = msgspec.structs.replace(
+            self._evidence.prove(message),
+            origin=self._origin_signature(message),
+            mission=None if message.mission_text is None or authorization is None else authorization.signature,
+            beats=None if message.beats is None else self._signed_beats(message.beats),
+        )
+        return wrap(payload, proofs)
+
+    def _origin_signature(self, message: Message) -> bytes | None:
+        origin, plan = message.provenance, message.plan_digest
+        if origin is None or plan is None:
+            return None
+        if origin.proposer == self._robot and (origin, plan) not in self._origins:
+            self._remember(origin, plan, self._authenticator.sign(origin_statement(origin, plan)))
+        return self._origins.get((origin, plan))
+
+    def _signed_beats(self, beats: Sequence[int]) -> tuple[bytes, ...]:
+        count = beats[self._robot]
+        self._beats[self._robot] = {count: self._authenticator.sign(beat_statement(self._robot, count))}
+        for j, count in enumerate(beats):
+            known = self._beats.get(j, {})
+            self._beats[j] = {k: signature for k, signature in known.items() if k >= count}
+        return tuple(self._beats[j].get(count, b"") for j, count in enumerate(beats))
