@@ -68,7 +68,7 @@ test: $(STAMP) ## Unit, property and integration tests, with coverage
 	$(BIN)/coverage report --include='src/llm_flock/protocol/*' --fail-under=100
 
 e2e: $(STAMP) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e --numprocesses 2 --dist loadscope
+	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope
 
 check: $(STAMP) ## Lint, types, layers and docs at the same time, as in CI
 	@$(TOGETHER) lint types layers docs
