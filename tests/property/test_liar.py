@@ -37,7 +37,7 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
             words = [liar.word(a, table[a][0] + 1, int(rng.choice([NO_OWNER, BLOCKED]))) for a in range(N)]
             said.append(liar.says(words=words))
         elif kind == 3:
-            evidence = team.agents[0]._agreement._signing.evidence  # type: ignore[union-attr]
+            evidence = evidence_of(team.agents[0])
             lie = ((version + 1, -1.0, owner), evidence._held.get((slot, table[slot]), Certificate(number=1)))
             said.append(liar.says({slot: lie}))
         elif kind == 4 and 0 <= owner < len(team.agents):
@@ -74,7 +74,7 @@ def test_a_liar_holds_one_place_and_breaks_nobodys_safety(seed: int, loss: float
 
     team.fly(15, lambda: babble(team, liar, rng), anywhere)
     for agent in team.agents:
-        evidence = agent._agreement._signing.evidence  # type: ignore[union-attr]
+        evidence = evidence_of(agent)
         for robot in range(N):
             places = [evidence.order(a, e) for a, e in enumerate(agent.claim.table or ()) if e[2] == robot]
             assert sum(place == evidence._last[robot] for place in places) <= 1

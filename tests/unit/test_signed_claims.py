@@ -63,7 +63,7 @@ def test_who_claims_every_place_holds_one_at_most(team: SignedTeam, liar: Liar) 
     for _ in range(30):
         team.fly(1, everything)
         for agent in team.agents:
-            evidence = agent._agreement._signing.evidence  # type: ignore[union-attr]
+            evidence = evidence_of(agent)
             last = evidence._last.get(team.liar)
             holding = [
                 (evidence._held[a, e].number, a)
@@ -183,7 +183,7 @@ def test_false_words_do_not_count(team: SignedTeam, liar: Liar) -> None:
 
 def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
     agent = team.agents[0]
-    table, evidence = agent.claim.table, agent._agreement._signing.evidence  # type: ignore[union-attr]
+    table, evidence = agent.claim.table, evidence_of(agent)
     assert table is not None
     before, owned = team.slots, [entry for entry in table if entry[2] >= 0]
     lies = {}
@@ -206,7 +206,7 @@ def test_old_claims_of_others_are_no_news() -> None:
         for _ in range(5):
             team.comm_round()
             for agent in team.agents:
-                evidence = agent._agreement._signing.evidence  # type: ignore[union-attr]
+                evidence = evidence_of(agent)
                 held = {a: (e, evidence._held[a, e]) for a, e in enumerate(agent.claim.table or ()) if e[2] >= 0}
                 seen.append(held)
         team.end()
@@ -259,7 +259,7 @@ def test_offers_without_a_signature_are_not_heard(team: SignedTeam, liar: Liar) 
     good = unwrap(liar.says(offer=offer), 5)
     table = team.agents[0].claim.table
     assert table is not None
-    evidence = team.agents[0]._agreement._signing.evidence  # type: ignore[union-attr]
+    evidence = evidence_of(team.agents[0])
     message = Message(
         sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan, provenance=team.agents[0].provenance, offer=offer
     )
