@@ -14,7 +14,7 @@ import pytest
 
 
 def skip_waits(patch: pytest.MonkeyPatch) -> None:
-    """From here on, event loops that are created jump to their next timer, and `time.monotonic` jumps with them."""
+    """Let new event loops jump to their next timer when nothing else is ready, and `time.monotonic` with them."""
     real, skipped = time.monotonic, 0.0
 
     class Skipping(selectors.DefaultSelector):
