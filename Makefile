@@ -12,12 +12,12 @@ BIN := .venv/bin
 WORKERS ?= 3
 
 # Runs the targets that follow at the same time, and prints the output of each in one piece.
-TOGETHER := $(MAKE) --no-print-directory --jobs --output-sync=target
+TOGETHER := $(MAKE) --no-print-directory --jobs $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
 
 # Python files that differ from where this branch left main, those that git does not know yet included.
 BASE := git merge-base HEAD main 2>/dev/null || git rev-parse HEAD
 CHANGED := { git diff --name-only --diff-filter=d "$$($(BASE))"; git ls-files --others --exclude-standard; } \
-	| grep -E '^(src|tests|examples|benchmarks)/.*\.py$$' | sort --unique || true
+	| grep -E '^(src|tests|examples|benchmarks)/.*\.py$$' | sort -u || true
 
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
 PINS := pyproject.toml constraints.txt
@@ -85,7 +85,7 @@ types: $(STAMP) ## Type check
 layers: $(STAMP) ## Who may import whom
 	$(BIN)/lint-imports
 
-pictures: $(STAMP) ## Take the pictures of docs/viewer.md anew, in a real browser
+pictures: $(STAMP) ## Take the pictures of docs/how-to/viewer.md anew, in a real browser
 	$(BIN)/python docs/viewer_images.py
 
 docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors

@@ -36,6 +36,10 @@ class InputError(FlockError):
         self.allowed = allowed
         super().__init__(f"{field} = {value!r} is not allowed: {allowed}")
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
+        # Lets a worker process hand it to its parent.
+        return type(self), (self.field, self.value, self.allowed)
+
 
 class MessageError(FlockError):
     """A message from a peer was rejected; `reason` is a short stable word that is counted."""

@@ -10,7 +10,8 @@ from swarms import swarm_config
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments import tables, trials
+from llm_flock.experiments import executors, tables
+from llm_flock.experiments.compare import build_cells, compare
 from llm_flock.experiments.sweep import fly_sweep
 from llm_flock.experiments.sweep_expect import expect_cells
 from llm_flock.experiments.sweep_file import load_sweep
@@ -76,10 +77,10 @@ def test_processes_of_a_comparison_would_take_each_others_cores(monkeypatch: pyt
         jobs.append(count)
         raise Refused
 
-    monkeypatch.setattr(trials, "ProcessPoolExecutor", pool)
+    monkeypatch.setattr(executors, "ProcessPoolExecutor", pool)
     for model, expected in ((STOCK, 1), ("0=local:smollm2,1-9=simulated:ideal", 1), ("simulated:ideal", 3)):
         with pytest.raises(Refused):
-            trials.run_trials([build_config(model=model, seed=seed) for seed in range(4)], jobs=3)
+            compare(build_cells([("circle", 10)], ["flock"], model=model), trials=4, jobs=3)
         assert jobs.pop() == expected
 
 

@@ -1,4 +1,4 @@
-"""docs/flying.md says what the code promises."""
+"""docs/how-to/flying.md says what the code promises."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from llm_flock.runtime.flight.monitors import Kind
 from llm_flock.runtime.flight.promises import promises
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "flying.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "flying.md").read_text(encoding="utf-8")
 
 
 def rows(first: str) -> list[list[str]]:

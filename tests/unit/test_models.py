@@ -197,7 +197,7 @@ def test_per_robot_names_the_field_it_was_asked_about() -> None:
     assert caught.value.field == "temperature"
 
 
-DOCS = Path(__file__).parents[2] / "docs" / "models.md"
+DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "models.md"
 
 
 def rows_of(page: str, first_header: str) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""docs/record.md says what is in the file: every channel, every field, nothing else."""
+"""docs/reference/record.md says what is in the file: every channel, every field, nothing else."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from llm_flock.runtime import trial
 from llm_flock.viewer import flight
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "record.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "record.md").read_text(encoding="utf-8")
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in PAGE.split("\n### ")[1:]}
 
 

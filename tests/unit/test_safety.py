@@ -26,7 +26,7 @@ class Team:
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.active = [Safety(i, self.mission, 0.0) for i in range(n)]
+        self.minds = [Safety(i, self.mission, 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.smallest = math.inf
         self.clearance = math.inf
@@ -43,7 +43,7 @@ class Team:
         before = self.positions
         rows = [tuple(row) for row in before.tolist()]
         after = before.copy()
-        for i, mind in enumerate(self.active):
+        for i, mind in enumerate(self.minds):
             sensed = {j: x for j, x in enumerate(rows) if j != i and math.dist(x, rows[i]) <= self.mission.sensing}
             goal = tuple(self.goals[i].tolist())
             far = math.dist(rows[i], goal)

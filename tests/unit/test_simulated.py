@@ -373,7 +373,7 @@ def test_profiles_that_do_not_exist(text: str, why: str) -> None:
 
 
 def test_the_documentation_lists_exactly_the_profiles() -> None:
-    text = (ROOT / "docs" / "simulated.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "simulated.md").read_text(encoding="utf-8")
     assert re.findall(r"^\| `([a-z]+)` \|", text, re.MULTILINE) == list(PROFILES) == ["ideal", *FAILURES]
 
 

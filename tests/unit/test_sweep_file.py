@@ -7,7 +7,8 @@ import pytest
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.sweep_file import load_sweep, trial_id
+from llm_flock.experiments.grid import trial_id
+from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.runtime.config import build_config
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"

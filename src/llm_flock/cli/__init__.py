@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import shutil
 import sys
 from datetime import datetime
@@ -15,11 +14,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from llm_flock.cli.comparison import compare
 from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.distill import distill
 from llm_flock.cli.fly import fly
 from llm_flock.cli.keys import keys
-from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.options import parse_flags, with_config_flags
 from llm_flock.cli.report import export, report
 from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
@@ -83,51 +83,7 @@ def run(
         raise typer.Exit(EXIT_FAILED)
 
 
-@app.command()
-@with_config_flags(without=SET_BY_COMPARE)
-def compare(
-    cells: Annotated[
-        str, typer.Option(help="Shapes and team sizes: SHAPE/N with commas between them", metavar="SHAPE/N,...")
-    ] = "triangle/3,triangle/6,square/8,cross/5,circle/10,circle/20",
-    protocols: Annotated[str, typer.Option(help="Presets with commas between them")] = "flock,paper,baseline",
-    trials: Annotated[int, typer.Option(min=1, help="Trials of each row")] = 100,
-    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others follow it")] = 0,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes [one for each core]", show_default=False)] = None,
-    fit_arena: Annotated[
-        bool, typer.Option("--fit-arena", help="Grow the arena of a team until its formation and its starts fit")
-    ] = False,
-    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
-    out: Annotated[Path | None, typer.Option(help="CSV file to write, one line a trial")] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list of rows instead of a table")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
-    **flags: Any,
-) -> None:
-    """Fly many seeded trials of several protocols and shapes; print a table of what they did (Markdown).
-
-    Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
-    """
-    from llm_flock.cli.comparison import show_comparison
-    from llm_flock.experiments.compare import build_cells, parse_teams
-
-    built = build_cells(
-        parse_teams(cells),
-        [name.strip() for name in protocols.split(",")],
-        file=config,
-        fit_arena=fit_arena,
-        **parse_flags(flags),
-    )
-    jobs = jobs or os.cpu_count() or 1
-    try:
-        complete = show_comparison(
-            built, trials=trials, first_seed=first_seed, jobs=jobs, out=out, as_json=json_output, quiet=quiet
-        )
-    except KeyboardInterrupt:
-        print(f"interrupted{f'; finished trials are in {out}' if out else ''}", file=sys.stderr)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
-    if not complete:
-        raise typer.Exit(EXIT_FAILED)
-
-
+app.command()(compare)
 app.command()(sweep)
 app.command()(fly)
 for command in (swarm, robot, world, mission, watch):

@@ -30,7 +30,7 @@ SUBSTEPS = 5
 """Steps of the dynamics and the attitude controller in each of these, hence 500 Hz."""
 
 DRONE = "cf2x_L250"
-"""crazyflow's Crazyflie 2.1. Its Brushless, `cf21B_500`, flies 8 cm above its set-points: see docs/physics.md."""
+"""crazyflow's Crazyflie 2.1; its Brushless, `cf21B_500`, flies 8 cm too high (docs/explanation/physics.md)."""
 
 
 @dataclass(slots=True)

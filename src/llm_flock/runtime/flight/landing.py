@@ -16,7 +16,7 @@ from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
 MARGIN_S = 3.0
 """After the time of a landing, so much longer is waited for a drone to say that its motors are off [s]: a Crazyflie
-says so two seconds late (docs/firmware.md)."""
+says so two seconds late (docs/reference/firmware.md)."""
 
 LANDED = "landed"
 """How a landing should end."""

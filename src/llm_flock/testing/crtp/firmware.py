@@ -2,7 +2,7 @@
 
 Numbers of ports, channels and commands are the firmware's (`crtp.h`, `crtp_commander_high_level.c`,
 `crtp_supervisor.c`, `log.c`, `param_logic.c`, `platformservice.c`); times and states are its supervisor's
-(`supervisor.c`, `supervisor_state_machine.c`). See docs/firmware.md.
+(`supervisor.c`, `supervisor_state_machine.c`). See docs/reference/firmware.md.
 """
 
 from __future__ import annotations
