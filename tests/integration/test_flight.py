@@ -1,4 +1,4 @@
-"""Whole flights of simulated drones, in real time but brisk: the mission, and everything that may end it early."""
+"""Whole flights of simulated drones, brisk and without the waits: the mission, and everything that may end it early."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.landing import STOPPED
 from llm_flock.runtime.flight.monitors import Kind
 from llm_flock.runtime.result import FlightFigures, RunResult
+
+pytestmark = pytest.mark.usefixtures("skipped_waits")
 
 Robots = list[SimulatedRobot]
 

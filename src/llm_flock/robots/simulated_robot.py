@@ -21,7 +21,7 @@ class SimulatedRobot:
         name: for reports and errors.
         home: where it stands at first [m].
         limits: what the driver never exceeds.
-        clock: what tells the time [s].
+        clock: tells the time [s]; `time.monotonic` where none is given.
         body: the point mass itself, for tests that make it fail; built from `home` where none is given.
     """
 
@@ -31,13 +31,13 @@ class SimulatedRobot:
         home: Position,
         *,
         limits: Limits | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
         body: PointMass | None = None,
     ) -> None:
         self.body = body or PointMass(home=home)
         self._name = name
         self._limits = limits or Limits()
-        self._clock = clock
+        self._clock = clock or time.monotonic
         self._set_point = home
         self._segment: tuple[Segment, float] | None = None
         self._seen: RobotState | None = None
