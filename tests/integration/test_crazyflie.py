@@ -30,15 +30,10 @@ async def up(robot, height=0.5):
     await asyncio.sleep(0.9)
 
 
-def test_the_driver_keeps_the_contract():
-    with StandIns([HOME]) as drones:
-        asyncio.run(check_robot(robot_of(drones), patience_s=2.5))
-        assert not drones[0].flying and not drones[0].locked
-
-
 def test_the_driver_keeps_the_contract_while_a_tenth_of_the_packets_is_lost():
     with StandIns([HOME], loss=0.1, seed=1) as drones:
         asyncio.run(check_robot(robot_of(drones), patience_s=2.5))
+        assert not drones[0].flying and not drones[0].locked
 
 
 def test_an_emergency_stop_is_confirmed():

@@ -114,7 +114,7 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
     async def scenario(server: Server) -> list[Reply]:
         limits = Limits(
             max_concurrent=20,
-            timeout_s=3.0,
+            timeout_s=1.5,
             retry=RetryPolicy(max_tries=12, first_wait_s=0.01, longest_wait_s=0.1),
             meter=meter,
             rng=np.random.default_rng(5),
@@ -130,7 +130,7 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
             ]
         return [task.result() for task in tasks]
 
-    with running(fixed_answer=ANSWER, latency=0.01, late_latency=6, retry_after=0.02, seed=3, **rates) as server:
+    with running(fixed_answer=ANSWER, latency=0.01, late_latency=3, retry_after=0.02, seed=3, **rates) as server:
         replies = asyncio.run(scenario(server))
         stats = server.stats()
     met = Counter(fault for reply in replies for fault in reply.faults)
@@ -176,7 +176,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
     attempts: list[Attempt] = []
 
     async def scenario(server: Server) -> list[tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]]:
-        limits = Limits(timeout_s=2.0, retry=RetryPolicy(max_tries=20, first_wait_s=0.01), rng=np.random.default_rng(2))
+        limits = Limits(timeout_s=1.0, retry=RetryPolicy(max_tries=20, first_wait_s=0.01), rng=np.random.default_rng(2))
 
         async def think(robot: int, pool: ModelPool) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:
             model = pool.model("openai-compatible:stand-in", robot=robot, rng=np.random.default_rng(robot))
@@ -201,7 +201,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
             return await asyncio.gather(*(think(robot, pool) for robot in range(10)))
 
     rates = {"rate_limit": 0.1, "server_error": 0.1, "cut": 0.1, "garbage": 0.2, "late": 0.1}
-    with running(latency=0.01, late_latency=6, retry_after=0.02, seed=1, **rates) as server:
+    with running(latency=0.01, late_latency=2, retry_after=0.02, seed=1, **rates) as server:
         answers = asyncio.run(scenario(server))
         stats = server.stats()
     for robot, (plan, step) in enumerate(answers):

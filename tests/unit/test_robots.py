@@ -17,6 +17,8 @@ from llm_flock.robots.segment import Segment, stopping_point
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.testing import check_emergency_stop, check_robot
 
+pytestmark = pytest.mark.usefixtures("skipped_waits")
+
 COORDINATE = st.floats(-3.0, 3.0).map(lambda x: round(x, 3))
 POINT = st.tuples(COORDINATE, COORDINATE, COORDINATE)
 BOX = MotionLimits(low=(-2.0, -2.0, 0.0), high=(2.0, 2.0, 2.0), max_speed_m_s=1.0)

@@ -22,7 +22,7 @@ class SimulatedRobot:
         name: for reports and errors.
         home: position before take-off [m].
         limits: what the driver never exceeds.
-        clock: returns the time [s].
+        clock: returns the time [s]; `time.monotonic` if not given.
         body: the point mass, for tests that make it fail; made from `home` if not given.
     """
 
@@ -32,13 +32,13 @@ class SimulatedRobot:
         home: Position,
         *,
         limits: MotionLimits | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
         body: PointMass | None = None,
     ) -> None:
         self.body = body or PointMass(home=home)
         self._name = name
         self._limits = limits or MotionLimits()
-        self._clock = clock
+        self._clock = clock or time.monotonic
         self._set_point = home
         self._segment: tuple[Segment, float] | None = None
         self._seen: RobotState | None = None

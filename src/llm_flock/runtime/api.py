@@ -19,6 +19,7 @@ from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.bodies import Bodies, InstantBodies
 from llm_flock.runtime.config import RECORD_NAME, RunConfig
+from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
@@ -26,7 +27,6 @@ from llm_flock.runtime.roster import Roster, make_agent
 from llm_flock.runtime.rules import Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.trial import Steer, Trial, TrialProgress
-from llm_flock.runtime.versions import run_info
 from llm_flock.transport.memory import MemoryTransport
 
 __all__ = ["RECORD_NAME", "build_trial", "open_outputs", "run", "run_async"]
@@ -157,5 +157,5 @@ def open_outputs(
         )
         planners.listen(journal.attempt)
         if path is not None:  # only a record needs it, and asking git takes longer than many rounds
-            writer.run(run_info(config, simulated=planners.simulated, weights=planners.weights))
+            writer.write(run_info(config, simulated=planners.simulated, weights=planners.weights))
         yield journal, None if path is None else str(path)

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-
-from llm_flock.record.schema import RunInfo
-from llm_flock.runtime.config import RunConfig
 
 PACKAGES = (
     "llm-flock",
@@ -24,26 +20,6 @@ PACKAGES = (
     "mcap",
     "xllamacpp",
 )
-
-
-def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None) -> RunInfo:
-    """The first message of a record: what is run, with which versions, and where.
-
-    Args:
-        config: without the paths of its files: the same run elsewhere leaves the same record.
-        simulated: whether any language model is a simulated stand-in.
-        weights: digests of the files of local models, by name.
-    """
-    return RunInfo(
-        format_version=1,
-        config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
-        versions={**versions(), **(weights or {})},
-        git_revision=git_revision(),
-        seed=config.trial.seed,
-        simulated=simulated,
-        created_at=now(),
-        environment=environment(),
-    )
 
 
 def versions() -> dict[str, str]:

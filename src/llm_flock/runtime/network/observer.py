@@ -16,8 +16,9 @@ from llm_flock import graph, metrics
 from llm_flock.errors import FlockError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
-from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, MissionInfo, PlanInfo, ProtocolEvent, State
+from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
+from llm_flock.runtime.entries import metrics_row, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress
@@ -104,14 +105,14 @@ class Observer:
         if report.plan_id is not None and report.points is not None and report.plan_id not in self._places:
             self._places[report.plan_id] = len(report.points)
             points, proposer = [list(point) for point in report.points], report.proposer or 0
-            self._sink.plan(PlanInfo(round=now, plan_id=report.plan_id, proposer=proposer, points=points))
+            self._sink.write(PlanInfo(round=now, plan_id=report.plan_id, proposer=proposer, points=points))
         for event in report.happened:
-            self._sink.event(
+            self._sink.write(
                 ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
             )
         for call in report.calls:
             entry = LlmEntry.model_validate({**call, "round": now})
-            self._sink.llm(entry)
+            self._sink.write(entry)
             total.calls += 1
             total.calls_failed += entry.error is not None
             total.tokens += entry.usage.input + entry.usage.output
@@ -128,9 +129,7 @@ class Observer:
         self._record_mission(max(self._row, 0) + 1)
 
     def _record_mission(self, first: int) -> None:
-        ideal = None if self.mission.ideal is None else [list(point) for point in self.mission.ideal]
-        fields = self.mission.model_dump(mode="json")
-        self._sink.mission(MissionInfo(version=self._missions, round=first, mission=fields, ideal=ideal))
+        self._sink.write(mission_info(self.mission, self._missions, first))
         self._missions += 1
 
     def _shape(self) -> metrics.ShapeTarget | None:
@@ -200,31 +199,27 @@ class Observer:
             self._record_mission(0)
         self._row += 1
         self._seen |= set(robots)
-        self._sink.state(self._state(positions, robots))
+        self._sink.write(self._state(positions, robots))
         near = graph.distances(positions) <= self.mission.comm_range
-        plan_ids = [self.reports[robot].plan_id for robot in robots]
-        slots = [self.reports[robot].slot for robot in robots]
         reports = self.reports.values()
-        row = MetricsRow(
-            round=self._row,
-            procrustes_mean=error,
-            procrustes_mean_squared=None,
-            min_separation=_finite(metrics.min_separation(positions)),
-            segment_separation=_finite(self._row_closest),
-            plans_in_use=metrics.plans_in_use(plan_ids),
-            distinct_goals=metrics.distinct_goals(plan_ids, slots),
-            robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+        row = metrics_row(
+            self._row,
+            error=None if error is None else (error, None),
+            separation=(metrics.min_separation(positions), self._row_closest),
+            plan_ids=[self.reports[robot].plan_id for robot in robots],
+            slots=[self.reports[robot].slot for robot in robots],
+            at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
-            model_calls=self.measurements.calls,
-            tokens=self.measurements.tokens,
-            cost_usd=None,
-            messages_sent=sum(report.sent for report in reports),
-            bytes_sent=sum(report.bytes for report in reports),
-            messages_rejected=dict(sum((Counter(report.rejected) for report in reports), Counter[str]())),
+            calls=(self.measurements.calls, self.measurements.tokens, None),
+            traffic=(
+                sum(report.sent for report in reports),
+                sum(report.bytes for report in reports),
+                sum((Counter(report.rejected) for report in reports), Counter[str]()),
+            ),
         )
-        self._sink.metrics(row)
+        self._sink.write(row)
         self._row_closest = float("inf")
-        self._sink.end_round(self._row)
+        self._sink.write(RoundEnd(round=self._row))
         if self._on_row is not None:
             self._on_row(
                 TrialProgress(
@@ -258,7 +253,3 @@ class Observer:
                 r.phase if r is not None else DEAD if robot in self._seen else ASLEEP for robot, r in enumerate(reports)
             ],
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if value < float("inf") else None

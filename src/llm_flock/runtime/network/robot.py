@@ -9,7 +9,7 @@ from typing import Any
 from llm_flock.errors import InputError, MessageError
 from llm_flock.llm.port import Attempt
 from llm_flock.members import OPERATOR, WORLD
-from llm_flock.runtime.journal import llm_entry
+from llm_flock.runtime.entries import llm_entry
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig

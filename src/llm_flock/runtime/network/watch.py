@@ -9,14 +9,15 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
+from llm_flock.record.schema import SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
+from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import mission_order, open_link, receive
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import RobotReport, WorldState, pack
 from llm_flock.runtime.trial import TrialProgress
-from llm_flock.runtime.versions import run_info
 from llm_flock.transport.zenoh import ZenohLink
 
 CHECK_S = 0.1
@@ -72,19 +73,18 @@ async def run_watch(
     """
     with ExitStack() as stack:
         writer = stack.enter_context(NullWriter() if record is None else RecordWriter(record))
-        writer.run(run_info(config, simulated=config.simulated))
+        writer.write(run_info(config, simulated=config.simulated))
         observer = stack.enter_context(observing(config, writer, on_row))
         await until_stopped(look(observer))
         measured = observer.measurements
-        writer.summary(
-            {
-                "formed": observer.formed_s is not None,
-                "mission_s": observer.mission_s,
-                "min_separation": measured.min_separation,
-                "model_calls": measured.calls,
-                "tokens": measured.tokens,
-            }
-        )
+        result = {
+            "formed": observer.formed_s is not None,
+            "mission_s": observer.mission_s,
+            "min_separation": measured.min_separation,
+            "model_calls": measured.calls,
+            "tokens": measured.tokens,
+        }
+        writer.write(SummaryMessage(result=result))
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:

@@ -41,7 +41,11 @@ class StandIn:
         self._silent = self._mute = False
         self._peer: tuple[str, int] | None = None
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((host, port))
+        try:
+            self.socket.bind((host, port))
+        except OSError:
+            self.socket.close()
+            raise
         self.socket.setblocking(False)
         self.uri = f"udp://{host}:{self.socket.getsockname()[1]}"
 
