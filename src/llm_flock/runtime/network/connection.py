@@ -1,4 +1,4 @@
-"""Connects a process to a swarm's network: open to everybody, or secured with the keys of the team."""
+"""Connects a process to a swarm's network: open, or secured with the keys of the team."""
 
 from __future__ import annotations
 

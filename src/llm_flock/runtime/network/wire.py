@@ -8,7 +8,7 @@
 | `command/ID` | robot | its body, in the world | `Command` |
 | `report/ID` | robot | observers | `RobotReport` |
 | `mission/ID` | operator | one robot | `MissionOrder` |
-| `alive/ID` | liveliness token | everybody | nothing |
+| `alive/ID` | liveliness token | all processes | nothing |
 """
 
 from __future__ import annotations
