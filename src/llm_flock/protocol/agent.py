@@ -117,7 +117,7 @@ class Agent:
             robot, self._agreement, validator=validator, liveness=liveness, channel=channel, all_to_all=all_to_all
         )
         self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
-        self._connectivity = ConnectivityRecovery(self._agreement, liveness, all_to_all)
+        self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
         self._asked: PlanQuestion | None = None
@@ -331,8 +331,13 @@ class Agent:
             target = waiting_place(self.mission, scene.here, plan, others, blocked)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            target, notes = self._connectivity.where_to(scene.here, plan, slot)
-            effects.extend(notes)
+            agreement = self._agreement
+            route = self._connectivity.route(
+                self.mission, plan, slot, self.claim.table, scene.here, placed=agreement.placed
+            )
+            agreement.count_search(route.visited)
+            target = route.target
+            effects.extend(route.notes)
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]

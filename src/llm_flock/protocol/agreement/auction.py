@@ -21,10 +21,10 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.path_length import path_lengths
 from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
+from llm_flock.protocol.path_length import path_lengths
 
 BID_DECIMALS = 9
 
@@ -96,7 +96,7 @@ class AuctionAssignment:
     distance.
 
     Two neighbours exchange slots when that lowers the sum of their squared path lengths, even if one then flies
-    farther. Paths lead along the formation (`llm_flock.protocol.agreement.path_length`): instead of one robot crossing
+    farther. Paths lead along the formation (`llm_flock.protocol.path_length`): instead of one robot crossing
     it, a row of robots each moves up by one place. A robot that has accepted an offer may make the next one in the same
     communication round. An offer binds its maker until it is answered, refused or expired: meanwhile the maker neither
     claims nor exchanges. Acceptance is written into the table, both versions raised, and travels by merging; an entry

@@ -10,15 +10,15 @@ from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import Claim
+from llm_flock.protocol.agreement.rejections import Rejections
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll
+from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
 from llm_flock.protocol.messages.inbox import Inbox
 from llm_flock.protocol.messages.message import Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
-from llm_flock.protocol.messages.rejections import Rejections
 from llm_flock.protocol.verification.validator import Validator
 
 REMEMBERED_PAYLOADS = 256
@@ -73,7 +73,11 @@ class Messaging:
         """This robot's knowledge as bytes. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
         positions = self._all_to_all.report(
-            agreement.mission, agreement.plan, claim, agreement.position, greeting=self._dissemination.greets
+            agreement.mission,
+            agreement.plan,
+            agreement.position,
+            settled=given_all_to_all(claim.table, claim.slot),
+            greeting=self._dissemination.greets,
         )
         standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim
         payload = self._dissemination.unchanged(*standing)
@@ -94,9 +98,10 @@ class Messaging:
             table=claim.table,
             table_digest=self._dissemination.digest(claim.table),
             offer=claim.offer,
+            beats=self._liveness.beats if self._dissemination.greets else None,
             positions=positions,
         )
-        return self._dissemination.compose(whole, agreement.mission, self._liveness)
+        return self._dissemination.compose(whole, agreement.mission)
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
         """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim.
