@@ -17,9 +17,9 @@ from llm_flock.arrays import Point, Vector
 from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 
@@ -119,8 +119,8 @@ def _waits(model: str) -> bool:
     name = parse_model(model)
     if name.kind != "simulated":
         return name.kind in ("provider", "local")
-    profile = parse_profile(name.model)
-    return profile.slow > 0 or profile.flaky > 0
+    rates = parse_profile(name.model).rates
+    return any(rates.get(failure, 0) > 0 for failure in ("slow", "flaky"))
 
 
 def trial_id(config: RunConfig) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.replay import CassetteWriter
-from llm_flock.llm.sharing import Lane
+from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentRule
@@ -46,7 +46,7 @@ async def run_async(
     config: RunConfig | None = None,
     on_round: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
-    lane: Lane | None = None,
+    lane: CallLane | None = None,
     steer: Steer | None = None,
     **options: Any,
 ) -> RunResult:
@@ -116,7 +116,7 @@ async def _fly(
     mind: Callable[[int], Agent],
     on_round: Callable[[TrialProgress], None] | None,
     sink: RecordSink | None,
-    lane: Lane | None,
+    lane: CallLane | None,
     steer: Steer | None,
 ) -> RunResult:
     """Build every part, refusing what is wrong; only then open files, and fly."""
