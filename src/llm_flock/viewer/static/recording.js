@@ -1,10 +1,10 @@
-// One run in the page: its figures whole, its robots round by round, fetched as they are needed.
+// One run in the page: all of its figures, and its robots round by round, fetched when needed.
 
-const KEPT = 40000; // robots times rounds that are kept; older ones are fetched again
+const KEPT = 40000; // robots times rounds in memory; others are fetched again
 const LIVE_MS = 100;
 const FIRST_MS = 20; // until there is anything to show
 
-/** One figure of every round, packed: a run may go on for hours. What is not known is NaN. */
+/** One figure of every round, packed: a run may go on for hours. Unknown values are NaN. */
 class Column {
   constructor() {
     this.room = new Float64Array(256);
@@ -26,7 +26,7 @@ class Column {
   }
 }
 
-export class Reel {
+export class Recording {
   constructor(key) {
     this.key = key;
     this.about = null;
@@ -105,7 +105,7 @@ export class Reel {
   /** Fetch the rounds around one, if they are not here or on their way. */
   async want(round) {
     if (!this.about || round < 0 || round > this.last) return;
-    // The end of a live run is asked for alone: a reader that is slow gets the newest, not what it missed.
+    // The end of a live run is fetched alone: a slow page gets the newest rounds, not those that it missed.
     const block = this.block;
     const first = this.open && round >= this.last - 2 ? Math.max(0, round - 2) : Math.floor(round / block) * block;
     const name = `${first}:${this.open && round >= this.last - 2}:${this.open ? this.last : ""}`;

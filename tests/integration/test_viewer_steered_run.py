@@ -10,9 +10,9 @@ import pytest
 
 from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord, read_record
-from llm_flock.viewer.flight import HALLUCINATING, Flight
-from llm_flock.viewer.gallery import Gallery
-from llm_flock.viewer.launch import MOST_FLIGHTS, Cockpit
+from llm_flock.viewer.launcher import MOST_RUNS, Launcher
+from llm_flock.viewer.library import Library
+from llm_flock.viewer.steered_run import HALLUCINATING, SteeredRun
 
 FIELDS = {"shape": "circle", "n_robots": 5, "model": "simulated:ideal", "rounds": 60, "stop_when_formed": False}
 
@@ -24,15 +24,16 @@ def until(true: Callable[[], bool], timeout_s: float = 30.0) -> None:
         time.sleep(0.01)
 
 
-def launched(folder: Path, **fields: object) -> tuple[Cockpit, Flight]:
-    cockpit = Cockpit(Gallery(), folder)
-    return cockpit, cockpit.start({**FIELDS, **fields}, pace=50.0)
+def launched(folder: Path, **fields: object) -> tuple[Launcher, SteeredRun]:
+    launcher = Launcher(Library(), folder)
+    (flight,) = launcher.start({**FIELDS, **fields}, pace=50.0)
+    return launcher, flight
 
 
-def ended(flight: Flight) -> RunRecord:
+def ended(flight: SteeredRun) -> RunRecord:
     flight.end()
-    until(lambda: flight.over and not flight.reel.open)
-    assert flight.reel.failure is None
+    until(lambda: flight.over and not flight.recording.open)
+    assert flight.recording.failure is None
     return read_record(flight.path)
 
 
@@ -65,7 +66,7 @@ def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -
             if event.kind == "injected"}  # fmt: skip
     assert (2, HALLUCINATING, None) in told and (0, None, 0.4) in told
     assert {entry.model for entry in record.llm} == {"simulated:ideal", HALLUCINATING}
-    assert flight.reel.rounds == record.rounds
+    assert flight.recording.rounds == record.rounds
 
 
 def test_a_paused_run_waits(tmp_path: Path) -> None:
@@ -85,32 +86,32 @@ def test_a_run_without_orders_is_the_run_of_the_command_line(tmp_path: Path) -> 
     from llm_flock.runtime.api import run
 
     _, flight = launched(tmp_path, rounds=8)
-    until(lambda: flight.over and not flight.reel.open)
+    until(lambda: flight.over and not flight.recording.open)
     again = run(config=flight.config.model_copy(update={"trial": flight.config.trial.model_copy(update={"out": None})}))
     assert (read_record(flight.path).positions[-1] == again.positions[-1]).all()
 
 
 def test_two_protocols_start_from_the_same_places(tmp_path: Path) -> None:
-    cockpit = Cockpit(Gallery(), tmp_path)
-    pair = cockpit.start_pair({**FIELDS, "rounds": 3}, pace=100.0, protocols=("paper", "flock"))
-    until(lambda: all(flight.over and not flight.reel.open for flight in pair))
+    launcher = Launcher(Library(), tmp_path)
+    pair = launcher.start({**FIELDS, "rounds": 3}, pace=100.0, protocols=("paper", "flock"))
+    until(lambda: all(flight.over and not flight.recording.open for flight in pair))
     one, other = (read_record(flight.path) for flight in pair)
     assert (one.positions[0] == other.positions[0]).all()
     assert one.run.config["protocol"]["assignment"] == "nearest"
 
 
 def test_nothing_takes_off_that_the_command_line_refuses(tmp_path: Path) -> None:
-    cockpit = Cockpit(Gallery(), tmp_path / "runs")
+    launcher = Launcher(Library(), tmp_path / "runs")
     with pytest.raises(InputError, match="n_robots"):
-        cockpit.start_pair({**FIELDS, "n_robots": -1}, pace=1.0, protocols=("paper", "flock"))
-    assert not cockpit.gallery.reels and not (tmp_path / "runs").exists()
+        launcher.start({**FIELDS, "n_robots": -1}, pace=1.0, protocols=("paper", "flock"))
+    assert not launcher.library.runs and not (tmp_path / "runs").exists()
 
 
 def test_no_more_runs_than_the_machine_bears(tmp_path: Path) -> None:
-    cockpit = Cockpit(Gallery(), tmp_path)
-    flights = [cockpit.start({**FIELDS, "seed": k}, pace=0.1) for k in range(MOST_FLIGHTS)]
+    launcher = Launcher(Library(), tmp_path)
+    flights = [launcher.start({**FIELDS, "seed": k}, pace=0.1)[0] for k in range(MOST_RUNS)]
     with pytest.raises(InputError, match="end one of them"):
-        cockpit.start(FIELDS, pace=1.0)
+        launcher.start(FIELDS, pace=1.0)
     for flight in flights:
         flight.end()
     until(lambda: all(flight.over for flight in flights))

@@ -6,8 +6,8 @@ import pytest
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.runtime.config import RunConfig
-from llm_flock.viewer.form import FIELDS, config_of
-from llm_flock.viewer.plain import Reader, draft_of
+from llm_flock.viewer.mission_text import MissionReader, draft_of
+from llm_flock.viewer.steered_run import FIELDS, config_of
 
 
 def test_a_form_is_checked_as_the_command_line_checks_it() -> None:
@@ -78,4 +78,4 @@ def test_an_answer_that_cannot_be_flown_is_refused(answer: str) -> None:
 
 def test_a_stand_in_cannot_read() -> None:
     with pytest.raises(InputError, match="cannot read"):
-        Reader("simulated:ideal")
+        MissionReader("simulated:ideal")

@@ -1,4 +1,4 @@
-"""The first look at a run: arena and time line draw themselves while all that belongs around them is still loaded."""
+"""The first look at a run: arena and timeline draw themselves while the rest of the page is still loading."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from llm_flock.viewer.parts import Part, arena, timeline
+from llm_flock.viewer import canvases
 
 STATIC = Path(__file__).parent / "static"
 MODULES = "llm-flock-viewer"
-"""Name under which the browser's modules import one another."""
+"""Name under which the JavaScript modules import one another."""
 
 
 def css() -> str:
@@ -20,13 +20,13 @@ def css() -> str:
     return (STATIC / "viewer.css").read_text(encoding="utf-8")
 
 
-def sketch(runs: Sequence[tuple[str, str]]) -> str:
-    """A piece of a page that covers it with the drawn parts of a run, or of two, until the page has drawn them itself.
+def preview(runs: Sequence[tuple[str, str]]) -> str:
+    """HTML that covers a page with the canvases of one run, or of two, until the page has drawn its own.
 
     Args:
         runs: key and title of each.
     """
-    arenas = [arena(key, title) for key, title in runs]
+    arenas = [canvases.arena(key, title) for key, title in runs]
     pair = len(runs) > 1
     figures = "".join(
         '<figure class="flock-arena">'
@@ -34,16 +34,17 @@ def sketch(runs: Sequence[tuple[str, str]]) -> str:
         + '<div class="flock-part"></div></figure>'
         for _, title in runs
     )
+    listed = json.dumps([*arenas, canvases.timeline([key for key, _ in runs])])
     return PIECE.format(
         title=escape(" and ".join(title for _, title in runs)),
-        stage="flock-stage flock-pair" if pair else "flock-stage",
+        player="flock-player flock-pair" if pair else "flock-player",
         figures=figures,
-        parts=_in_script([*arenas, timeline([key for key, _ in runs])]),
+        canvases=listed.replace("<", "\\u003c"),  # no title can end the script early
     )
 
 
-def sketch_page(key: str, title: str) -> bytes:
-    """A whole page with nothing but the first look; everything that it needs but the run itself is in it."""
+def preview_page(key: str, title: str) -> bytes:
+    """A whole page with nothing but the preview; it contains everything but the data of the run."""
     modules = {
         MODULES if path.stem == "index" else f"{MODULES}/{path.name}": _inline(path)
         for path in sorted(STATIC.glob("*.js"))
@@ -52,7 +53,7 @@ def sketch_page(key: str, title: str) -> bytes:
         title=escape(title),
         imports=json.dumps({"imports": modules}),
         css=css(),
-        sketch=sketch([(key, title)]),
+        preview=preview([(key, title)]),
     ).encode()
 
 
@@ -60,23 +61,18 @@ def _inline(path: Path) -> str:
     return "data:text/javascript;base64," + b64encode(path.read_bytes()).decode()
 
 
-def _in_script(parts: Sequence[Part]) -> str:
-    """Parts as JSON that nothing in a title can end early."""
-    return json.dumps([[part.kind, part.options] for part in parts]).replace("<", "\\u003c")
-
-
 PIECE = """
-<div id="flock-sketch" aria-busy="true">
+<div id="flock-preview" aria-busy="true">
 <header class="flock-header"><span class="flock-brand">LLM-Flock</span>
 <span class="flock-title">{title}</span></header>
-<div class="{stage}">
+<div class="{player}">
 <section class="flock-field"><div class="flock-layers"></div><div class="flock-arenas">{figures}</div></section>
 <aside class="flock-side"></aside>
 <section class="flock-time"><div class="flock-transport"></div><div class="flock-part"></div></section>
 </div>
-<script type="application/json">{parts}</script>
+<script type="application/json">{canvases}</script>
 </div>
-<script type="module" async>import {{ sketch }} from "llm-flock-viewer/sketch.js"; sketch();</script>
+<script type="module" async>import {{ preview }} from "llm-flock-viewer/preview.js"; preview();</script>
 """
 
 PAGE = """<!doctype html>
@@ -84,10 +80,10 @@ PAGE = """<!doctype html>
 <meta name="color-scheme" content="light dark"><title>{title} · LLM-Flock</title><link rel="icon" href="data:,">
 <script type="importmap">{imports}</script>
 <style>{css}</style></head>
-<body>{sketch}
+<body>{preview}
 <script type="module">
-import {{ keep }} from "llm-flock-viewer/sketch.js";
-fetch("/data/open").catch(() => 0).then(() => {{ keep(); location.reload(); }});
+import {{ saveRound }} from "llm-flock-viewer/preview.js";
+fetch("/data/open").catch(() => 0).then(() => {{ saveRound(); location.reload(); }});
 </script>
 </body></html>
 """

@@ -1,4 +1,4 @@
-"""Records that are named on the command line."""
+"""Finds the records that the command line names."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from llm_flock.errors import InputError
 
 RECORD_NAME = "run.mcap"
 FIRST_KEY = "1"
-"""Under which a viewer shows the first of its runs; others are counted on."""
+"""Key of a viewer's first run; the others count on from it."""
 
 
 def records_in(paths: Iterable[Path]) -> list[Path]:
-    """Records that were named: files, folders with a record, and folders with such folders.
+    """Records at the given paths: files, folders with a record, and folders with such folders.
 
     Raises:
         InputError: there is none.
@@ -43,5 +43,5 @@ def newest_in(runs: Path) -> Path:
 
 
 def title_of(path: Path) -> str:
-    """What a record is called: the folder that holds it, or the file."""
+    """Title of a record: the name of its folder, or of the file."""
     return path.resolve().parent.name if path.name == RECORD_NAME else path.stem

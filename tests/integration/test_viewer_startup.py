@@ -1,4 +1,4 @@
-"""Somebody is at the door from the first moment, shows the run that was asked for, and hands the door over."""
+"""The startup server answers from the first moment, shows the run, and hands its socket over."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from sample_records import make_record
 
-from llm_flock.viewer.gallery import Gallery, play
-from llm_flock.viewer.greeter import PAGE
+from llm_flock.viewer.data import answer
+from llm_flock.viewer.library import Library, load
+from llm_flock.viewer.preview import preview_page
 from llm_flock.viewer.server import Address, listen
-from llm_flock.viewer.sketch import sketch_page
-from llm_flock.viewer.told import told
+from llm_flock.viewer.startup import PAGE
 
 ACCEPT = "Accept: text/html,*/*"
 
@@ -28,10 +28,10 @@ def ask(address: Address, path: str, *heads: str, host: str | None = None) -> by
 def say(address: Address, text: str) -> bytes:
     with socket.create_connection(("127.0.0.1", address.port), timeout=10) as guest:
         guest.sendall(text.encode())
-        answer = b""
+        received = b""
         while part := guest.recv(65536):
-            answer += part
-        return answer
+            received += part
+        return received
 
 
 def test_a_browser_sees_a_page_and_then_waits_for_the_viewer() -> None:
@@ -39,15 +39,15 @@ def test_a_browser_sees_a_page_and_then_waits_for_the_viewer() -> None:
     assert ask(address, "/data/1/about").startswith(b"HTTP/1.1 503 ")
     assert say(address, "nonsense").startswith(b"HTTP/1.1 503 ")
     assert say(address, "POST / HTTP/1.1\r\nAccept: text/html\r\n\r\n").startswith(b"HTTP/1.1 503 ")
-    answer = ask(address, "/", ACCEPT)
-    assert answer.startswith(b"HTTP/1.1 200 OK\r\n") and answer.endswith(PAGE)
-    assert b"default-src 'none'" in answer
+    page = ask(address, "/", ACCEPT)
+    assert page.startswith(b"HTTP/1.1 200 OK\r\n") and page.endswith(PAGE)
+    assert b"default-src 'none'" in page
     opened: list[bytes] = []
     waiting = threading.Thread(target=lambda: opened.append(ask(address, "/data/open")))
     waiting.start()
     waiting.join(0.3)
-    assert waiting.is_alive(), "a page is not told to load itself anew before there is somebody to answer"
-    address.greeter.stop()
+    assert waiting.is_alive(), "a page reloads only when the viewer can answer"
+    address.startup.stop()
     waiting.join(10)
     assert opened[0].startswith(b"HTTP/1.1 200 OK\r\n")
     late: list[bytes] = []
@@ -65,22 +65,22 @@ def test_a_browser_sees_a_page_and_then_waits_for_the_viewer() -> None:
 def test_it_leaves_when_nobody_came_and_when_somebody_says_nothing() -> None:
     address = listen("127.0.0.1", 0, None)
     with socket.create_connection(("127.0.0.1", address.port)):
-        address.greeter.stop()
+        address.startup.stop()
     address.sock.close()
 
 
-def body(answer: bytes) -> object:
-    head, _, text = answer.partition(b"\r\n\r\n")
-    assert head.startswith(b"HTTP/1.1 200 OK\r\n"), answer
+def body(response: bytes) -> object:
+    head, _, text = response.partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 200 OK\r\n"), response
     return json.loads(text)
 
 
 def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
     record = make_record(tmp_path / "run.mcap", n=4, rounds=3)
     address = listen("127.0.0.1", 0, None)
-    page = sketch_page("1", "</script><b>")
+    page = preview_page("1", "</script><b>")
     assert b"</script><b>" not in page
-    address.greeter.show(page, address.hosts)
+    address.startup.show(page, address.hosts)
     try:
         assert ask(address, "/", ACCEPT).endswith(page)
         assert ask(address, "/cockpit", ACCEPT).endswith(PAGE)
@@ -88,10 +88,10 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
         waiting = threading.Thread(target=lambda: early.append(ask(address, "/data/1/about")))
         waiting.start()
         waiting.join(0.3)
-        assert waiting.is_alive(), "what is not known yet is waited for"
-        gallery = Gallery()
-        play(record, gallery.add("one", record, live=False), live=False)
-        address.greeter.tell(partial(told, gallery))
+        assert waiting.is_alive(), "data that is not known yet is waited for"
+        library = Library()
+        load(record, library.add("one", record, live=False), live=False)
+        address.startup.answer_data(partial(answer, library))
         waiting.join(10)
         about = body(early[0])
         assert isinstance(about, dict) and about["robots"] == 4 and about["live"] is False
@@ -103,7 +103,7 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
         for nothing in ("/data/2/about", "/data/1/secret", "/data/../run.mcap", "/run.mcap"):
             assert ask(address, nothing).startswith(b"HTTP/1.1 503 "), nothing
     finally:
-        address.greeter.stop()
+        address.startup.stop()
         address.sock.close()
 
 
@@ -119,13 +119,13 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
 def test_no_other_sites_page_is_shown_the_run(tmp_path: Path, host: str | None, heads: tuple[str, ...]) -> None:
     record = make_record(tmp_path / "run.mcap", n=4, rounds=3)
     address = listen("127.0.0.1", 0, None)
-    gallery = Gallery()
-    play(record, gallery.add("one", record), live=False)
-    address.greeter.show(sketch_page("1", "one"), address.hosts)
-    address.greeter.tell(partial(told, gallery))
+    library = Library()
+    load(record, library.add("one", record), live=False)
+    address.startup.show(preview_page("1", "one"), address.hosts)
+    address.startup.answer_data(partial(answer, library))
     try:
         assert ask(address, "/", ACCEPT, *heads, host=host).endswith(PAGE)
         assert ask(address, "/data/1/about", *heads, host=host).startswith(b"HTTP/1.1 503 ")
     finally:
-        address.greeter.stop()
+        address.startup.stop()
         address.sock.close()

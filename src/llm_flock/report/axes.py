@@ -1,4 +1,4 @@
-"""Figures along the axes of the grid: fault rates, say, or the size of the team."""
+"""Figures along the axes of the grid, such as fault rates or the size of the team."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from llm_flock.experiments.statistics import Estimate, Method, mean_interval, wilson
 from llm_flock.report.drawing import INTERVALS, Drawing
 from llm_flock.report.findings import known
-from llm_flock.report.results import Cell, Results, TrialRow, as_number
+from llm_flock.report.results import ResultCell, Results, TrialRow, as_number
 from llm_flock.viz.charts import Curve, Facet, along
 
 
@@ -39,34 +39,22 @@ def _along(
     words: list[str] | None,
     method: Method,
 ) -> Iterator[Drawing]:
+    def mean(figure: Callable[[TrialRow], float | None]) -> Callable[[list[TrialRow]], Estimate | None]:
+        return lambda found: mean_interval(known(map(figure, found)), method=method)
+
     kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
         ("formed", "formed [% of all trials]", _formed_percent),
-        (
-            "error",
-            "error at the end [units]",
-            lambda found: mean_interval(known(t.error for t in found), method=method),
-        ),
-        (
-            "calls",
-            "model calls a robot",
-            lambda found: mean_interval(known(t.per_robot("model_calls") for t in found), method=method),
-        ),
+        ("error", "error at the end [units]", mean(lambda t: t.error)),
+        ("calls", "model calls a robot", mean(lambda t: t.per_robot("model_calls"))),
     )
     series = list(dict.fromkeys(_series(results, cell) for cell in results.cells))
     for name, y, estimate in kinds:
-        facets = [
-            Facet(
-                title=title,
-                marks=[
-                    curve
-                    for one in series
-                    if len(
-                        (curve := _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate)).x
-                    )
-                ],
-            )
-            for title, found in panels.items()
-        ]
+        facets: list[Facet] = []
+        for title, found in panels.items():
+            lines = [
+                _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate) for one in series
+            ]
+            facets.append(Facet(title=title, marks=[line for line in lines if len(line.x)]))
         if not any(facet.marks for facet in facets):
             continue
         how = "Wilson's 95 % interval" if name == "formed" else INTERVALS[method]
@@ -108,8 +96,8 @@ def _formed_percent(trials: list[TrialRow]) -> Estimate:
     return Estimate(value=100 * share.value, low=low, high=high)
 
 
-def _series(results: Results, cell: Cell) -> str:
-    """What tells the lines of a panel apart: protocol and model, where there are several."""
+def _series(results: Results, cell: ResultCell) -> str:
+    """Name of a line: its protocol, and its model where there are several."""
     return " · ".join([cell.protocol] + ([cell.model] if len(results.models) > 1 else []))
 
 

@@ -1,4 +1,4 @@
-// A canvas as sharp as the screen, that draws itself anew when its size or the page's colours change.
+// A canvas as sharp as the screen, redrawn when its size or the page's colours change.
 
 const DARK = { ink: "#e8eaed", soft: "#a9afb8", faint: "#5b6470", grid: "#2b323b", paper: "#12161b", panel: "#1b2129",
   warn: "#ff8b4d", accent: "#5ab0ee", none: "#2b323b" };
@@ -16,9 +16,9 @@ export function theme() {
 }
 
 /** A plan's look; without one a white disk with a dotted rim. */
-export function look(reel, number) {
+export function look(run, number) {
   if (number < 0) return { name: "", fill: theme().none, line: theme().soft, ink: theme().ink, rim: ":" };
-  const plan = reel.plans[number] || { name: "?", fill: "#7f7f7f", line: "#7f7f7f", ink: "#ffffff", rim: "-" };
+  const plan = run.plans[number] || { name: "?", fill: "#7f7f7f", line: "#7f7f7f", ink: "#ffffff", rim: "-" };
   return isDark() ? { ...plan, line: plan.fill } : plan;
 }
 
@@ -28,7 +28,7 @@ export function dash(rim) {
   return DASHES[rim] || [];
 }
 
-export class Paper {
+export class Surface {
   constructor(element, label) {
     this.canvas = document.createElement("canvas");
     this.canvas.className = "flock-canvas";

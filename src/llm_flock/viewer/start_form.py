@@ -1,14 +1,15 @@
-"""The form that starts simulated runs, one or two side by side, and a mission in plain words."""
+"""The form that starts simulated runs, one or two side by side, and reads missions in plain words."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from nicegui import ui
 
 from llm_flock import formations
 from llm_flock.errors import FlockError, InputError
-from llm_flock.viewer.launch import NEEDS_A_MODEL, Cockpit
+from llm_flock.viewer.launcher import NEEDS_A_MODEL, Launcher
 
 PROTOCOLS = ("flock", "paper", "baseline")
 MODELS = (
@@ -21,25 +22,25 @@ MODELS = (
 )
 
 
-class Form:
+class StartForm:
     """The form on the page.
 
     Args:
-        cockpit: starts what is asked for.
+        launcher: starts the runs.
     """
 
-    def __init__(self, cockpit: Cockpit) -> None:
-        self.cockpit = cockpit
+    def __init__(self, launcher: Launcher) -> None:
+        self.launcher = launcher
         self._boxes: dict[str, Any] = {}
 
     def build(self) -> None:
-        """Plain words, the form, and its buttons."""
+        """The box for plain words, the form, and its buttons."""
         with ui.element("section").classes("flock-card").props('aria-label="Mission in plain words"'):
             ui.label("Say it in words").classes("flock-subtitle")
-            self._words()
+            self._build_words()
         with ui.element("section").classes("flock-card").props('aria-label="New run"'):
             ui.label("Fly a simulated run").classes("flock-subtitle")
-            self._fields()
+            self._build_fields()
             self._error = ui.label("").classes("flock-error").mark("form-error").props('role="alert"')
             with ui.row():
                 ui.button("Start", icon="flight_takeoff", on_click=self._start).props("no-caps").mark("start")
@@ -47,8 +48,8 @@ class Form:
                     "outline no-caps"
                 ).mark("start-pair")
 
-    def _words(self) -> None:
-        reader = self.cockpit.reader
+    def _build_words(self) -> None:
+        reader = self.launcher.reader
         box = ui.textarea(placeholder="eight drones in a square around 40, 60, 8 apart").props(
             'outlined autogrow dense aria-label="Mission in plain words" maxlength=2000'
         )
@@ -80,7 +81,7 @@ class Form:
             button.disable()
             box.disable()
 
-    def _fields(self) -> None:
+    def _build_fields(self) -> None:
         shapes = {
             shape.name: f"{shape.name} - {shape.legal}" for shape in formations.shapes() if shape.name != "points"
         }
@@ -92,7 +93,7 @@ class Form:
             boxes["center"] = ui.input("Centre", value="50, 50")
             boxes["spacing"] = ui.number("Spacing [units]", value=10)
             boxes["protocol"] = ui.select(list(PROTOCOLS), label="Protocol", value="flock")
-            models = list(dict.fromkeys((*self.cockpit.models, *MODELS)))
+            models = list(dict.fromkeys((*self.launcher.models, *MODELS)))
             boxes["model"] = ui.input("Model", value="simulated:distorted@0.3,overshoot@0.3", autocomplete=models)
             boxes["seed"] = ui.number("Seed", value=0, precision=0)
             boxes["rounds"] = ui.number("Rounds at most", value=200, precision=0)
@@ -113,7 +114,7 @@ class Form:
             self._boxes[name].set_value(shown)
         ui.notify("Taken over: look at it, then start", type="info")
 
-    def _given(self) -> dict[str, Any]:
+    def _values(self) -> dict[str, Any]:
         fields = {name: box.value for name, box in self._boxes.items()}
         for name in ("n_robots", "seed", "rounds"):
             value = fields[name]
@@ -122,34 +123,32 @@ class Form:
         fields["stop_when_formed"] = not self._on.value
         return fields
 
-    def _pace_given(self) -> float:
+    def _pace_value(self) -> float:
         pace = float(self._pace.value or 0)
         if not 0.1 <= pace <= 100:
             raise InputError("rounds a second", pace, "from 0.1 to 100")
         return pace
 
     def _start(self) -> None:
-        try:
-            flight = self.cockpit.start(self._given(), pace=self._pace_given())
-        except FlockError as error:
-            self._error.set_text(f"error: {error}")
-            return
-        ui.navigate.to(f"/run/{flight.reel.key}")
+        self._launch(None, "/run/{}")
 
     def _start_pair(self) -> None:
+        self._launch(("paper", "flock"), "/pair/{}/{}")
+
+    def _launch(self, protocols: Sequence[str] | None, address: str) -> None:
         try:
-            one, other = self.cockpit.start_pair(self._given(), pace=self._pace_given(), protocols=("paper", "flock"))
+            started = self.launcher.start(self._values(), pace=self._pace_value(), protocols=protocols)
         except FlockError as error:
             self._error.set_text(f"error: {error}")
             return
-        ui.navigate.to(f"/pair/{one.reel.key}/{other.reel.key}")
+        ui.navigate.to(address.format(*(one.recording.key for one in started)))
 
 
 def numbers(name: str, text: str) -> tuple[float, ...] | None:
-    """Numbers with commas between them; None for nothing.
+    """The numbers of a text, separated by commas; None for an empty text.
 
     Raises:
-        InputError: it is something else.
+        InputError: the text is something else.
     """
     if not text.strip():
         return None

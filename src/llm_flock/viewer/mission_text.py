@@ -1,4 +1,4 @@
-"""A mission in plain words: a model reads it, answers in a fixed form, and people confirm it before anything flies."""
+"""Missions in plain words: a model reads one, answers in a fixed form, and people confirm it before anything flies."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.mission import build_mission, input_error
 
 LONGEST = 2000
-"""Letters of a mission in plain words."""
+"""Most letters of a mission in plain words."""
 
 TIMEOUT_S = 60.0
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Wanted(BaseModel):
-    """What the model answers: only what a mission says about the formation."""
+class MissionAnswer(BaseModel):
+    """The model's answer: the part of a mission that is about the formation."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -37,11 +37,11 @@ class Wanted(BaseModel):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Draft:
-    """A mission that was understood, and that nobody has confirmed yet.
+class MissionDraft:
+    """A mission as the model understood it, not yet confirmed.
 
     Attributes:
-        fields: what was said, by field name.
+        fields: values by field name.
         in_words: the same for people.
     """
 
@@ -49,8 +49,8 @@ class Draft:
     in_words: str
 
 
-class Reader:
-    """Asks a model what is meant.
+class MissionReader:
+    """Turns plain words into a mission draft by asking a model.
 
     Args:
         model: `provider:model`.
@@ -74,8 +74,8 @@ class Reader:
             rng=np.random.default_rng(0),
         )
 
-    async def read(self, text: str) -> Draft:
-        """What a text asks for.
+    async def read(self, text: str) -> MissionDraft:
+        """The mission that a text describes.
 
         Raises:
             InputError: the text is empty or too long, or asks for a mission that is not allowed.
@@ -86,20 +86,20 @@ class Reader:
         if not text or len(text) > LONGEST:
             raise InputError("words", f"{len(text)} letters", f"from 1 to {LONGEST} letters")
         shapes = "; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in formations.shapes())
+        schema = MissionAnswer.model_json_schema()
         messages = (
-            ChatMessage("system", INSTRUCTION.format(shapes=shapes, schema=json.dumps(Wanted.model_json_schema()))),
+            ChatMessage("system", INSTRUCTION.format(shapes=shapes, schema=json.dumps(schema))),
             ChatMessage("user", text),
         )
         async with ModelPool(base_urls=self._base_urls, timeout_s=2 * TIMEOUT_S) as pool:
-            asked = Limited(pool.model(self.model, robot=0, rng=np.random.default_rng(0)), self._limits)
-            reply = await asked.ask(
-                Call(robot=0, round=0, kind="plan", attempt=0, messages=messages, schema=Wanted.model_json_schema())
-            )
+            model = Limited(pool.model(self.model, robot=0, rng=np.random.default_rng(0)), self._limits)
+            call = Call(robot=0, round=0, kind="plan", attempt=0, messages=messages, schema=schema)
+            reply = await model.ask(call)
         return draft_of(reply.text)
 
 
-def draft_of(answer: str) -> Draft:
-    """What an answer says, checked as a mission.
+def draft_of(answer: str) -> MissionDraft:
+    """An answer of the model as a draft, checked as a mission.
 
     Raises:
         AnswerError: it is not in the fixed form.
@@ -107,16 +107,16 @@ def draft_of(answer: str) -> Draft:
     """
     start, end = answer.find("{"), answer.rfind("}")
     try:
-        wanted = Wanted.model_validate_json(answer[start : end + 1])
+        parsed = MissionAnswer.model_validate_json(answer[start : end + 1])
     except ValidationError as error:
         raise AnswerError(f"the model's answer is not of the form that was asked for: {input_error(error)}") from None
-    fields = wanted.model_dump(exclude_none=True)
-    if wanted.shape.startswith("points"):
-        raise InputError("shape", wanted.shape, "a shape with a name")
+    fields = parsed.model_dump(exclude_none=True)
+    if parsed.shape.startswith("points"):
+        raise InputError("shape", parsed.shape, "a shape with a name")
     mission = build_mission(**fields)
     center = ", ".join(f"{part:g}" for part in mission.center)
     words = f"{mission.n_robots} robots · {mission.shape} · centre {center} · {mission.spacing:g} units apart"
-    return Draft(fields=fields, in_words=words)
+    return MissionDraft(fields=fields, in_words=words)
 
 
 INSTRUCTION = """\

@@ -4,14 +4,14 @@ export default {
   template: `<div class="flock-part"></div>`,
   props: { kind: String, options: Object },
   mounted() {
-    this.part = build(this.kind, this.$el, this.options, (name, value) => this.$emit(name, value));
+    this.canvas = build(this.kind, this.$el, this.options, (name, value) => this.$emit(name, value));
   },
   unmounted() {
-    this.part.close();
+    this.canvas.close();
   },
   methods: {
-    call(name, ...given) {
-      return this.part[name](...given);
+    call(name, ...options) {
+      return this.canvas[name](...options);
     },
   },
 };

@@ -1,4 +1,4 @@
-"""What the time line marks: recorded events and model calls, sorted into few kinds."""
+"""Recorded events and model calls as marks on the timeline, and in words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from llm_flock.record.schema import LlmEntry, ProtocolEvent
 
-_OF_KIND = {
+_TRACKS = {
     "proposed": "plans",
     "adopted": "plans",
     "fallback": "fallbacks",
@@ -21,29 +21,29 @@ _OF_KIND = {
     "rejected_message": "faults",
     "mission": "missions",
 }
-"""Lane of each kind of event; other kinds are only listed."""
+"""Timeline track of each kind of event; other kinds are only listed."""
 
 
-def lane_of_event(event: ProtocolEvent) -> str | None:
-    """The lane that marks an event, None for one that is not marked."""
+def track_of_event(event: ProtocolEvent) -> str | None:
+    """The track that marks an event; None for an event that is only listed."""
     if event.kind == "claimed":
         return "swaps" if event.detail.get("before") is not None else None
-    return _OF_KIND.get(event.kind)
+    return _TRACKS.get(event.kind)
 
 
-def lane_of_call(entry: LlmEntry) -> str | None:
-    """The lane that marks a model call, None for one that went well."""
+def track_of_call(entry: LlmEntry) -> str | None:
+    """The track that marks a model call; None for a call that went well."""
     if entry.error is not None:
         return "faults"
     return "retries" if entry.rejected is not None else None
 
 
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:
-    """An event in a sentence.
+    """An event as a sentence without its subject.
 
     Args:
-        event: what happened.
-        plan_name: the letters that stand for a plan.
+        event: the event.
+        plan_name: gives the letters that stand for a plan.
     """
     detail = event.detail
     match event.kind:
@@ -64,5 +64,5 @@ def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> st
         case "mission":
             return f"heard of another mission: {detail.get('shape')}"
         case _:
-            told = ", ".join(f"{name} {value}" for name, value in detail.items() if value is not None)
-            return event.kind.replace("_", " ") + (f" ({told})" if told else "")
+            details = ", ".join(f"{name} {value}" for name, value in detail.items() if value is not None)
+            return event.kind.replace("_", " ") + (f" ({details})" if details else "")

@@ -1,4 +1,4 @@
-"""A robot's mind on the page. All words are set as text, so that nothing a model says can become markup."""
+"""What one robot knew and asked in a round. Everything is set as text: no answer of a model can become markup."""
 
 from __future__ import annotations
 
@@ -6,31 +6,30 @@ from nicegui import ui
 
 from llm_flock.record.schema import LlmEntry
 from llm_flock.record.words import verdict
-from llm_flock.viewer.mind import claims, price, provenance
-from llm_flock.viewer.reel import Reel
+from llm_flock.viewer.recording import Recording
 
 MOST_CLAIMS = 30
 
 
-def show_mind(reel: Reel, robot: int, number: int) -> None:
-    """What one robot knew, asked and was answered in a round."""
-    state = reel.states[number]
+def show_robot(run: Recording, robot: int, number: int) -> None:
+    """Show a robot's plan, its conversation with its model, and the claims it heard in a round."""
+    state = run.states[number]
     with ui.element("article").classes("flock-mind").mark(f"mind-{robot}"):
         ui.label(f"Robot {robot} · round {number}").classes("flock-subtitle")
         slot = "no place" if state.slots[robot] is None else f"place {state.slots[robot]}"
         ui.label(
-            f"plan {reel.plan_name(state.plan_ids[robot])} · {slot} · influence {state.influence[robot]:.2f} · "
+            f"plan {run.plan_name(state.plan_ids[robot])} · {slot} · influence {state.influence[robot]:.2f} · "
             f"{state.phases[robot].replace('_', ' ')} · moved by {state.origins[robot]}"
         ).classes("flock-facts")
-        _conversation(reel, robot, number)
-        _provenance(reel, robot, number)
-        _claims(reel, robot, number)
+        _conversation(run, robot, number)
+        _provenance(run, robot, number)
+        _claims(run, robot, number)
 
 
-def _conversation(reel: Reel, robot: int, number: int) -> None:
-    calls = reel.calls(number, robot)
+def _conversation(run: Recording, robot: int, number: int) -> None:
+    calls = run.calls(number, robot)
     if not calls:
-        before = reel.last_call(number, robot)
+        before = run.last_call(number, robot)
         ui.label(
             "Its model has not been asked yet." if before is None else f"Its model was last asked in round {before}."
         ).classes("flock-hint")
@@ -50,7 +49,7 @@ def _call(entry: LlmEntry) -> None:
         prompt = ui.expansion(f"Prompt ({len(entry.messages)} messages)").props("dense").classes("flock-prompt")
 
         def unfold(entry: LlmEntry = entry) -> None:
-            # Long conversations are sent when somebody wants to read them.
+            # Conversations are long: they are sent when they are opened.
             if prompt.value and not prompt.default_slot.children:
                 with prompt:
                     for message in entry.messages:
@@ -66,23 +65,23 @@ def _call(entry: LlmEntry) -> None:
             ui.icon("check_circle" if used else "cancel", color="positive" if used else "negative").props(
                 f'aria-label="{"used" if used else "not used"}"'
             )
-            ui.label(verdict(entry)).classes("flock-said flock-judged")
-        ui.label(price(entry)).classes("flock-hint")
+            ui.label(verdict(entry)).classes("flock-said")
+        ui.label(_price(entry)).classes("flock-hint")
 
 
-def _provenance(reel: Reel, robot: int, number: int) -> None:
-    way = provenance(reel, robot, number)
-    if not way:
+def _provenance(run: Recording, robot: int, number: int) -> None:
+    steps = run.provenance(robot, number)
+    if not steps:
         return
     ui.label("Provenance of its plan").classes("flock-role")
     words = [
-        f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})" for step in way
+        f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})" for step in steps
     ]
     ui.label(" → ".join(words)).classes("flock-facts")
 
 
-def _claims(reel: Reel, robot: int, number: int) -> None:
-    found = claims(reel, robot, number)
+def _claims(run: Recording, robot: int, number: int) -> None:
+    found = run.claims_heard(robot, number)
     ui.label(f"Claims within its radio range ({len(found)})").classes("flock-role")
     rows = [
         {
@@ -99,3 +98,11 @@ def _claims(reel: Reel, robot: int, number: int) -> None:
         for name in ("robot", "plan", "place", "influence", "distance")
     ]
     ui.table(rows=rows, columns=columns, row_key="robot").props("dense flat hide-pagination").classes("flock-table")
+
+
+def _price(entry: LlmEntry) -> str:
+    """Tokens, time, money and faults of a call."""
+    cached = f" ({entry.usage.cached} cached)" if entry.usage.cached else ""
+    cost = f" · ${entry.cost_usd:.4f}" if entry.cost_usd else ""
+    faults = f" · {', '.join(entry.faults)}" if entry.faults else ""
+    return f"{entry.usage.input} tokens in{cached}, {entry.usage.output} out · {entry.latency_s:.2f} s{cost}{faults}"
