@@ -11,7 +11,7 @@ from typing import Any
 from llm_flock.arrays import Points
 from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.replay import CassetteWriter
-from llm_flock.llm.sharing import Lane
+from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import AssignmentRule
 from llm_flock.protocol.agreement.consensus import ConsensusRule
@@ -45,7 +45,7 @@ async def run_async(
     config: RunConfig | None = None,
     on_round: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
-    lane: Lane | None = None,
+    lane: CallLane | None = None,
     steer: Steer | None = None,
     **options: Any,
 ) -> RunResult:

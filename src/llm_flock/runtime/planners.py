@@ -7,7 +7,7 @@ from pathlib import Path
 
 from llm_flock.llm.frame import trained_for
 from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
-from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import (
@@ -22,7 +22,7 @@ from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_h
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import ReplayModel
-from llm_flock.llm.sharing import Lane
+from llm_flock.llm.sharing import CallLane
 from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
@@ -42,7 +42,7 @@ class TeamPlanners:
         InputError: a model cannot work, as far as that is known before asking it.
     """
 
-    def __init__(self, config: RunConfig, lane: Lane | None = None) -> None:
+    def __init__(self, config: RunConfig, lane: CallLane | None = None) -> None:
         model, limits, n = config.model, config.limits, config.mission.n_robots
         self.names = parse_models(model.model, n)
         self._sinks: list[AttemptSink] = []
@@ -59,8 +59,8 @@ class TeamPlanners:
         self._own_pool = shared is None
         seed = config.trial.seed
 
-        def limits_of(at_once: int) -> Limits:
-            return Limits(
+        def limits_of(at_once: int) -> CallLimits:
+            return CallLimits(
                 max_concurrent=min(limits.max_concurrent, at_once),
                 timeout_s=limits.timeout_s,
                 retry=RetryPolicy(max_tries=limits.max_tries),

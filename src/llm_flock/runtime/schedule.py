@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
+from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
@@ -166,11 +167,17 @@ def _missions(
             new = mission.at(when).change(**fields, since=when)
         except InputError as error:
             raise InputError("changes", value, str(error)) from None
-        refused = mission.refuses(new)
-        if refused is not None:
-            raise InputError("changes", value, f"a change that robots take: {refused}")
+        _check_accepted(mission, new, value)
         found[when], mission = (robot, new), new
     return found
+
+
+def _check_accepted(mission: Mission, new: Mission, value: Mapping[str, Any]) -> None:
+    """Check that only those fields change that robots accept by radio: their limits and surroundings are fixed."""
+    for field in Mission.model_fields:
+        if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
+            allowed = ", ".join(sorted(MISSION_FIELDS - {"since"}))
+            raise InputError("changes", value, f"only fields that a robot accepts by radio ({allowed}), not {field}")
 
 
 def load_points(fields: dict[str, Any]) -> bool:
