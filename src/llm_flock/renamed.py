@@ -35,6 +35,16 @@ def current(settings: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+def former(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings under their old names. Call where a hash of settings must not change with a name."""
+    fields = {new: old for old, new in FIELDS.items()}
+    values = {field: {new: old for old, new in names.items()} for field, names in VALUES.items()}
+    return {
+        fields.get(name, name): values.get(name, {}).get(value, value) if isinstance(value, str) else value
+        for name, value in settings.items()
+    }
+
+
 def current_flag(token: str) -> str:
     """A flag under its present name; logs a warning for an old one."""
     name, equals, value = token.partition("=")

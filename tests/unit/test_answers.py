@@ -7,19 +7,15 @@ import re
 import time
 
 import pytest
+from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError
+from llm_flock.llm.answer_forms import answer_schema
 from llm_flock.llm.answers import (
     MAX_CHARS,
-    parse_path,
-    parse_path_json,
-    parse_plan,
-    parse_plan_json,
-    parse_step,
-    parse_step_json,
 )
-from llm_flock.llm.schemas import path_schema, plan_schema, step_schema
+from llm_flock.llm.port import AnswerForm
 from llm_flock.protocol.plan import Plan
 
 POINTS = [[55.77, 50.0], [47.11, 55.0], [47.11, 45.0]]
@@ -187,12 +183,13 @@ def test_json_that_will_not_do(value: dict[str, object], reason: str) -> None:
 
 
 def test_schemas_fix_every_length() -> None:
-    plan = plan_schema(3, 2)["properties"]
+    plan = answer_schema("plan", AnswerForm(n=3, dim=2))["properties"]
     assert (plan["plan"]["minItems"], plan["plan"]["maxItems"]) == (3, 3)
     assert plan["my_plan"] == {"type": "integer", "minimum": 0, "maximum": 2}
-    position = step_schema(3)["properties"]["position"]
+    position = answer_schema("step", AnswerForm(n=3, dim=3))["properties"]["position"]
     assert (position["minItems"], position["maxItems"]) == (3, 3)
-    for schema in (plan_schema(3, 2), step_schema(3), path_schema(4, 2)):
+    for kind, horizon in (("plan", 1), ("step", 1), ("step", 4)):
+        schema = answer_schema(kind, AnswerForm(n=3, dim=2, horizon=horizon))
         assert schema["required"] == list(schema["properties"]) and schema["additionalProperties"] is False
 
 

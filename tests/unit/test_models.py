@@ -16,7 +16,7 @@ from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd, price_known
 from llm_flock.llm.providers import known_providers, parse_base_urls, parse_model
 from llm_flock.llm.replay import CassetteLine
-from llm_flock.llm.simulated import SimulatedModel
+from llm_flock.llm.simulated.model import SimulatedModel
 
 RNG = np.random.default_rng(0)
 

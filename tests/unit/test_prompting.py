@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import InputError
+from llm_flock.llm.prompt_values import nearest_text, number_text, position_decimals, short_text
 from llm_flock.llm.prompting import VARIABLES, PromptSet
-from llm_flock.llm.wording import nearest_text, number_text, position_decimals, short_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion

@@ -72,6 +72,13 @@ def test_the_address_is_the_content_wherever_files_are_put(tmp_path: Path) -> No
     assert trial_id(build_config(prompts=str(prompts))) != before
 
 
+def test_the_address_outlives_renamed_settings() -> None:
+    """Ids of the version before `provenance`, `comm_rounds` and `replan`."""
+    assert trial_id(build_config(seed=1)) == "e0c219a2358b961bd896"
+    assert trial_id(build_config(seed=1, protocol="paper")) == "f889a47b04dd9d24050c"
+    assert trial_id(build_config(gaps="replan", comm_rounds=3)) == "e62d33fe7e454ad72411"
+
+
 @pytest.mark.parametrize(
     ("options", "field"),
     [

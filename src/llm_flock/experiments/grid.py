@@ -12,14 +12,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from llm_flock import formations
+from llm_flock import formations, renamed
 from llm_flock.arrays import Point, Vector
 from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 
@@ -119,13 +119,16 @@ def _waits(model: str) -> bool:
     name = parse_model(model)
     if name.kind != "simulated":
         return name.kind in ("provider", "local")
-    profile = parse_profile(name.model)
-    return profile.slow > 0 or profile.flaky > 0
+    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
 def trial_id(config: RunConfig) -> str:
-    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
-    plain = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights.
+
+    Renamed settings count under their old names, so that a sweep that was started before goes on.
+    """
+    sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    plain = {name: renamed.former(section) for name, section in sections.items()}
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
     for model in models_of(config):

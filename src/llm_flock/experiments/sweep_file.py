@@ -16,9 +16,9 @@ from llm_flock.errors import InputError
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, parse_teams
 from llm_flock.experiments.trial import KeepRecords
 from llm_flock.llm.limits import Budget
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.providers import known_providers
 from llm_flock.llm.sharing import Rate
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, input_error
 from llm_flock.runtime.config import build_config
 

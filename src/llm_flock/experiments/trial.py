@@ -15,8 +15,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.sharing import Lane, Spent
-from llm_flock.record.schema import MetricsRow
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
 from llm_flock.runtime.trial import TrialProgress
@@ -109,19 +108,18 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass
-class _Metrics(NullWriter):
-    """Collects the figures of each round and of the whole trial."""
+class _Metrics:
+    """Collects the figures of each round and of the whole trial from the entries of its record."""
 
     rows: list[MetricsRow] = field(default_factory=list[MetricsRow])
     result: Mapping[str, Any] | None = None
 
-    def metrics(self, row: MetricsRow) -> None:
-        """The figures of one round."""
-        self.rows.append(row)
-
-    def summary(self, result: Mapping[str, Any]) -> None:
-        """The run's summary; it also comes where a run broke off."""
-        self.result = result
+    def write(self, entry: Entry) -> None:
+        """Keep the figures; the summary also comes where a run broke off."""
+        if isinstance(entry, MetricsRow):
+            self.rows.append(entry)
+        elif isinstance(entry, SummaryMessage):
+            self.result = entry.result
 
 
 async def fly(

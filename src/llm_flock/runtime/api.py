@@ -15,12 +15,11 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentRule
 from llm_flock.protocol.agreement.consensus import ConsensusRule
-from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import check_start, draw_start
-from llm_flock.runtime import versions
 from llm_flock.runtime.bodies import AtOnce
 from llm_flock.runtime.config import RunConfig, build_config
+from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.roster import Roster
@@ -167,21 +166,6 @@ def open_books(
             config.mission, writer if sink is None else Tee(writer, sink), replans=config.protocol.gaps == "replan"
         )
         thinkers.listen(journal.attempt)
-        if path is not None:  # a record says where it came from; asking git takes longer than many a round
-            writer.run(_run_info(config, thinkers))
+        if path is not None:  # only then: asking git for the revision takes longer than many a round
+            writer.write(run_info(config, simulated=thinkers.simulated, weights=thinkers.weights))
         yield journal, None if path is None else str(path)
-
-
-def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:
-    # Where files are put is not part of what was run: the same run elsewhere leaves the same record.
-    places = {"trial": {"out"}, "model": {"record_llm"}}
-    return RunInfo(
-        format_version=1,
-        config=config.model_dump(mode="json", exclude=places),
-        versions={**versions.versions(), **thinkers.weights},
-        git_revision=versions.git_revision(),
-        seed=config.trial.seed,
-        simulated=thinkers.simulated,
-        created_at=versions.now(),
-        environment=versions.environment(),
-    )

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from llm_flock.llm.fallback import FallbackPlanner
 from llm_flock.llm.frame import trained_for
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
@@ -22,9 +21,9 @@ from llm_flock.llm.models import (
 from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.reading import check_prompts
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import Lane
+from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
 from llm_flock.protocol.verification.steps import check_answer

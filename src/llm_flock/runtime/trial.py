@@ -33,6 +33,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.record.schema import SummaryMessage
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
@@ -145,8 +146,7 @@ class Trial:
     def begin(self) -> None:
         """Record the start, where everybody is before the first round; once, whoever asks for it first."""
         if not self.journal.positions:
-            self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
-            self.journal.writer.end_round(0)
+            self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
 
     @property
     def _done(self) -> bool:
@@ -186,8 +186,7 @@ class Trial:
         await self._move(moves)
         for robot, agent in self._minds():
             self._perform(number, None, robot, agent.handle(Arrived()))
-        self.journal.state(number, self.bodies, self.roster, moves, self.transport.traffic)
-        self.journal.writer.end_round(number)
+        self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
 
     def _minds(self) -> list[tuple[int, Agent]]:
         """The robots that are awake, and their minds, by id."""
@@ -305,7 +304,7 @@ class Trial:
             record=record,
             flight=flight,
         )
-        self.journal.writer.summary(summary.to_dict())
+        self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,
             config=self.config,

@@ -11,8 +11,8 @@ import numpy as np
 
 from llm_flock import formations
 from llm_flock.errors import InputError
+from llm_flock.llm.prompt_values import number_text, place_text
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.wording import number_text, place_text
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion

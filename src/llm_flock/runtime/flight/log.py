@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from llm_flock import metrics
 from llm_flock.errors import RecordError
-from llm_flock.record.schema import BodySample, FlightEvent
+from llm_flock.record.schema import BodySample, Entry, FlightEvent
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Position, RobotState
 from llm_flock.runtime.flight.config import FlightConfig
@@ -57,7 +57,7 @@ class FlightLog:
         seconds = round(time.monotonic() - self._began, 3)
         event = FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail)
         self.events.append(event)
-        self._write(lambda: self._sink.flight(event))
+        self._write(event)
 
     def look(
         self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
@@ -86,13 +86,13 @@ class FlightLog:
                 battery_v=[state.battery_v for state in states],
                 link=[0.0 if state.link_lost else state.link for state in states],
             )
-            self._write(lambda: self._sink.body(sample))
+            self._write(sample)
 
-    def _write(self, write: Callable[[], None]) -> None:
+    def _write(self, entry: Entry) -> None:
         """A record that cannot be written must not keep anybody from landing."""
         if self.failure is None:
             try:
-                write()
+                self._sink.write(entry)
             except RecordError as error:
                 self.failure = error
 

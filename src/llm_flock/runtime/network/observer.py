@@ -16,8 +16,9 @@ from llm_flock import graph, metrics
 from llm_flock.errors import FlockError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
-from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, MissionInfo, PlanInfo, ProtocolEvent, State
+from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
+from llm_flock.runtime.entries import metrics_row, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Frame, Report
 from llm_flock.runtime.trial import TrialProgress
@@ -108,13 +109,13 @@ class Observer:
             self._places[report.plan_id] = len(report.points)
             points = [list(point) for point in report.points]
             proposer = report.proposer or 0
-            self._sink.plan(PlanInfo(round=self._now, plan_id=report.plan_id, proposer=proposer, points=points))
+            self._sink.write(PlanInfo(round=self._now, plan_id=report.plan_id, proposer=proposer, points=points))
         for event in report.happened:
             told = ProtocolEvent(round=self._now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
-            self._sink.event(told)
+            self._sink.write(told)
         for call in report.calls:
             entry = LlmEntry.model_validate({**call, "round": self._now})
-            self._sink.llm(entry)
+            self._sink.write(entry)
             self.figures.calls += 1
             self.figures.calls_failed += entry.error is not None
             self.figures.tokens += entry.usage.input + entry.usage.output
@@ -135,9 +136,7 @@ class Observer:
         self._tell_mission(self._now + 1)
 
     def _tell_mission(self, first: int) -> None:
-        ideal = None if self.mission.ideal is None else [list(point) for point in self.mission.ideal]
-        fields = self.mission.model_dump(mode="json")
-        self._sink.mission(MissionInfo(version=self._missions, round=first, mission=fields, ideal=ideal))
+        self._sink.write(mission_info(self.mission, self._missions, first))
         self._missions += 1
 
     def _shape(self) -> metrics.ShapeTarget | None:
@@ -223,7 +222,7 @@ class Observer:
 
         silent = [DEAD if robot in self._seen else ASLEEP for robot in range(n)]
         start = Origin.START.value if self._row == 0 else Origin.HOLD.value
-        self._sink.state(
+        self._sink.write(
             State(
                 round=self._row,
                 positions=positions.tolist(),
@@ -236,47 +235,37 @@ class Observer:
                 phases=[phase or silent[robot] for robot, phase in enumerate(each(lambda r: r.phase))],
             )
         )
-        distances = self._distances()
-        plan_ids = [told[robot].plan_id for robot in robots]
-        slots = [told[robot].slot for robot in robots]
         error = self._residual()
-        progress = TrialProgress(
-            round=self._row,
-            rounds=0,
-            at_goal=metrics.robots_at_goal(list(distances.values()), self.mission.spacing),
-            n_robots=len(robots),
-            plans_in_use=metrics.plans_in_use(plan_ids),
-            distinct_goals=metrics.distinct_goals(plan_ids, slots),
-            error=error,
-            model_calls=self.figures.calls,
-            tokens=self.figures.tokens,
-            cost_usd=None,
+        row = metrics_row(
+            self._row,
+            error=None if error is None else (error, None),
+            separation=(metrics.min_separation(positions), self._row_closest),
+            plan_ids=[told[robot].plan_id for robot in robots],
+            slots=[told[robot].slot for robot in robots],
+            at_goal=metrics.robots_at_goal(list(self._distances().values()), self.mission.spacing),
+            connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
+            calls=(self.figures.calls, self.figures.tokens, None),
+            traffic=(
+                sum(report.sent for report in told.values()),
+                sum(report.bytes for report in told.values()),
+                sum((Counter(report.rejected) for report in told.values()), Counter[str]()),
+            ),
         )
-        rejected = sum((Counter(report.rejected) for report in told.values()), Counter[str]())
-        self._sink.metrics(
-            MetricsRow(
-                round=self._row,
-                procrustes_mean=error,
-                procrustes_mean_squared=None,
-                min_separation=_finite(metrics.min_separation(positions)),
-                segment_separation=_finite(self._row_closest),
-                plans_in_use=progress.plans_in_use,
-                distinct_goals=progress.distinct_goals,
-                robots_at_goal=progress.at_goal,
-                connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
-                model_calls=progress.model_calls,
-                tokens=progress.tokens,
-                cost_usd=None,
-                messages_sent=sum(report.sent for report in told.values()),
-                bytes_sent=sum(report.bytes for report in told.values()),
-                messages_rejected=dict(rejected),
-            )
-        )
+        self._sink.write(row)
         self._row_closest = float("inf")
-        self._sink.end_round(self._row)
+        self._sink.write(RoundEnd(round=self._row))
         if self._on_row is not None:
-            self._on_row(progress)
-
-
-def _finite(value: float) -> float | None:
-    return value if value < float("inf") else None
+            self._on_row(
+                TrialProgress(
+                    round=self._row,
+                    rounds=0,
+                    at_goal=row.robots_at_goal,
+                    n_robots=len(robots),
+                    plans_in_use=row.plans_in_use,
+                    distinct_goals=row.distinct_goals,
+                    error=error,
+                    model_calls=row.model_calls,
+                    tokens=row.tokens,
+                    cost_usd=None,
+                )
+            )

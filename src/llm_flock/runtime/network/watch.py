@@ -9,9 +9,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from llm_flock.errors import MessageError
-from llm_flock.record.schema import RunInfo
+from llm_flock.record.schema import SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
-from llm_flock.runtime import versions
+from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.joining import open_link, ordered
 from llm_flock.runtime.network.observer import Observer
@@ -54,20 +54,6 @@ def attend(link: Link, observer: Observer) -> None:
     link.watch_alive(observer.comes_or_goes)
 
 
-def run_info(config: SwarmConfig) -> RunInfo:
-    """Where the record of a swarm comes from."""
-    return RunInfo(
-        format_version=1,
-        config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
-        versions=versions.versions(),
-        git_revision=versions.git_revision(),
-        seed=config.trial.seed,
-        simulated=config.simulated,
-        created_at=versions.now(),
-        environment=versions.environment(),
-    )
-
-
 @contextmanager
 def observing(
     config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
@@ -108,21 +94,20 @@ async def run_watch(
     """
     with ExitStack() as stack:
         writer = stack.enter_context(NullWriter() if record is None else RecordWriter(record))
-        writer.run(run_info(config))
+        writer.write(run_info(config, simulated=config.simulated))
         observer = stack.enter_context(observing(config, writer, on_row))
         await until_stopped(look(observer), parent=parent)
         figures = observer.figures
-        writer.summary(
-            {
-                "formed": observer.formed_s is not None,
-                "mission_s": None
-                if observer.formed_s is None or observer.began_s is None
-                else observer.formed_s - observer.began_s,
-                "min_separation": figures.min_separation,
-                "model_calls": figures.calls,
-                "tokens": figures.tokens,
-            }
-        )
+        result = {
+            "formed": observer.formed_s is not None,
+            "mission_s": None
+            if observer.formed_s is None or observer.began_s is None
+            else observer.formed_s - observer.began_s,
+            "min_separation": figures.min_separation,
+            "model_calls": figures.calls,
+            "tokens": figures.tokens,
+        }
+        writer.write(SummaryMessage(result=result))
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
