@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
@@ -16,7 +15,7 @@ from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
 def swarm_config(robots: int = 5, *, seed: int = 1, **options: Any) -> SwarmConfig:
     """A team that starts in radio contact, with models that take a moment to answer, on a free port."""
     base = {"shape": "circle", "n_robots": robots, "model": "simulated:brisk", "seed": seed, "start": "connected"}
-    return build_config_of(SwarmConfig, {}, **{**base, "connect": "", "max_s": 90.0, **options})
+    return SwarmConfig.build({}, **{**base, "connect": "", "max_s": 90.0, **options})
 
 
 def fly(
@@ -39,7 +38,7 @@ def fly(
             await asyncio.gather(task, return_exceptions=True)
             if not task.cancelled() and (error := task.exception()) is not None:
                 raise error
-            return swarm.result(stopped, config.trial.out)
+            return swarm.result(stopped)
 
     result = asyncio.run(all_of_it())
     assert not living(pids), "processes were left behind"

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from swarms import fly, formed, swarm_config
 
+from llm_flock.members import OPERATOR, WATCHER
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.joining import open_link
+from llm_flock.runtime.network.connection import open_link
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm
-from llm_flock.runtime.network.wire import Order, pack
-from llm_flock.transport.seal import OPERATOR, WATCHER
+from llm_flock.runtime.network.wire import MissionOrder, pack
 from llm_flock.trust.keys import make_keys
 
 N = 3
@@ -44,7 +44,7 @@ async def publish(config: SwarmConfig, member: int) -> None:
     try:
         for _ in range(20):
             for robot in range(N):
-                link.publish("mission", robot, pack(Order(fields={"shape": "triangle"}, counter=2**31)))
+                link.publish("mission", robot, pack(MissionOrder(fields={"shape": "triangle"}, counter=2**31)))
             await asyncio.sleep(0.1)
     finally:
         link.close()

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("cflib")
 
 from llm_flock.errors import InputError
-from llm_flock.robots.base import Limits, RobotError
+from llm_flock.robots.base import MotionLimits, RobotError
 from llm_flock.robots.crazyflie import CrazyflieRobot
 from llm_flock.testing import check_emergency_stop, check_robot
 from llm_flock.testing.crtp import StandIns
@@ -166,7 +166,7 @@ def test_ten_connect_settle_and_fly_together(capsys):
     async def flight() -> None:
         homes = [(0.5 * k, 0.0, 0.0) for k in range(10)]
         with StandIns(homes) as drones:
-            robots = [robot_of(drones, k, limits=Limits(max_speed_m_s=1.0)) for k in range(10)]
+            robots = [robot_of(drones, k, limits=MotionLimits(max_speed_m_s=1.0)) for k in range(10)]
             began = time.monotonic()
             await asyncio.gather(*(r.connect(5.0) for r in robots))
             await wait_until(lambda: all(r.state().settled for r in robots), 5.0, "all settled")
