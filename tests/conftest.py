@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,11 @@ OFFLINE_SUITES = ("unit", "property")
 # A busy machine must not turn a slow example into a failure; a failing example prints how to repeat it.
 settings.register_profile("default", deadline=None, print_blob=True)
 settings.load_profile("default")
+
+
+# A shell starts jobs in the background with Ctrl-C ignored, and the processes that tests interrupt would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class NetworkBlocked(AssertionError):

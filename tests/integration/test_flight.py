@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import pytest
 from flights import Sabotage, flight_config, flown, fly
+from slowness import slowness
 
 from llm_flock.errors import RecordError
 from llm_flock.llm.geometry import GeometryPlanner
@@ -47,7 +48,7 @@ def test_a_square_is_formed_and_landed(tmp_path) -> None:
     assert flight.ended == "mission" and flight.safe and set(flight.ends.values()) == {"landed"}
     assert (flight.min_separation_m or 0.0) >= 0.2
     assert flight.tracking_max_m is not None and flight.tracking_max_m < 0.05
-    assert flight.fan_out_ms is not None and flight.fan_out_ms < 100
+    assert flight.fan_out_ms is not None and flight.fan_out_ms < 100 * slowness()
     record = read_record(tmp_path / "run.mcap")
     assert record.result is not None and record.result["flight"]["ends"] == flight.ends
     assert record.rounds == trial(result).summary.rounds == max(sample.round for sample in record.bodies)
