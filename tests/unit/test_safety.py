@@ -6,10 +6,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from llm_flock.metrics import min_separation, segment_separation
+from llm_flock.metrics import AT_GOAL, min_separation, segment_separation
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle, segment_clearance
 from llm_flock.protocol.events import Note, Origin
+from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.progress import LAP, PATIENCE, GoalProgress, detour, watch
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.motion.shield import told_apart
@@ -26,7 +27,7 @@ class Team:
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.minds = [Safety(i, self.mission, 0.0) for i in range(n)]
+        self.minds = [Safety(i, Limits.of(self.mission), 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.smallest = math.inf
         self.clearance = math.inf
@@ -49,7 +50,7 @@ class Team:
             far = math.dist(rows[i], goal)
             share = min(1.0, self.mission.max_step / max(far, 1e-9))
             wish = goal if share == 1.0 else tuple(x + share * (g - x) for x, g in zip(rows[i], goal, strict=True))
-            flight = mind.step(rows[i], sensed, wish, goal)
+            flight = mind.step(rows[i], sensed, wish, goal, AT_GOAL * self.mission.spacing)
             self.kinds.update(note.kind for note in flight.notes)
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
             after[i] = flight.waypoint
@@ -170,7 +171,7 @@ def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
 
 
 def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
-    mind = Safety(0, Mission(), 0.0)
+    mind = Safety(0, Limits.of(Mission()), 0.0)
     assert mind.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
     flight = mind.stay((50.0, 50.0), {1: (51.0, 50.0)})
     assert flight.origin is Origin.SHIELD and flight.waypoint[0] <= 49.0
@@ -180,7 +181,7 @@ def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
 
 
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
-    mind = Safety(0, Mission(), 0.1)
+    mind = Safety(0, Limits.of(Mission()), 0.1)
     assert mind.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
     assert mind.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 
