@@ -11,13 +11,13 @@ from signed_team import Liar, SignedTeam
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.exchange import REMEMBERED_PAYLOADS
+from llm_flock.protocol.agreement.messaging import REMEMBERED_PAYLOADS
+from llm_flock.protocol.agreement.rejections import REMEMBERED_PLANS, Rejections
 from llm_flock.protocol.events import MissionGiven, Received
 from llm_flock.protocol.messages.channel import Inbound
 from llm_flock.protocol.messages.inbox import Inbox
 from llm_flock.protocol.messages.message import Message, MissionStamp
 from llm_flock.protocol.messages.mission_update import mission_text
-from llm_flock.protocol.messages.rejections import REMEMBERED_PLANS, Rejections
 from llm_flock.protocol.plan import Plan
 
 
@@ -47,14 +47,14 @@ class Opened:
 
     def __init__(self, agent: Agent) -> None:
         self.payloads: list[bytes] = []
-        channel = agent._exchange._channel
+        channel = agent._messaging._channel
         opens = channel.open
 
         def opened(payload: bytes, sender: int | None) -> Inbound:
             self.payloads.append(payload)
             return opens(payload, sender)
 
-        channel.open = opened  # type: ignore[method-assign]
+        channel.open = opened
 
     def during(self, act: Callable[[], object]) -> int:
         """How many payloads are opened meanwhile."""
@@ -71,7 +71,7 @@ def test_a_payload_repeated_in_a_round_is_opened_once_and_heard_each_time() -> N
     assert [opened.during(lambda: flight.comm_round(same, same)) for _ in range(3)] == [1, 0, 0]
     heard: list[int] = []
     flight.agent.handle(Received(same))
-    heard.extend(each.sender for each in flight.agent._exchange.drain())
+    heard.extend(each.sender for each in flight.agent._messaging.drain())
     assert heard == [1]
     flight.end()
     flight.begin()
