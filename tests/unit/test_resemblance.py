@@ -49,7 +49,7 @@ def test_a_crowd_is_not_evident() -> None:
     assert evident(np.random.default_rng(0).uniform(0, 40, target.shape), target) is None
     assert evident(np.full((16, 2), 50.0), target) is None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(resemblance, "MAX_LOOKS", 10)
+        patch.setattr(resemblance, "MAX_INTERVALS", 10)
         assert evident(target, target) is None
     assert evident(target, target) is not None
 

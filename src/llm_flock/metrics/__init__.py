@@ -1,4 +1,4 @@
-"""What a run is measured by: errors to the ideal shape, separation, agreement, and whether the team has formed."""
+"""Metrics of a run: shape error, separation, agreement, and whether the team has formed."""
 
 from llm_flock.metrics.agreement import (
     AT_GOAL,
