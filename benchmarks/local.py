@@ -23,7 +23,7 @@ from llm_flock.llm.answer_forms import answer_grammar
 from llm_flock.llm.local.engine import Engine, slot_count, thread_count
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.port import AnswerForm
-from llm_flock.llm.sharing import Lane, Pools
+from llm_flock.llm.sharing import CallLane, Pools
 from llm_flock.runtime.api import run_async
 from llm_flock.runtime.result import Summary
 
@@ -73,7 +73,7 @@ def fly(model: str, shape: str, n: int, seeds: range, **options: Any) -> Flown:
         try:
             for seed in seeds:
                 began = time.perf_counter()
-                lane = Lane(pools=pools)
+                lane = CallLane(pools=pools)
                 result = await run_async(model=model, shape=shape, n_robots=n, seed=seed, lane=lane, **options)
                 out.append((result.summary, time.perf_counter() - began))
         finally:

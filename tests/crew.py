@@ -1,6 +1,6 @@
-"""A team of real agents, driven by hand round by round over links with faults: robots fall silent, begin, come back.
+"""A team of real agents, driven round by round over links with faults: robots fall silent, begin late, come back.
 
-Bodies stand still, so what is tested is the agreement and nothing else.
+Bodies stand still, so that only the agreement is tested.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from llm_flock.transport.memory import LinkFaults, MemoryTransport
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))
 PERFECT = LinkFaults()
-TICKS = 5
+COMM_ROUNDS = 5
 
 
 def connected_places(n: int, rng: np.random.Generator) -> list[Point]:
@@ -52,7 +52,7 @@ def connected_places(n: int, rng: np.random.Generator) -> list[Point]:
 
 
 def a_leaf(places: list[Point], comm_range: float, root: int) -> int:
-    """A robot without which the others stay connected: the last that a search from `root` finds."""
+    """A robot that can leave without disconnecting the others: the last one that a search from `root` finds."""
     near = graph.neighbors(places, comm_range)
     found = [root]
     for robot in found:
@@ -61,7 +61,7 @@ def a_leaf(places: list[Point], comm_range: float, root: int) -> int:
 
 
 def turned_plan(question: PlanQuestion) -> Plan:
-    """The ideal shape of what is asked, turned by an angle that depends on who is asked."""
+    """The ideal shape of the question's mission, turned by an angle that depends on the robot."""
     mission = question.mission
     assert mission.ideal is not None
     angle = 0.11 * (question.robot + 1)
@@ -71,16 +71,16 @@ def turned_plan(question: PlanQuestion) -> Plan:
 
 
 class Crew:
-    """N bodies, and a mind for each of them that is awake.
+    """N bodies, each with an agent that may be asleep.
 
     Args:
-        mission: what the team is asked to do at first.
-        places: where the bodies are [units].
-        rng: chance of the links.
-        faults: what goes wrong on them.
+        mission: the first mission.
+        places: positions of the bodies [units].
+        rng: source of the links' randomness.
+        faults: faults of the links.
         asleep: robots that begin later.
-        time_out: rounds without a heartbeat after which a robot is taken for dead.
-        gaps: what to do about places that nobody is alive to take.
+        time_out: rounds without a heartbeat after which a robot counts as dead.
+        gaps: what to do about places for which no robot is left.
         verify: whether plans are checked.
     """
 
@@ -104,10 +104,10 @@ class Crew:
         self.asked: list[PlanQuestion] = []
         self._rng, self._time_out, self._verify = rng, time_out, verify
         self._gaps: Gaps = gaps
-        self.agents = [self._mind(robot) for robot in range(mission.n_robots)]
+        self.agents = [self._agent(robot) for robot in range(mission.n_robots)]
         self.set_faults(faults)
 
-    def _mind(self, robot: int) -> Agent:
+    def _agent(self, robot: int) -> Agent:
         return Agent(
             robot,
             self.mission,
@@ -120,22 +120,22 @@ class Crew:
         )
 
     def set_faults(self, faults: LinkFaults) -> None:
-        """From now on the links have these faults; what is on the way is lost."""
+        """Give the links other faults; messages under way are lost."""
         self.transport = MemoryTransport(self.mission.n_robots, faults, self._rng)
 
     def wake(self, robot: int) -> None:
-        """A robot begins, and remembers nothing."""
+        """Start a robot that remembers nothing."""
         self.silent.discard(robot)
-        self.agents[robot] = self._mind(robot)
+        self.agents[robot] = self._agent(robot)
 
     @property
     def awake(self) -> list[int]:
-        """Robots that have a mind at work."""
+        """Robots whose agents run."""
         return [robot for robot in range(len(self.agents)) if robot not in self.silent]
 
     @property
-    def minds(self) -> list[Agent]:
-        """Their minds."""
+    def active(self) -> list[Agent]:
+        """Agents that are awake."""
         return [self.agents[robot] for robot in self.awake]
 
     def round(self, given: Mapping[int, Mission] | None = None, *, junk: Collection[bytes] = ()) -> None:
@@ -164,9 +164,9 @@ class Crew:
                 if isinstance(effect, AskPlan):
                     self.asked.append(effect.question)
                     self.agents[i].handle(Planned(PlanAnswer(plan=turned_plan(effect.question), slot=i)))
-        for _ in range(TICKS):
+        for _ in range(COMM_ROUNDS):
             self._tick(heard_by, junk)
-        for agent in self.minds:
+        for agent in self.active:
             effects: list[Effect] = agent.handle(AgreementEnded())
             if isinstance(effects[-1], AskStep):
                 agent.handle(Decided(NoAnswer(cause="answer", reason="bodies stand still")))
@@ -180,7 +180,7 @@ class Crew:
         for i, payload in self.transport.deliver():
             if i not in self.silent:
                 self.agents[i].handle(Received(payload))
-        for agent in self.minds:
+        for agent in self.active:
             for payload in junk:
                 agent.handle(Received(payload))
             agent.handle(CommRoundEnded())
@@ -200,15 +200,15 @@ def owned(agent: Agent) -> list[int]:
 
 def assert_at_rest(crew: Crew) -> None:
     """One mission, one plan made for it, equal tables in which everybody that is awake owns what it claims."""
-    minds = crew.minds
-    assert len({agent.mission.digest for agent in minds}) == 1
-    assert len({agent.plan for agent in minds}) == 1
-    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in minds)
-    tables = {agent.claim.table for agent in minds}
+    active = crew.active
+    assert len({agent.mission.digest for agent in active}) == 1
+    assert len({agent.plan for agent in active}) == 1
+    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in active)
+    tables = {agent.claim.table for agent in active}
     assert len(tables) == 1
     (table,) = tables
     assert table is not None
-    claimed = {agent.claim.slot: agent.robot for agent in minds if agent.claim.slot is not None}
+    claimed = {agent.claim.slot: agent.robot for agent in active if agent.claim.slot is not None}
     owners = {a: owner for a, (_, _, owner) in enumerate(table) if owner >= 0}
     assert owners == claimed, "places belong to those who claim them, and to nobody that is not awake"
-    assert not any(agent.rejected for agent in minds)
+    assert not any(agent.rejected for agent in active)

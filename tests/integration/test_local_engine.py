@@ -29,7 +29,7 @@ pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 STOCK = "local:smollm2+none"
-MISSION = {"shape": "triangle", "n_robots": 3, "center": [10, 10], "arena": [[0, 0], [20, 20]], "spacing": 6}
+MISSION = {"shape": "line", "n_robots": 2, "center": [10, 10], "arena": [[0, 0], [20, 20]], "spacing": 6}
 
 
 def question(kind, form: AnswerForm, text: str, robot: int = 0) -> Call:
@@ -146,7 +146,7 @@ def test_a_run_records_which_files_it_used_and_is_not_simulated(tmp_path):
     result = run(**MISSION, model=STOCK, rounds=1, max_retries=0, out=str(tmp_path))
     summary = result.summary
     assert list(summary.models) == [STOCK]
-    assert not summary.simulated and summary.cost_usd == 0.0 and summary.model_calls == 3 and summary.tokens > 100
+    assert not summary.simulated and summary.cost_usd == 0.0 and summary.model_calls == 2 and summary.tokens > 100
     record = read_record(tmp_path / "run.mcap")
     files = find_weights(STOCK.partition(":")[2]).versions()
     assert len(files) == 2 and files.items() <= record.run.versions.items() and not record.run.simulated
@@ -187,7 +187,7 @@ seen = []
 def look(now):
     seen.append(ENGINES.running)
     assert not foreign_sockets(), foreign_sockets()
-result = run(shape="triangle", n_robots=3, center=[10, 10], arena=[[0, 0], [20, 20]], spacing=6, rounds=1,
+result = run(shape="line", n_robots=2, center=[10, 10], arena=[[0, 0], [20, 20]], spacing=6, rounds=1,
              model=MODEL, max_retries=0, on_round=look)
 assert seen == [1], seen
 print("calls", result.summary.model_calls, "failed", result.summary.calls_failed, "alone", alone)

@@ -20,7 +20,7 @@ from llm_flock.llm.local.engine import ENGINES
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.network.swarm import run_swarm
-from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.planners import TeamPlanners
 
 pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -92,8 +92,8 @@ def test_a_swarm_on_one_machine_has_one_robot_on_board_at_most() -> None:
 
 def test_files_are_looked_into_before_anything_is_asked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a file that is there"):
-        Thinkers(build_config(model=f"local:{tmp_path}/none.gguf"))
-    thinkers = Thinkers(build_config(model="0=local:smollm2+none,1-9=simulated:ideal"))
-    assert not ENGINES.running and thinkers.simulated
-    assert thinkers.weights == find_weights("smollm2+none").versions()
-    asyncio.run(thinkers.close())
+        TeamPlanners(build_config(model=f"local:{tmp_path}/none.gguf"))
+    planners = TeamPlanners(build_config(model="0=local:smollm2+none,1-9=simulated:ideal"))
+    assert not ENGINES.running and planners.simulated
+    assert planners.weights == find_weights("smollm2+none").versions()
+    asyncio.run(planners.close())

@@ -30,7 +30,7 @@ def circle(n: int, **fields: Any) -> Mission:
 
 
 def slots(crew: Crew) -> list[int]:
-    return sorted(agent.claim.slot for agent in crew.minds if agent.claim.slot is not None)
+    return sorted(agent.claim.slot for agent in crew.active if agent.claim.slot is not None)
 
 
 @cases(6)
@@ -44,7 +44,7 @@ def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults:
     crew.rounds(40)
     assert_at_rest(crew)
     assert slots(crew) == list(range(n))
-    assert all(agent.mission == given for agent in crew.minds)
+    assert all(agent.mission == given for agent in crew.active)
 
 
 @cases(6)
@@ -95,7 +95,7 @@ def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     crew.silent.add(lost)  # it does not count among those that are awake
     assert_at_rest(crew)
     assert len(slots(crew)) == n - 1
-    table = crew.minds[0].claim.table
+    table = crew.active[0].claim.table
     assert table is not None and not any(owner == lost for _, _, owner in table)
     crew.silent.discard(lost)
     crew.cut_off.discard(lost)
@@ -130,7 +130,7 @@ def test_a_late_joiner_finds_the_free_place_of_the_mission_in_force(
     crew.rounds(CALM)
     assert_at_rest(crew)
     assert slots(crew) == list(range(n))
-    assert {agent.mission.shape for agent in crew.minds} == {"line" if changes else "circle"}
+    assert {agent.mission.shape for agent in crew.active} == {"line" if changes else "circle"}
 
 
 @cases(6)
@@ -158,7 +158,7 @@ def test_a_plan_is_remade_for_those_that_are_left_and_again_for_all(seed: int, n
     crew.rounds(8)
     crew.set_faults(PERFECT)
     crew.rounds(2 * CALM)
-    table = crew.minds[0].claim.table
+    table = crew.active[0].claim.table
     assert table is not None
     if not any(owner == BLOCKED for _, _, owner in table):  # the team's stand-in plans do not keep off bodies
         assert_at_rest(crew)
@@ -205,7 +205,7 @@ def test_no_mission_over_the_radio_changes_what_is_a_robots_own(
     for _ in range(12):
         crew.round(junk=[encode(attack), encode(hidden)])
     higher = stamp > MissionStamp(0, crew.mission.digest)
-    for agent in crew.minds:
+    for agent in crew.active:
         assert agent.mission == crew.mission
         reason = "malformed" if spelled else "other_mission"
         assert dict(agent.rejected) == ({reason: 60} if higher else {})

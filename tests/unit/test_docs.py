@@ -51,6 +51,7 @@ def mentioned_targets(line: str) -> list[str]:
     return [] if match is None else [word for word in match[1].split() if "=" not in word]
 
 
+@functools.cache
 def commands() -> dict[str, set[str]]:
     """Every command of the command line, with the options that it takes."""
 

@@ -13,7 +13,7 @@ from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments import tables
 from llm_flock.experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
 from llm_flock.experiments.trial import Earlier, TrialResult
-from llm_flock.llm.sharing import Spent
+from llm_flock.llm.limits import Spent
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.result import Summary
 

@@ -10,7 +10,7 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_progress import Tally
 from llm_flock.experiments.trial import TrialResult
-from llm_flock.llm.sharing import Spent
+from llm_flock.llm.limits import Spent
 from llm_flock.runtime.trial import TrialProgress
 
 

@@ -25,8 +25,8 @@ from llm_flock.errors import FlockError
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.store import SpendingLog, Store
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, fly
-from llm_flock.llm.limits import Budget
-from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
+from llm_flock.llm.limits import Budget, Spent
+from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
 from llm_flock.runtime.trial import TrialProgress
 
 try:
@@ -145,7 +145,7 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
     async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
         return await fly(
             spec,
-            lane=Lane(gate, pools),
+            lane=CallLane(gate, pools),
             keep=session.keep,
             scratch=store.scratch(spec.id),
             earlier=earlier,
@@ -153,7 +153,7 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
         )
 
     async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        gate.told_of(elsewhere)
+        gate.set_elsewhere(elsewhere)
         return gate.spent, gate.reason, gate.exhausted
 
     try:

@@ -20,9 +20,9 @@ from llm_flock.errors import BudgetExceeded, FlockError, InputError
 from llm_flock.experiments.executors import Session, drive
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, code_version, fly
-from llm_flock.llm.limits import Budget
+from llm_flock.llm.limits import Budget, Spent
 from llm_flock.llm.port import Call, Reply, Usage
-from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
+from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
 
 TRIES = 3
 """How often a trial is flown before the sweep gives up, if its worker is lost each time."""
@@ -120,7 +120,7 @@ class _Worker:
     async def fly(self, spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[bytes, bytes | None]:
         """Fly one trial; returns its result, and its record if that is to be kept."""
         with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder:
-            lane, scratch = Lane(self._gate, self._pools), Path(folder) / "record"
+            lane, scratch = CallLane(self._gate, self._pools), Path(folder) / "record"
             result, record = await fly(spec, lane=lane, keep=self._keep, scratch=scratch, earlier=earlier)
             return msgspec.json.encode(result), None if record is None else record.read_bytes()
 
@@ -153,7 +153,7 @@ class _GateActor:
 
     async def state(self, elsewhere: Spent) -> tuple[Spent, str | None, bool]:
         """See `executors.State`."""
-        self._gate.told_of(elsewhere)
+        self._gate.set_elsewhere(elsewhere)
         return self._gate.spent, self._gate.reason, self._gate.exhausted
 
 

@@ -24,7 +24,7 @@ import msgspec
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments.trial import FORMAT, TrialResult
-from llm_flock.llm.sharing import Spent
+from llm_flock.llm.limits import Spent
 
 try:
     import fcntl

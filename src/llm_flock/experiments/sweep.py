@@ -21,7 +21,7 @@ from llm_flock.experiments.store import Store, read_trial, trial_files, write_wh
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.trial import KeepRecords, TrialResult, code_version
 from llm_flock.llm.models import check_priced, parse_base_urls
-from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.planners import TeamPlanners
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
 
@@ -165,7 +165,7 @@ def check(sweep: Sweep) -> None:
     """
     for spec in {spec.cell: spec for spec in sweep.trials}.values():
         check_priced(sweep.file.budget.max_cost, spec.models, parse_base_urls(spec.config.model.base_url, spec.models))
-        asyncio.run(Thinkers(spec.config).close())
+        asyncio.run(TeamPlanners(spec.config).close())
 
 
 def load_flown(sweep: Sweep, store: Store) -> dict[str, TrialResult]:

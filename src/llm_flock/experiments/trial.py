@@ -13,8 +13,9 @@ import msgspec
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.grid import TrialSpec
+from llm_flock.llm.limits import Spent
 from llm_flock.llm.providers import parse_model
-from llm_flock.llm.sharing import Lane, Spent
+from llm_flock.llm.sharing import CallLane
 from llm_flock.record.schema import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
@@ -125,7 +126,7 @@ class _Metrics:
 async def fly(
     spec: TrialSpec,
     *,
-    lane: Lane | None = None,
+    lane: CallLane | None = None,
     keep: KeepRecords = "none",
     scratch: Path | None = None,
     earlier: tuple[Earlier, ...] = (),
@@ -152,7 +153,7 @@ async def fly(
     if scratch is not None:
         shutil.rmtree(scratch, ignore_errors=True)
         out = None if keep == "none" else str(scratch)
-    lane = lane or Lane()
+    lane = lane or CallLane()
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
     metrics, error = _Metrics(), None
     try:

@@ -76,7 +76,7 @@ class Spent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """Limits of one run or one sweep; None is without limit.
+    """CallLimits of one run or one sweep; None is without limit.
 
     Attributes:
         max_calls: questions to models; a retried call counts once.
@@ -192,8 +192,8 @@ class Gate(Protocol):
 
 
 @dataclass(slots=True, kw_only=True)
-class Limits:
-    """Limits that all models of one run share. Build one for each run, in the thread of its event loop.
+class CallLimits:
+    """CallLimits that all models of one run share. Build one for each run, in the thread of its event loop.
 
     Attributes:
         rng: chance for the jitter of waits.
@@ -228,7 +228,7 @@ class Limits:
 class Limited:
     """A `LanguageModel` that queues, times out, retries and counts the calls of another one."""
 
-    def __init__(self, model: LanguageModel, limits: Limits) -> None:
+    def __init__(self, model: LanguageModel, limits: CallLimits) -> None:
         self.name = model.name
         self._model = model
         self._limits = limits

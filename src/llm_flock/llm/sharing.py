@@ -27,7 +27,7 @@ WINDOW_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """Limits of a provider for all runs together; None is without limit.
+    """CallLimits of a provider for all runs together; None is without limit.
 
     Attributes:
         max_concurrent: calls under way at once.
@@ -164,7 +164,7 @@ class SharedGate:
             self._answers[call.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
         self._changed.set()
 
-    def told_of(self, elsewhere: Spent) -> None:
+    def set_elsewhere(self, elsewhere: Spent) -> None:
         """Set what other processes have spent of the same budget."""
         self.elsewhere = elsewhere
 
@@ -205,7 +205,7 @@ class SharedGate:
         return usage.total, listed if listed is not None else paid / max(1, calls)
 
 
-class Lane:
+class CallLane:
     """One run's access to the shared gate and connections.
 
     Args:

@@ -84,7 +84,7 @@ class Journal:
 
     def close_episode(self, roster: Roster) -> None:
         """The mission in force is over: another one begins, or the run ends."""
-        self.episode.close(roster.awake, roster.minds())
+        self.episode.close(roster.awake, roster.awake_agents())
 
     def attempt(self, attempt: Attempt) -> None:
         """Count one model call. A call that the budget refused was never made, and is only recorded."""
@@ -149,7 +149,7 @@ class Journal:
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
         # While a robot flies on along its path, the run goes on without answers.
-        silent = bool(calls) and calls == failed and not any(agent.on_path for agent in roster.minds())
+        silent = bool(calls) and calls == failed and not any(agent.on_path for agent in roster.awake_agents())
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
         flown = dict[int, MoveTo]() if moves is None else moves
         self.robot_rounds += len(flown)
@@ -180,7 +180,7 @@ class Journal:
 
     def _measure(self, round_number: int, positions: Points, team: Bodies, roster: Roster, traffic: Traffic) -> None:
         separation, on_segment = self._measure_separation(round_number, positions)
-        agents, rows = roster.minds(), positions.tolist()
+        agents, rows = roster.awake_agents(), positions.tolist()
         plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
         slots = [a.claim.slot for a in agents]
         distances = [

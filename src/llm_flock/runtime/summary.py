@@ -9,10 +9,10 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.entries import finite
 from llm_flock.runtime.episode import Episode
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
-from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.memory import Traffic
 
 
@@ -20,7 +20,7 @@ def summarize(
     config: RunConfig,
     schedule: Schedule,
     roster: Roster,
-    thinkers: Thinkers,
+    planners: TeamPlanners,
     traffic: Traffic,
     journal: Journal,
     *,
@@ -36,7 +36,7 @@ def summarize(
         config: everything that defined it.
         schedule: scheduled deaths, joins and missions.
         roster: the agents at the end.
-        thinkers: the planners.
+        planners: the planners.
         traffic: messages and bytes sent.
         journal: counts and measurements.
         stopped: why it ended, and the last failure.
@@ -45,7 +45,7 @@ def summarize(
         record: path of the record.
         flight: figures of a real flight; None in simulation.
     """
-    agents, episode = roster.minds(), journal.episode
+    agents, episode = roster.awake_agents(), journal.episode
     plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
     slots = [a.claim.slot for a in agents]
     plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
@@ -59,8 +59,8 @@ def summarize(
         consensus=config.protocol.consensus or "",
         assignment=config.protocol.assignment or "",
         shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(thinkers.names)),
-        simulated=thinkers.simulated,
+        models=tuple(dict.fromkeys(planners.names)),
+        simulated=planners.simulated,
         stopped=stopped[0],
         reason=stopped[1],
         rounds=rounds,

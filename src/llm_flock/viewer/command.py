@@ -77,10 +77,9 @@ def view(
         found = records_in(found)
     watched = None
     if connect is not None or config is not None:
-        from llm_flock.runtime.config import load_config_of
         from llm_flock.runtime.network.config import SwarmConfig
 
-        watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
+        watched = SwarmConfig.load(config, connect=connect, swarm=swarm)
     address = listen(host, port, token)
     if len(found) == 1 and watched is None and address.token is None:
         # A single run is drawn at once. With a token, nothing is shown before the browser has shown it.

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool, parse_base_urls, parse_model
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.mission import build_mission, input_error
@@ -65,7 +65,7 @@ class MissionReader:
             raise InputError("model", model, "PROVIDER:MODEL: a stand-in cannot read")
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
-        self._limits = Limits(
+        self._limits = CallLimits(
             max_concurrent=1,
             timeout_s=TIMEOUT_S,
             retry=RetryPolicy(max_tries=3),

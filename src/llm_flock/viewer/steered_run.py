@@ -17,9 +17,9 @@ from llm_flock.protocol.events import Note
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.api import RECORD_NAME, run_async
 from llm_flock.runtime.config import RunConfig, build_config
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.schedule import Change, Schedule, build_schedule
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.team import Thinkers
 from llm_flock.runtime.trial import Trial
 from llm_flock.viewer.library import load
 from llm_flock.viewer.recording import Recording
@@ -74,7 +74,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     config = build_config({}, **given)
     if _free(config.model.model):
         # These raise now what would otherwise only be raised when the run begins.
-        Thinkers(config)
+        TeamPlanners(config)
         draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START))
     return config
 
@@ -254,7 +254,7 @@ class SteeredRun:
             if orders.kills or orders.change is not None:
                 trial.schedule = self._schedule(self._kills, self._changes)
         for robot in orders.hallucinating:
-            trial.thinkers.replace(robot, HALLUCINATING)
+            trial.planners.replace(robot, HALLUCINATING)
             self._note(trial, robot, model=HALLUCINATING)
         if orders.loss is not None:
             trial.transport.faults = trial.transport.faults.model_copy(update={"loss": orders.loss})

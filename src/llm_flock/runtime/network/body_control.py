@@ -1,4 +1,4 @@
-"""A robot's own body, as its mind knows it: where it is, how it is flown, what the shield lets it do."""
+"""Flies a robot's body to waypoints by commands of one control period, each projected on what is safe."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from llm_flock.protocol.motion.surroundings import static_half_spaces
 from llm_flock.runtime.network.wire import Body, Command
 
 STILL = 1e-6
-"""Moves this short are none [units]."""
+"""Shorter moves count as none [units]."""
 
 ANSWER_S = 0.25
-"""A command that was not answered for so long was lost [s]."""
+"""A command without an answer for this long was lost [s]."""
 
 
-class Pilotage:
-    """Flies a body to waypoints, one control period at a time.
+class BodyControl:
+    """Steers one body. Call `fly_to` to set out, `update` on every reading of the sensors, `control` in every period.
 
     Args:
         mission: its limits and surroundings.
         speed: largest speed of any body [units/s].
         period_s: control period [s].
-        lag_s: longest way of a command to the body [s].
+        lag_s: longest delay of a command to the body [s].
         shield_on: project every move on what is safe.
 
     Attributes:
-        waypoint: where it is to fly; None where it is to stand still [units; world frame].
-        news: set with everything that another command may follow from.
+        waypoint: where to fly; None to stand still [units; world frame].
+        news: set with everything after which another command may be possible.
     """
 
     def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
@@ -48,7 +48,7 @@ class Pilotage:
 
     @property
     def position(self) -> Point | None:
-        """Where the body was last seen [units; world frame]."""
+        """The body's last known position [units; world frame]."""
         return None if self._body is None else self._body.position
 
     @property
@@ -61,8 +61,8 @@ class Pilotage:
         self.waypoint = waypoint
         self.news.set()
 
-    def felt(self, body: Body) -> None:
-        """What the own body says of itself."""
+    def update(self, body: Body) -> None:
+        """Take the newest reading of the own body."""
         self._body = body
         self.news.set()
         self._number = max(self._number, body.command)
@@ -81,12 +81,12 @@ class Pilotage:
         return body.command >= self._number or now - self._given >= ANSWER_S
 
     def control(self, now: float, sightings: Sequence[Sighting], unseen_s: float) -> Command | None:
-        """The next command; None where there is nothing to fly, nothing that is safe, or one under way.
+        """The next command; None with nothing to fly, no safe move, or a command under way.
 
         Args:
             now: by the wall clock [s].
-            sightings: of everybody who is in sight.
-            unseen_s: how long ago all others were out of sight [s].
+            sightings: of every body in sight.
+            unseen_s: how long ago all other bodies were out of sight [s].
         """
         body, waypoint = self._body, self.waypoint
         if body is None or waypoint is None or not self.is_free(now):
@@ -101,11 +101,10 @@ class Pilotage:
     def _safe(self, here: Point, waypoint: Point, sightings: Sequence[Sighting], unseen_s: float) -> Point:
         longest = self._speed * self._period_s
         if not self._shield_on:
-            move = clip(tuple(w - x for w, x in zip(waypoint, here, strict=True)), longest)
-            return tuple(x + u for x, u in zip(here, move, strict=True))
-        # The body may obey a little later than told: until it has done, the others may fly on.
+            return _towards(here, waypoint, longest)
+        # The body may obey a little later than commanded; until then the others may fly on.
         lasts_s = self._period_s + self._lag_s
-        # Whoever is not in sight was outside the sensing range when the robot looked, and may have come since.
+        # A robot out of sight was outside the sensing range at the last reading, and may have approached since.
         room = self._mission.sensing - self._mission.safe_distance - self._speed * (unseen_s + lasts_s)
         longest = min(longest, max(room, 0.0))
         reach = min(1.0, longest / max(math.dist(here, waypoint), STILL))
@@ -119,7 +118,7 @@ class Pilotage:
             period_s=lasts_s,
             also=static_half_spaces(here, self._limits, max_step=self._speed * lasts_s),
         )
-        # A cell is convex and holds its robot, or lets it move away only: a shorter move the same way is safe as well.
+        # The cell is convex, and contains the robot or only lets it move away: a shorter move that way is safe too.
         return _towards(here, target, longest)
 
 

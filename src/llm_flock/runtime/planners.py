@@ -1,13 +1,13 @@
-"""One planner per robot, from the configuration: language models, a replayed conversation, or plain geometry."""
+"""One planner per robot: language models, a replayed conversation, or plain geometry."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from llm_flock.llm.frame import trained_for
 from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
-from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import (
@@ -22,7 +22,7 @@ from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_h
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import ReplayModel
-from llm_flock.llm.sharing import Lane
+from llm_flock.llm.sharing import CallLane
 from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
@@ -31,18 +31,18 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 
 
-class Thinkers:
-    """Everybody's planner, and what they share: the connections, the budget, and who is told of each call.
+class TeamPlanners:
+    """The planners of a team, by robot, with the connections, budget and listeners that they share.
 
     Args:
-        config: says which models, how they are asked, and what they may use.
-        lane: the way to what this run shares with others; None for a run of its own.
+        config: the models, how to ask them, and their limits.
+        lane: access to what this run shares with others; None for a run by itself.
 
     Raises:
-        InputError: anything that would keep a model from working, as far as that is known before asking.
+        InputError: a model cannot work, as far as that is known before asking it.
     """
 
-    def __init__(self, config: RunConfig, lane: Lane | None = None) -> None:
+    def __init__(self, config: RunConfig, lane: CallLane | None = None) -> None:
         model, limits, n = config.model, config.limits, config.mission.n_robots
         self.names = parse_models(model.model, n)
         self._sinks: list[AttemptSink] = []
@@ -59,8 +59,8 @@ class Thinkers:
         self._own_pool = shared is None
         seed = config.trial.seed
 
-        def limits_of(at_once: int) -> Limits:
-            return Limits(
+        def limits_of(at_once: int) -> CallLimits:
+            return CallLimits(
                 max_concurrent=min(limits.max_concurrent, at_once),
                 timeout_s=limits.timeout_s,
                 retry=RetryPolicy(max_tries=limits.max_tries),
@@ -69,7 +69,7 @@ class Thinkers:
                 rng=stream(seed, Stream.BACKOFF),
             )
 
-        # A question that waits for the engine waits outside of its time-out, in a queue that delays nobody else.
+        # A question waits for the local engine before its time-out begins, in a queue that delays no other model.
         self._limits, on_board = limits_of(limits.max_concurrent), limits_of(slot_count())
         settings = parse_settings(
             n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
@@ -90,24 +90,24 @@ class Thinkers:
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
-            thinker: LanguageModel
+            asked: LanguageModel
             if name.kind == "geometry":
                 return GeometryPlanner(robot, rng)
             if name.kind == "replay":
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
-                thinker = Metered(self._replays[text], self._meter)
+                asked = Metered(self._replays[text], self._meter)
             else:
-                asked = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
-                thinker = Limited(asked, on_board if name.kind == "local" else self._limits)
+                remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
+                asked = Limited(remote, on_board if name.kind == "local" else self._limits)
             planner: Planner = LanguagePlanner(
                 robot,
-                thinker,
+                asked,
                 self._prompts[text],
                 max_retries=model.max_retries,
                 history=history,
                 answers=model.answers,
-                on_attempt=self._tell,
+                on_attempt=self._notify,
                 check_plan=plan_check,
                 check_step=step_check,
                 frame=model.frame or ("own" if trained_for(text) else "world"),
@@ -122,16 +122,14 @@ class Thinkers:
         self._prompts_of = prompts_of
         self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
 
-    @property
-    def planners(self) -> Sequence[Planner]:
-        """One planner a robot, by id."""
-        return self._planners
+    def __getitem__(self, robot: int) -> Planner:
+        return self._planners[robot]
 
     def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
-        """Have every planner go through another one, also those that come later.
+        """Wrap every planner in another one, also planners made later.
 
         Args:
-            around: gives the outer planner, from a robot's id and its own.
+            around: makes the outer planner from a robot's id and its planner.
         """
         inner = self._planner_of
 
@@ -153,27 +151,27 @@ class Thinkers:
 
     @property
     def simulated(self) -> bool:
-        """Whether any robot's answers come from a simulated stand-in, now or when they were recorded."""
+        """Whether any answer comes from a simulated stand-in, now or when it was recorded."""
         return any(parse_model(name).kind == "simulated" for name in self.names) or any(
             model.startswith("simulated:") for replay in self._replays.values() for model in replay.models
         )
 
     @property
     def weights(self) -> Mapping[str, str]:
-        """Digest of each file that models on board are made of or read from, by its name."""
+        """Digests of the files of local models, by name."""
         names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "local"]
         return {file: digest for name in names for file, digest in find_weights(name.model).versions().items()}
 
     @property
     def exhausted(self) -> bool:
-        """Whether the budget is used up, the run's own or the one that it shares."""
+        """Whether the run's budget, or the one that it shares, is used up."""
         return self._meter.exhausted or (self._lane is not None and self._lane.cut)
 
     def listen(self, sink: AttemptSink) -> None:
-        """Tell `sink` of every model call from now on."""
+        """Pass every model call from now on to `sink`."""
         self._sinks.append(sink)
 
-    def _tell(self, attempt: Attempt) -> None:
+    def _notify(self, attempt: Attempt) -> None:
         for sink in self._sinks:
             sink(attempt)
 
@@ -186,7 +184,7 @@ class Thinkers:
 
 
 def _checks(*, shield_on: bool) -> tuple[CheckPlan, CheckStep]:
-    """What a language model's answers must pass, in the form in which its planner asks."""
+    """The checks of a language model's answers, as its planner calls them."""
 
     def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
         return check_proposal(question.mission, answer.plan, question.still)

@@ -1,7 +1,7 @@
-"""Starts the processes of a swarm by forking: what they all import is imported once, and shared.
+"""Starts the processes of a swarm by forking, so that everything they all import is imported once and shared.
 
-It takes one line of JSON for each process to start, and tells of each start and each end by a line of JSON. It has one
-thread and no session. Whoever it started dies with it, and it dies with the launcher.
+It reads one line of JSON per process to start, and writes one line of JSON per start and per end. It has one thread and
+no network session. Its children end with it, and it ends with the launcher.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from typing import Any
 
 from llm_flock.errors import FlockError
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.process import end_with, run
+from llm_flock.runtime.network.process import end_with_parent, run
 from llm_flock.runtime.network.robot import run_robot
 from llm_flock.runtime.network.watch import run_watch
 from llm_flock.runtime.network.world import run_world
-from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.planners import TeamPlanners
 
 REAP_S = 0.05
+"""Time between two checks for children that have ended [s]."""
 
-ANY = {"mission": {"shape": "circle", "n_robots": 1}}
-"""Any swarm: with its model come the prompts and the price lists that each robot would read on its own."""
+EXAMPLE = {"mission": {"shape": "circle", "n_robots": 1}}
+"""Building its planner loads the prompts and price lists that every robot would otherwise read by itself."""
 
 
 def main() -> None:
-    """Serve until the launcher closes the line."""
-    end_with(os.getppid())
+    """Serve until the launcher closes standard input."""
+    end_with_parent()
     children: dict[int, str] = {}
-    Thinkers(SwarmConfig.model_validate(ANY))
-    gc.freeze()  # a collection in a child would look through all that was imported, and copy every page of it
-    _tell(ready=True)
+    TeamPlanners(SwarmConfig.model_validate(EXAMPLE))
+    gc.freeze()  # else a collection in a child would touch, and so copy, every shared page
+    _write(ready=True)
     while True:
         readable, _, _ = select.select([sys.stdin.buffer], [], [], REAP_S)
         if readable:
@@ -48,7 +49,7 @@ def main() -> None:
             if pid == 0:
                 os._exit(_child(order))
             children[pid] = order["name"]
-            _tell(name=order["name"], pid=pid)
+            _write(name=order["name"], pid=pid)
         _reap(children)
     for pid in children:
         os.kill(pid, signal.SIGKILL)
@@ -59,19 +60,19 @@ def _reap(children: dict[int, str]) -> None:
         pid, status = os.waitpid(-1, os.WNOHANG)
         if not pid:
             return
-        _tell(name=children.pop(pid), ended=os.waitstatus_to_exitcode(status))
+        _write(name=children.pop(pid), ended=os.waitstatus_to_exitcode(status))
 
 
-def _tell(**what: Any) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
+def _write(**event: Any) -> None:
+    sys.stdout.write(json.dumps(event) + "\n")
     sys.stdout.flush()
 
 
 def _child(order: dict[str, Any]) -> int:
-    """Be the process that was ordered; its exit code."""
-    end_with(os.getppid())
-    quiet = os.open(os.devnull, os.O_RDWR)
-    os.dup2(quiet, 0)
+    """Do the work of the ordered process; returns its exit code."""
+    end_with_parent()
+    null = os.open(os.devnull, os.O_RDWR)
+    os.dup2(null, 0)
     os.dup2(2, 1)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     config = SwarmConfig.model_validate(order["config"])

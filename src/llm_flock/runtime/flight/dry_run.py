@@ -1,9 +1,8 @@
-"""The dry run: the whole flight with bodies that are where they are told to be, and every set-point checked."""
+"""The dry run: a whole flight with ideal bodies, in which every set-point is checked."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,32 +11,27 @@ from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
-from llm_flock.runtime.api import minds
-from llm_flock.runtime.bodies import AtOnce
-from llm_flock.runtime.flight.config import Drone, FlightConfig
+from llm_flock.runtime.api import build_trial
+from llm_flock.runtime.bodies import InstantBodies
+from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import with_drones
 from llm_flock.runtime.flight.landing import Descent, plan_landing
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
-from llm_flock.runtime.roster import Roster
-from llm_flock.runtime.rules import assignment_rule, consensus_rule
-from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.team import Thinkers
-from llm_flock.runtime.trial import Trial
-from llm_flock.transport.memory import MemoryTransport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
-    """One motion of all.
+class PlannedMotion:
+    """One joint motion.
 
     Attributes:
-        round: which.
+        round: number of the motion round.
         targets: set-points at its end, by robot [m].
         peaks_m_s: highest speed on the way, by robot [m/s].
-        separation_m: smallest distance of two set-points on the way, heights scaled by the vertical rule [m].
-        faults: what is wrong with it.
+        separation_m: smallest distance of two set-points during it, heights scaled by the vertical rule [m].
+        faults: limits that it breaks, in words.
     """
 
     round: int
@@ -48,52 +42,52 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rehearsal:
-    """A flight on paper.
+class DryRun:
+    """The plan of a whole flight.
 
     Attributes:
-        drones: who flies, with a start for each.
+        drones: the drones, each with a start.
         steps: every motion.
         landing: groups that land at once.
         result: of the trial.
     """
 
-    drones: tuple[Drone, ...]
-    steps: tuple[Step, ...]
+    drones: tuple[DroneConfig, ...]
+    steps: tuple[PlannedMotion, ...]
     landing: tuple[tuple[Descent, ...], ...]
     result: RunResult
 
     @property
     def faults(self) -> list[str]:
-        """Everything that is wrong with a set-point, with its round."""
+        """Faults of all set-points, with their rounds."""
         return [f"round {step.round}: {fault}" for step in self.steps for fault in step.faults]
 
 
-class RehearsedTeam(AtOnce):
-    """Simulated bodies that write down what real ones would be told.
+class DryRunTeam(InstantBodies):
+    """Simulated bodies that keep the commands that real ones would get.
 
     Args:
         config: the flight.
-        aims: where they hover at first, shape (n, d) [units].
+        aims: where they hover first, shape (n, d) [units].
     """
 
     def __init__(self, config: FlightConfig, aims: Points) -> None:
         super().__init__(config.mission, aims, 0.0, np.random.default_rng(0))
         self._config = config
         self._check = SetPointCheck(config)
-        self.steps: list[Step] = []
+        self.steps: list[PlannedMotion] = []
 
-    def places(self) -> list[Position]:
+    def set_points(self) -> list[Position]:
         """Set-points now [m]."""
         return [self._config.frame.to_world(tuple(row)) for row in self.positions.tolist()]
 
     async def fly(self, displacements: Points) -> None:
-        """Write the motion down, and be there."""
-        before, seconds = self.places(), self._config.safety.round_s
+        """Check and keep the motion, and move at once."""
+        before, seconds = self.set_points(), self._config.safety.round_s
         await super().fly(displacements)
-        after = self.places()
+        after = self.set_points()
         self.steps.append(
-            Step(
+            PlannedMotion(
                 round=len(self.steps) + 1,
                 targets=tuple(after),
                 peaks_m_s=tuple(PEAK_SPEED * math.dist(a, b) / seconds for a, b in zip(before, after, strict=True)),
@@ -103,49 +97,36 @@ class RehearsedTeam(AtOnce):
         )
 
 
-async def rehearse(config: FlightConfig) -> Rehearsal:
-    """Fly on paper, with the models that the flight would ask.
+async def dry_run(config: FlightConfig) -> DryRun:
+    """Fly on paper, with the models that the flight would ask. Call before a flight, to see every set-point.
 
     Raises:
-        InputError: a drone has no start, or one that no mission can begin from.
+        InputError: a drone has no start, or one outside the arena.
     """
     config = with_drones(config)
-    fleet = config.fleet.drones
-    aims = _aims(config, fleet)
-    team = RehearsedTeam(config, aims)
-    protocol, mission = config.protocol, config.mission
-    rules = consensus_rule(protocol.consensus or ""), assignment_rule(protocol.assignment or "")
-    schedule = config.schedule()
-    thinkers = Thinkers(config)
-    journal = Journal(mission, NullWriter(), replans=protocol.gaps == "replan")
-    thinkers.listen(journal.attempt)
-    journal.mission_given(mission, 0, aims)
-    trial = Trial(
-        config,
-        schedule,
-        Roster(minds(config, *rules), mission.n_robots, schedule.asleep),
-        thinkers,
-        team,
-        MemoryTransport(mission.n_robots, config.links, stream(config.trial.seed, Stream.LINKS)),
-        journal,
-    )
+    aims = _aims(config)
+    team = DryRunTeam(config, aims)
+    planners = TeamPlanners(config)
+    journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan")
+    planners.listen(journal.attempt)
+    trial = build_trial(config, config.protocol.rules(), planners, team, journal, aims)
     try:
         await trial.run()
     finally:
-        await thinkers.close()
-    groups = plan_landing(config, dict(enumerate(team.places())), [])
-    return Rehearsal(
-        drones=fleet,
+        await planners.close()
+    groups = plan_landing(config, dict(enumerate(team.set_points())), [])
+    return DryRun(
+        drones=config.fleet.drones,
         steps=tuple(team.steps),
         landing=tuple(map(tuple, groups)),
         result=trial.finish(None),
     )
 
 
-def _aims(config: FlightConfig, fleet: Sequence[Drone]) -> Points:
+def _aims(config: FlightConfig) -> Points:
     rows: list[tuple[float, ...]] = []
     low, high = config.mission.arena
-    for drone in fleet:
+    for drone in config.fleet.drones:
         if drone.start is None:
             raise InputError("drones", drone.name, "a start for each drone: a dry run does not ask the drones")
         x, y = drone.start[:2]

@@ -1,9 +1,8 @@
-"""One robot's mind at its own pace: it asks its model as soon as it may, and waits for nobody.
+"""Drives one agent at its own pace: it asks its model as soon as it may, and waits for no other robot.
 
-Three things go on at once, in one event loop: rounds (ask, decide, fly), exchanges of messages at a fixed period, and
-control of the body at another. All of them talk to one state machine, one event at a time. A heartbeat period is as
-many exchanges as a lockstep round has: what the protocol counts in rounds there, heartbeats and their time-out, it
-counts in periods here.
+Three loops share one event loop: motion rounds (ask, decide, fly), message exchanges at a fixed period, and control of
+the body at another. All of them give events to one state machine, one at a time. A heartbeat period has as many
+exchanges as a lockstep round: heartbeats and their time-out, counted in rounds there, are counted in periods here.
 """
 
 from __future__ import annotations
@@ -46,26 +45,26 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
-from llm_flock.runtime.network import wire
-from llm_flock.runtime.network.body import STILL, Pilotage
+from llm_flock.runtime.network.body_control import STILL, BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.pace import Beat, phase_s
-from llm_flock.runtime.network.wire import Happened
+from llm_flock.runtime.network.process import PeriodClock, phase_s
+from llm_flock.runtime.network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock.transport.radio import Radio
+from llm_flock.transport.zenoh import LinkTraffic
 
 T = TypeVar("T")
 
-QUIET_TICKS = 2
-"""Exchanges without another place for this robot after which its agreement about a plan that is new have settled."""
+SETTLED_EXCHANGES = 2
+"""Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""
 
-PATIENCE = 2.0
-"""A move ends at the latest after so many times as long as it would take unhindered."""
+LATEST = 2.0
+"""A move ends at the latest after this multiple of its unhindered duration."""
 
 STUCK_S = 0.3
-"""A body that has not moved for so long has come as far as it can [s]."""
+"""A body that has not moved for this long cannot get any nearer [s]."""
 
 
-class Mind:
+class AgentLoop:
     """Drives one agent.
 
     Args:
@@ -73,8 +72,8 @@ class Mind:
         agent: the state machine.
         planner: answers its questions.
         radio: what it hears and sees.
-        body: its body.
-        say: broadcasts the bytes of a message.
+        body: controls its body.
+        broadcast: sends the bytes of a message.
     """
 
     def __init__(
@@ -83,22 +82,22 @@ class Mind:
         agent: Agent,
         planner: Planner,
         radio: Radio,
-        body: Pilotage,
-        say: Callable[[bytes], None],
+        body: BodyControl,
+        broadcast: Callable[[bytes], None],
     ) -> None:
         self.agent = agent
         self.round = 0
         self.period = 0
         self.waypoints: Counter[str] = Counter()
-        self.notes: list[Happened] = []
+        self.notes: list[ReportedEvent] = []
         self._config = config
         self._planner = planner
         self._radio = radio
         self._body = body
-        self._say = say
+        self._broadcast = broadcast
         self._comm_rounds = 0
         self._settled_at = 0
-        self._place: object = None
+        self._last_topic: object = None
         self._order: AskStep | MoveTo | None = None
         self._changed = asyncio.Event()
         self._moving: MoveTo | None = None
@@ -108,16 +107,16 @@ class Mind:
     # ---------------------------------------------------------------- events in, effects out
 
     def handle(self, event: Event) -> list[Effect]:
-        """Let the agent take an event; keep its notes and orders."""
+        """Give the agent an event; keep its notes and orders, and return its question for a plan."""
         rest: list[Effect] = []
         for effect in self.agent.handle(event):
             match effect:
                 case Note():
                     self.notes.append(
-                        Happened(kind=effect.kind, detail=dict(effect.detail), comm_round=self._comm_rounds)
+                        ReportedEvent(kind=effect.kind, detail=dict(effect.detail), comm_round=self._comm_rounds)
                     )
                 case Broadcast():
-                    self._say(effect.payload)
+                    self._broadcast(effect.payload)
                 case AskStep() | MoveTo():
                     self._order = effect
                     self._changed.set()
@@ -126,29 +125,30 @@ class Mind:
         return rest
 
     def look(self) -> None:
-        """Tell the agent what the sensors say now."""
+        """Give the agent the newest sensor readings."""
         if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
             self.handle(Sensed(**self._sight()))
 
     def receive(self, payload: bytes, sender: int) -> None:
-        """A message of another robot."""
+        """Take a message of another robot."""
         if self.agent.position and self.agent.phase is not Phase.STOPPED:
             self.handle(Received(payload, sender))
 
-    def take_order(self, order: wire.Order) -> None:
-        """The operator wants another mission; one that is not allowed is only noted."""
+    def take_order(self, order: MissionOrder) -> None:
+        """Take another mission from the operator; one that is not allowed is only recorded."""
         try:
             mission = self.agent.mission.change(**order.fields)
         except (InputError, TypeError) as error:
-            self.notes.append(Happened(kind="rejected_message", detail={"reason": "mission", "detail": str(error)}))
+            detail = {"reason": "mission", "detail": str(error)}
+            self.notes.append(ReportedEvent(kind="rejected_message", detail=detail))
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
         self.handle(MissionGiven(mission=mission, authorization=signed))
 
     def _sight(self) -> dict[str, Any]:
-        """What is seen; a robot on its way takes the place to which it flies for its own."""
+        """Sensor readings; a robot under way uses the waypoint that it flies to as its position."""
         here = self._body.waypoint or self._radio.position
-        assert here is not None, "a robot begins when it knows where it is"
+        assert here is not None, "a robot begins once it knows where it is"
         sensed = self._radio.sensed()
         return {
             "position": here,
@@ -160,15 +160,15 @@ class Mind:
     # ---------------------------------------------------------------- exchanges
 
     async def gossip(self) -> None:
-        """Exchange messages, whatever else the robot is doing."""
+        """Exchange messages periodically until cancelled, whatever else the robot is doing."""
         gossip_s = self._config.network.gossip_s
-        beat = Beat(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
+        clock = PeriodClock(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
         while True:
-            await beat.next()
+            await clock.next()
             self.exchange()
 
     def exchange(self) -> None:
-        """Decide on what was heard since the last exchange; once a period count a heartbeat; then speak."""
+        """Decide on the messages since the last exchange; count a heartbeat once a period; then broadcast."""
         self.look()
         if not self.agent.position:
             return
@@ -178,11 +178,11 @@ class Mind:
             self.handle(HeartbeatDue(self.period))
         self.handle(CommRoundBegan())
         self._comm_rounds += 1
-        if self._topic != self._place:
-            self._place, self._settled_at = self._topic, self._comm_rounds
+        if self._topic != self._last_topic:
+            self._last_topic, self._settled_at = self._topic, self._comm_rounds
             self._changed.set()
             if self._body.waypoint is not None and self._topic != self._going_for:
-                self._body.waypoint = None  # it stops within a control period, and sets out for the new place
+                self._body.waypoint = None  # it stops within a control period, then sets out for its new place
 
     @property
     def _topic(self) -> tuple[str, str | None, int | None]:
@@ -192,7 +192,7 @@ class Mind:
     # ---------------------------------------------------------------- rounds
 
     async def live(self) -> None:
-        """Round after round, until cancelled."""
+        """Fly motion rounds until cancelled."""
         try:
             while True:
                 await self._fly_round()
@@ -219,18 +219,18 @@ class Mind:
         await self._rest(move)
 
     async def _settle(self) -> None:
-        """Let the agreement about a place that is new come to rest, for a heartbeat period at most."""
+        """Wait until agreement about a new place has settled, for a heartbeat period at most."""
         network = self._config.network
         for _ in range(self._config.protocol.comm_rounds or 1):
-            if self._comm_rounds - self._settled_at >= QUIET_TICKS:
+            if self._comm_rounds - self._settled_at >= SETTLED_EXCHANGES:
                 return
             await asyncio.sleep(network.gossip_s)
 
     async def _decide(self) -> MoveTo:
-        """The waypoint to fly to; a question that is asked anew meanwhile takes the place of the one before."""
+        """The waypoint to fly to; a newer question replaces the one under way."""
         while True:
             order, self._order = self._order, None
-            assert order is not None, "who has to decide has been told what"
+            assert order is not None, "the agent has said what to decide"
             if isinstance(order, MoveTo):
                 return order
             answer = await self._ask(self._planner.step(order.question), lambda: self._order is not None)
@@ -239,9 +239,9 @@ class Mind:
                 self.look()
                 self.handle(Decided(answer))
 
-    async def _ask(self, thinking: Awaitable[PlanAnswer | StepAnswer | NoAnswer], stale: Callable[[], bool]) -> Any:
-        """The answer; none if it is late, or if nobody wants it any more."""
-        task = asyncio.ensure_future(thinking)
+    async def _ask(self, question: Awaitable[PlanAnswer | StepAnswer | NoAnswer], stale: Callable[[], bool]) -> Any:
+        """The answer; `NoAnswer` if it is late or has become stale."""
+        task = asyncio.ensure_future(question)
         deadline = time.monotonic() + self._config.network.answer_s
         try:
             while not task.done():
@@ -263,17 +263,17 @@ class Mind:
     # ---------------------------------------------------------------- motion
 
     def _take_off(self, waypoint: Point) -> None:
-        """Set out. The next question is asked at once, from where the body will be when it arrives."""
+        """Set out. The next question is asked at once, from where the body will arrive."""
         here = self._radio.position
         assert here is not None
         distance = math.dist(here, waypoint)
         if distance > STILL:
             self._going_for = self._topic
             self._body.fly_to(waypoint)
-            self._due = time.monotonic() + PATIENCE * distance / self._config.speed + STUCK_S
+            self._due = time.monotonic() + LATEST * distance / self._config.speed + STUCK_S
 
     async def _land(self) -> None:
-        """Wait until the body is where it was going, cannot come any nearer, or is no more to go there."""
+        """Wait until the body has arrived, cannot get any nearer, or has lost its waypoint."""
         body = self._body
         last, moved_at = body.position, time.monotonic()
         while body.waypoint is not None and not body.arrived:
@@ -286,7 +286,7 @@ class Mind:
         body.waypoint = None
 
     async def _rest(self, move: MoveTo) -> None:
-        """At its place a robot looks and asks again once a heartbeat period, or when its place has changed."""
+        """At its place, wait for a heartbeat period or until the place changes before the next question."""
         goal, network = self.agent.goal, self._config.network
         near = AT_GOAL * self.agent.mission.spacing
         if move.origin is not Origin.HOLD and (goal is None or math.dist(goal, move.waypoint) > near):
@@ -299,33 +299,37 @@ class Mind:
 
     # ---------------------------------------------------------------- what observers see
 
-    def report(self, *, known: set[str], calls: list[dict[str, Any]], latencies_s: list[float]) -> dict[str, Any]:
-        """The fields of a report that the mind knows; plans and missions in `known` are not said again."""
+    def report(
+        self, known: set[str], calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic
+    ) -> RobotReport:
+        """The state for observers; includes plans and missions whose digests are not in `known`, and adds them."""
         agent = self.agent
-        plan, origin, mission = agent.plan, agent.provenance, agent.mission
-        news = plan is not None and plan.digest not in known
+        plan, origin, mission, move = agent.plan, agent.provenance, agent.mission, self._moving
+        points = plan.points if plan is not None and plan.digest not in known else None
         shape = None if mission.digest in known else mission.model_dump(mode="json")
         known.update({mission.digest} if plan is None else {mission.digest, plan.digest})
         notes, self.notes = self.notes, []
-        move = self._moving
-        return {
-            "round": self.round,
-            "period": self.period,
-            "phase": agent.phase.value,
-            "mission": (agent.mission_counter, mission.digest),
-            "plan_id": None if plan is None else plan.digest,
-            "points": plan.points if news and plan is not None else None,
-            "proposer": None if origin is None else origin.proposer,
-            "slot": agent.claim.slot,
-            "goal": agent.goal,
-            "blocked": tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
-            "waypoint": None if move is None else move.waypoint,
-            "origin": "start" if move is None else move.origin.value,
-            "neighbors": agent.neighbors,
-            "happened": tuple(notes),
-            "calls": tuple(calls),
-            "waypoints": dict(self.waypoints),
-            "rejected": dict(agent.rejected),
-            "latencies_s": tuple(latencies_s),
-            "shape": shape,
-        }
+        return RobotReport(
+            stamp=time.time(),
+            round=self.round,
+            period=self.period,
+            phase=agent.phase.value,
+            mission=(agent.mission_counter, mission.digest),
+            plan_id=None if plan is None else plan.digest,
+            points=points,
+            proposer=None if origin is None else origin.proposer,
+            slot=agent.claim.slot,
+            goal=agent.goal,
+            blocked=tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
+            waypoint=None if move is None else move.waypoint,
+            origin="start" if move is None else move.origin.value,
+            neighbors=agent.neighbors,
+            happened=tuple(notes),
+            calls=tuple(calls),
+            waypoints=dict(self.waypoints),
+            sent=traffic.sent["say"],
+            bytes=traffic.bytes["say"] + traffic.bytes["beacon"],
+            rejected={**agent.rejected, **traffic.refused},
+            latencies_s=tuple(latencies_s),
+            shape=shape,
+        )

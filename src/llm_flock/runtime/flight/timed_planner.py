@@ -1,4 +1,4 @@
-"""Models whose answers a flight waits for: not for ever, and not round after round in vain."""
+"""Limits how long a flight waits for its models, and for how many rounds without an answer."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuest
 T = TypeVar("T")
 
 
-class Impatient:
-    """A planner that is waited for so long and no longer.
+class TimedPlanner:
+    """A planner whose answers come within a time limit.
 
     Args:
-        planner: who is asked.
+        planner: answers the questions.
         longest_s: longest wait for an answer, retries included [s].
-        most: rounds on end without an answer, after which somebody is told. An answer that is of no use is one.
-        on_silence: is told, with the number of rounds.
+        most: rounds in a row without an answer before `on_silence` is called. An unusable answer counts as one.
+        on_silence: called with the number of rounds.
     """
 
     def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[int], None]) -> None:
