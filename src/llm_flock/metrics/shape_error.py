@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from llm_flock import formations
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
+from llm_flock.metrics.nearest_match import proven_match
 from llm_flock.metrics.plane import longest
-from llm_flock.metrics.resemblance import evident
 from llm_flock.metrics.space import best_in_space
 
 SYMMETRY_TOLERANCE = 1e-12
 """A shape counts as symmetric if a rotation maps its points to within this share of its radius."""
 
 LARGE = 300
-"""Number of points above which `evident` is tried before `longest`, whose time grows with the cube of the number."""
+"""Number of points above which `proven_match` is tried first, since `longest` takes the cube of it, many times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,7 @@ class ShapeTarget:
         )
 
     def _best_in_plane(self, rows: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        best = evident(rows, self._target, self._symmetry) if len(rows) > LARGE else None
+        best = proven_match(rows, self._target, self._symmetry) if len(rows) > LARGE else None
         if best is None:
             best = longest(np.conj(_as_complex(rows))[:, None] * self._complex, self._symmetry)
         angle = cmath.phase(best.z)

@@ -206,7 +206,7 @@ def _residual(mission: Mission, plan: Plan) -> float | None:
     if expected.target is None or expected.points is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = metrics.resemblance(plan.array, expected.points, exact) if mission.dim == 2 else None
+    quick = metrics.quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
         quick = expected.target.error(plan.array).mean
     return round(quick, DECIMALS)

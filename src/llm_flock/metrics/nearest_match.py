@@ -26,7 +26,7 @@ INTERVALS, MAX_INTERVALS = 64, 8192
 """Initial number of intervals of directions, and the number after which the search gives up."""
 
 
-def resemblance(rows: Points, target: Points, enough: float = 0.0) -> float | None:
+def quick_error(rows: Points, target: Points, enough: float = 0.0) -> float | None:
     """Mean distance from the shape [units], an upper bound for the optimum, if a correspondence is easy to find.
 
     Rotations turn the outermost point onto target points at about the same radius. If every point then has a different
@@ -51,7 +51,7 @@ def resemblance(rows: Points, target: Points, enough: float = 0.0) -> float | No
     return best
 
 
-def evident(rows: Points, target: Points, symmetry: int = 1) -> Correspondence | None:
+def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Correspondence | None:
     """The best correspondence, as from `plane.longest`, if nearest target points suffice to prove it best.
 
     For a given rotation, no correspondence is better than the nearest target point of each point, and a rotation by
