@@ -198,8 +198,13 @@ def owned(agent: Agent) -> list[int]:
     return [a for a, entry in enumerate(agent.claim.table or ()) if entry[2] == agent.robot]
 
 
-def assert_at_rest(crew: Crew) -> None:
-    """One mission, one plan made for it, equal tables in which everybody that is awake owns what it claims."""
+def assert_at_rest(crew: Crew, rejected: Mapping[str, int] | None = None) -> None:
+    """One mission, one plan made for it, equal tables in which each awake robot owns the place that it claims.
+
+    Args:
+        crew: the team.
+        rejected: how many messages each robot has refused, by reason; none if left out.
+    """
     active = crew.active
     assert len({agent.mission.digest for agent in active}) == 1
     assert len({agent.plan for agent in active}) == 1
@@ -211,4 +216,4 @@ def assert_at_rest(crew: Crew) -> None:
     claimed = {agent.claim.slot: agent.robot for agent in active if agent.claim.slot is not None}
     owners = {a: owner for a, (_, _, owner) in enumerate(table) if owner >= 0}
     assert owners == claimed, "places belong to those who claim them, and to nobody that is not awake"
-    assert not any(agent.rejected for agent in active)
+    assert all(agent.rejected == (rejected or {}) for agent in active)

@@ -24,7 +24,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, PositionReport, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -96,18 +96,21 @@ def says(
     mission: Mission = LINE,
     counter: int = 0,
     plan: Plan | None = None,
+    slot: int | None = None,
     table: BidTable | None = None,
     table_digest: str | None = None,
     text: str | None = None,
     named_only: bool = False,
     places: int = 0,
+    sequence: int = 0,
+    positions: dict[int, PositionReport] | None = None,
 ) -> bytes:
     origin = Provenance(
         mission=counter, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=sender, sequence=0
     )
     said = Message(
         sender=sender,
-        sequence=0,
+        sequence=sequence,
         neighbors=0,
         mission=MissionStamp(counter, mission.digest),
         mission_text=text,
@@ -115,8 +118,10 @@ def says(
         plan_digest=None if plan is None else plan.digest,
         places=places or (0 if plan is None else len(plan)),
         provenance=None if plan is None else origin,
+        slot=slot,
         table=table,
         table_digest=table_digest,
         beats=beats,
+        positions=positions,
     )
     return encode(said)

@@ -47,9 +47,23 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
     wrap,
 )
+from llm_flock.protocol.signed.channel import SignedChannel
+from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
 
 Talk = Callable[[], Sequence[bytes]]
+
+
+def channel_of(agent: Agent) -> SignedChannel:
+    """The signed channel of an agent with keys."""
+    channel = agent._exchange._channel
+    assert isinstance(channel, SignedChannel)
+    return channel
+
+
+def evidence_of(agent: Agent) -> Evidence:
+    """The signatures about claims that an agent with keys holds."""
+    return channel_of(agent)._evidence
 
 
 class SignedTeam:
@@ -207,8 +221,7 @@ class Liar:
         entry: BidEntry = (version, bid, self.team.liar)
         signature = self.keys.sign(claim_statement(self.team.context, slot, entry, number))
         agent = self.team.agents[0]
-        assert agent._agreement._signing is not None
-        freed = agent._agreement._signing.evidence._freed.get((slot, version, -1))
+        freed = evidence_of(agent)._freed.get((slot, version, -1))
         return entry, Certificate(number=number, signature=signature, grant=freed)
 
     def word(self, slot: int, version: int, owner: int = -1) -> WitnessStatement:
@@ -228,7 +241,7 @@ class Liar:
     ) -> bytes:
         """A message, on the team's plan, with these entries and words."""
         agent, context = self.team.agents[0], self.team.context
-        assert agent.plan is not None and agent._agreement._signing is not None
+        assert agent.plan is not None
         table = [UNSAID] * len(agent.plan)
         for a, (entry, _) in (entries or {}).items():
             table[a] = entry
@@ -259,11 +272,11 @@ class Liar:
     def origin(self, message: Message) -> bytes | None:
         """The true signature of a known origin, or its own."""
         origin, plan = message.provenance, message.plan_digest
-        signing = self.team.agents[0]._agreement._signing
-        assert signing is not None
         if origin is None or plan is None:
             return None
-        return signing._origins.get((origin, plan)) or self.keys.sign(origin_statement(origin, plan))
+        return channel_of(self.team.agents[0])._origins.get((origin, plan)) or self.keys.sign(
+            origin_statement(origin, plan)
+        )
 
     def provenance(self, *, epoch: int = 0, sequence: int = 0, proposer: int | None = None) -> Provenance:
         """The best origin that it can think of."""

@@ -8,7 +8,7 @@ import numpy as np
 from effort import cases
 from hypothesis import given
 from hypothesis import strategies as st
-from signed_team import Liar, SignedTeam, good_plan, line_up
+from signed_team import Liar, SignedTeam, evidence_of, good_plan, line_up
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Offer
@@ -76,7 +76,7 @@ def test_a_liar_holds_one_place_and_breaks_nobodys_safety(seed: int, loss: float
     for agent in team.agents:
         evidence = evidence_of(agent)
         for robot in range(N):
-            places = [evidence.order(a, e) for a, e in enumerate(agent.claim.table or ()) if e[2] == robot]
+            places = [evidence.precedence(a, e) for a, e in enumerate(agent.claim.table or ()) if e[2] == robot]
             assert sum(place == evidence._last[robot] for place in places) <= 1
     team.loss = 0.0
     for _ in range(60):

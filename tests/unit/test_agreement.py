@@ -1,181 +1,251 @@
-"""Agreement, lower bound and the definition of `formed`."""
+"""Agreement in flight: missions, plans named by digest, moving frames, and when rules are asked."""
 
-import math
-from itertools import permutations
-from typing import Any
+from __future__ import annotations
 
-import numpy as np
 import pytest
+from one_flight import LINE, PLAN, Flight, make, says
 
-from llm_flock.metrics import (
-    FormedTracker,
-    bottleneck_distance,
-    distinct_goals,
-    lower_bound_rounds,
-    plans_in_use,
-    robots_at_goal,
-    within_limit,
+from llm_flock.mission import Mission
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment
+from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
+from llm_flock.protocol.events import (
+    AgreementEnded,
+    Arrived,
+    AskStep,
+    CommRoundBegan,
+    CommRoundEnded,
+    Decided,
+    Effect,
+    MissionGiven,
+    MoveTo,
+    Note,
+    Received,
+    Sensed,
 )
+from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS
+from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidTable
+from llm_flock.protocol.messages.mission_update import mission_text
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import StepAnswer
 
 
-def test_plans_in_use_ignores_robots_without_one() -> None:
-    assert plans_in_use(["a", "b", "a", None]) == 2
-    assert plans_in_use([None, None]) == 0
+def kinds(effects: list[Effect]) -> list[str]:
+    return [effect.kind for effect in effects if isinstance(effect, Note)]
 
 
-def test_distinct_goals_are_pairs_of_plan_and_slot() -> None:
-    assert distinct_goals(["a", "a", "a"], [0, 1, 1]) == 2
-    assert distinct_goals(["a", "b"], [0, 0]) == 2
-    assert distinct_goals(["a", "a", None, None], [0, None, 0, None]) == 1
-    with pytest.raises(ValueError, match="zip"):
-        distinct_goals(["a"], [0, 1])
+def test_a_mission_over_the_radio_voids_what_belonged_to_the_one_before() -> None:
+    flight = Flight(make())
+    flight.round()
+    new = LINE.change(center=(60.0, 50.0), since=2)
+    flight.begin()
+    (note,) = flight.agent.handle(Received(says(1, mission=new, counter=1, text=mission_text(new))))
+    assert isinstance(note, Note) and note.kind == "mission" and note.detail["counter"] == 1
+    assert flight.agent.mission == new and flight.agent.plan is None and flight.agent.claim.slot is None
+    flight.comm_round()
+    effects = flight.end()
+    assert kinds(effects) == ["held"], "this round it has no plan any more"
+    flight.begin()
+    assert flight.asked[-1].question.mission == new
 
 
-def test_robots_at_goal_counts_up_to_five_percent_of_the_spacing() -> None:
-    assert robots_at_goal([0.0, 0.5, 0.501, math.inf], spacing=10) == 2
+@pytest.mark.parametrize("counter", [0, 1])
+def test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first(counter: int) -> None:
+    one, other = LINE.change(center=(60.0, 50.0)), LINE.change(center=(40.0, 50.0))
+    low, high = sorted((one, other), key=lambda mission: mission.digest)
+    stamps = {low.digest: counter + 1, high.digest: 1}  # a higher counter beats a higher digest
+    wanted = low if counter else high
+    for order in ((low, high), (high, low)):
+        flight = Flight(make())
+        flight.begin()
+        for mission in order:
+            flight.comm_round(says(1, mission=mission, counter=stamps[mission.digest], text=mission_text(mission)))
+        assert flight.agent.mission == wanted
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_bottleneck_is_the_best_of_all_assignments(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n, dim = int(rng.integers(1, 7)), int(rng.integers(2, 4))
-    # Half the cases on a lattice, where many distances are equal.
-    start, goals = (
-        rng.integers(0, 4, (n, dim)).astype(float) if seed % 2 else rng.uniform(0, 9, (n, dim)) for _ in "ab"
-    )
-    best = min(max(math.dist(start[i], goals[j]) for i, j in enumerate(order)) for order in permutations(range(n)))
-    assert bottleneck_distance(start, goals) == pytest.approx(best, abs=1e-12)
+def test_a_plan_counts_only_with_its_mission() -> None:
+    """A plan for a mission that was never said in full is not followed, and neither is one for a mission of before."""
+    new = LINE.change(center=(60.0, 50.0))
+    ahead = Plan.of(new.ideal or ())
+    flight = Flight(make())
+    flight.begin()
+    flight.comm_round(says(1, mission=new, counter=1, plan=ahead))
+    assert flight.agent.plan == PLAN and flight.agent.mission == LINE
+    flight.end()
+    flight.agent.handle(MissionGiven(mission=new))
+    flight.begin()
+    assert flight.agent.plan == PLAN, "the stand-in planner proposes it again"
+    flight.comm_round(says(1, plan=ahead))
+    assert flight.agent.plan == PLAN and flight.agent.provenance is not None
+    assert flight.agent.provenance.mission_digest == new.digest
+    flight.comm_round(says(2, mission=new, counter=1, plan=ahead, beats=None))
+    assert flight.agent.plan == ahead
 
 
-def test_bottleneck_is_not_the_largest_distance_to_the_nearest_goal() -> None:
-    """Both robots are nearest to the same goal, so one must go on to the other."""
-    assert bottleneck_distance([(0, 0), (1, 0)], [(1, 0), (10, 0)]) == 9.0
+def test_a_plan_that_is_only_named_is_followed_if_it_was_said_in_full_before() -> None:
+    named = says(1, plan=PLAN, named_only=True)
+    flight = Flight(make(), plan=Plan.of([[x, y + 1.0] for x, y in PLAN.points]))
+    flight.begin()
+    own = flight.agent.plan
+    flight.comm_round(named)
+    assert flight.agent.plan == own, "nobody ever said which plan that is"
+    flight.comm_round(says(1, plan=PLAN))
+    assert flight.agent.plan == PLAN
+    wrong = says(2, plan=PLAN, named_only=True, places=2)
+    before = flight.agent.claim
+    flight.comm_round(wrong)
+    assert flight.agent.plan == PLAN and flight.agent.claim == before
 
 
-@pytest.mark.parametrize(
-    ("distance", "rounds"),
-    [(0.0, 0), (1e-12, 0), (5.9, 1), (6.0, 1), (6 + 1e-11, 1), (6.001, 2), (18.0, 3), (60.0, 10)],
-)
-def test_lower_bound_rounds_up_but_not_for_rounding(distance: float, rounds: int) -> None:
-    assert lower_bound_rounds([(0, 0)], [(distance, 0)], max_step=6) == rounds
+def test_whoever_floods_the_radio_with_plans_does_not_fill_the_memory() -> None:
+    flight = Flight(make())
+    flight.begin()
+    for k in range(REMEMBERED_PLANS + 1):
+        flight.agent.handle(Received(says(1, plan=Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]))))
+    first, last = (Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]) for k in (0, REMEMBERED_PLANS))
+    flight.agent.handle(CommRoundEnded())
+    assert flight.agent.plan == last
+    flight.comm_round(says(2, plan=first, named_only=True))
+    assert flight.agent.plan == last
 
 
-def test_the_limit_is_three_times_the_lower_bound_and_twenty() -> None:
-    assert within_limit(50, 10)
-    assert not within_limit(51, 10)
-    assert within_limit(20, 0)
+def test_a_moving_mission_heard_in_a_round_is_seen_from_its_own_frame_at_once() -> None:
+    """It has travelled since round 1; a spare robot's places are where the frame has them, not where they began."""
+    moving = LINE.change(velocity=(2.0, 0.0), since=1)
+    flight = Flight(make(), here=(50.0, 50.0))
+    for _ in range(3):
+        flight.round()
+    flight.begin()
+    travelled = Plan.of(LINE.ideal or ())
+    flight.agent.handle(CommRoundBegan())
+    flight.agent.handle(Received(says(1, mission=moving, counter=1, text=mission_text(moving), plan=travelled)))
+    flight.agent.handle(CommRoundEnded())
+    # At the beginning of round 4 the centre has made two of its steps: in its frame the robot is 4 units back.
+    assert flight.agent.plan == travelled and flight.agent.claim.bids is not None
+    distances = [-bid for bid in flight.agent.claim.bids]
+    assert distances == pytest.approx([abs(x - 46.0) for x, _ in travelled.points])
+    slot = flight.agent.claim.slot
+    assert slot is not None
+    assert flight.agent.goal == pytest.approx((travelled.points[slot][0] + 6.0, 50.0))
 
 
-IN_ORDER: dict[str, Any] = {
-    "plan_ids": ["p", "p", "p"],
-    "slots": [2, 0, 1],
-    "goal_distances": [0.5, 0.0, 0.1],
-    "residual": 1.0,
-}
+def test_a_plan_for_a_moving_centre_is_kept_in_its_frame() -> None:
+    moving = Mission(shape="line", n_robots=3, comm_range=60, velocity=(2.0, 0.0))
+    there = Plan.of(moving.at(1).ideal or ())
+    flight = Flight(make(mission=moving), plan=there)
+    flight.begin()
+    assert flight.asked[0].question.mission.center == (52.0, 50.0)
+    assert flight.agent.plan == PLAN
 
 
-def but(**changes: Any) -> dict[str, Any]:
-    """The state of a team in order, but for these changes."""
-    return {**IN_ORDER, **changes}
+def test_along_a_path_in_a_moving_frame_the_robot_asks_once_and_keeps_its_place() -> None:
+    moving = Mission(shape="line", n_robots=1, velocity=(2.0, 0.0))
+    plan = Plan.of(moving.at(1).ideal or ())
+    flight = Flight(make(mission=moving, on_event=True), here=(50.0, 50.0), plan=plan)
+    asked = 0
+    for number in range(1, 6):
+        flight.begin()
+        flight.comm_round()
+        effects = flight.agent.handle(AgreementEnded())
+        if isinstance(effects[-1], AskStep):
+            asked += 1
+            effects = flight.agent.handle(Decided(StepAnswer(waypoint=effects[-1].question.goal)))
+        move = effects[-1]
+        assert isinstance(move, MoveTo)
+        assert move.waypoint == pytest.approx((50.0 + 2.0 * number, 50.0))
+        flight.here = move.waypoint
+        flight.agent.handle(Arrived())
+    assert asked == 1
 
 
-def test_formed_is_the_first_of_three_rounds_in_order() -> None:
-    tracker = FormedTracker(spacing=10)
-    results = [tracker.update(t, **(IN_ORDER if t >= 4 else but(slots=[0, 0, 1]))) for t in range(9)]
-    assert results == [False] * 6 + [True] * 3
-    assert tracker.formed_at == 4
+def test_a_repeated_message_counts_for_its_own_mission_only() -> None:
+    flight = Flight(make())
+    flight.begin()
+    same = says(1, plan=PLAN)
+    for _ in range(2):
+        flight.comm_round(same)
+    assert flight.agent.plan == PLAN
+    flight.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2)))
+    flight.comm_round(same)
+    assert flight.agent.plan is None
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        {"plan_ids": ["p", "q", "p"]},
-        {"plan_ids": ["p", None, "p"]},
-        {"plan_ids": [None, None, None]},
-        {"slots": [2, 0, 2]},
-        {"slots": [2, 0, None]},
-        {"goal_distances": [0.5, 0.0, 0.51]},
-        {"goal_distances": [0.5, 0.0, math.inf]},
-        {"goal_distances": [0.5, 0.0, math.nan]},
-        {"residual": 1.01},
-        {"residual": math.nan},
-    ],
-)
-def test_each_condition_is_needed(fault: dict[str, Any]) -> None:
-    tracker = FormedTracker(spacing=10)
-    for t in range(5):
-        assert not tracker.update(t, **but(**fault))
-        assert not tracker.in_order
-    assert tracker.formed_at is None
+class Counting:
+    """An auction that counts its updates."""
+
+    name = "counting"
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def take(self, now: AssignmentInput) -> Claim:
+        return AuctionAssignment().take(now)
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        self.asked += 1
+        return AuctionAssignment().update(claim, now)
 
 
-def test_free_text_has_no_residual_to_meet() -> None:
-    tracker = FormedTracker(spacing=10)
-    assert [tracker.update(t, **but(residual=None)) for t in range(3)] == [False, False, True]
+def counting() -> tuple[Counting, Flight]:
+    rule = Counting()
+    return rule, Flight(Agent(0, LINE, ProvenanceConsensus(), rule, shield_on=True, verify=False, time_out=2))
 
 
-def test_disorder_starts_the_count_again() -> None:
-    tracker = FormedTracker(spacing=10)
-    for t, fine in enumerate([True, True, False, True, True, True]):
-        tracker.update(t, **(IN_ORDER if fine else but(residual=2.0)))
-    assert tracker.formed_at == 3
+def asked_by(flight: Flight, rule: Counting, *payloads: bytes) -> int:
+    """How often a communication round with these payloads asks the rule."""
+    before = rule.asked
+    flight.comm_round(*payloads)
+    return rule.asked - before
 
 
-def test_a_missing_round_starts_the_count_again() -> None:
-    tracker = FormedTracker(spacing=10)
-    for t in (0, 1, 3, 4):
-        assert not tracker.update(t, **IN_ORDER)
-    assert tracker.update(5, **IN_ORDER)
-    assert tracker.formed_at == 3
+def test_a_rule_is_not_asked_again_while_its_arguments_are_the_same() -> None:
+    rule, flight = counting()
+    flight.begin()
+    same = says(1, plan=PLAN, table=(UNSAID, UNSAID, (0, -1.0, 1)))
+    assert [asked_by(flight, rule, same) for _ in range(4)] == [1, 1, 0, 0], "its claim changed in the first"
+    assert asked_by(flight, rule) == 1, "robot 1 was not heard"
+    assert asked_by(flight, rule) == 0
+    assert asked_by(flight, rule, same) == 1, "robot 1 was heard again"
+    flight.end()
+    flight.begin()
+    assert asked_by(flight, rule, same) == 1, "another round"
 
 
-def test_later_disorder_does_not_take_it_back() -> None:
-    tracker = FormedTracker(spacing=10)
-    for t in range(3):
-        tracker.update(t, **IN_ORDER)
-    assert tracker.update(3, **but(residual=5.0))
-    assert not tracker.in_order
-    for t in range(4, 8):
-        tracker.update(t, **IN_ORDER)
-    assert tracker.formed_at == 0
+def test_a_rule_is_asked_as_soon_as_an_argument_changes() -> None:
+    rule, flight = counting()
+    flight.begin({1: PLAN.points[2]})
+    same = says(1, plan=PLAN)
+    for _ in range(4):
+        flight.comm_round(same)
+    assert asked_by(flight, rule, same) == 0
+    other = says(1, plan=PLAN, table=(UNSAID, UNSAID, (0, -1.0, 1)))
+    assert asked_by(flight, rule, other) == 1, "another claim of robot 1"
+    for _ in range(2):
+        flight.comm_round(other)
+    assert asked_by(flight, rule, other) == 0
+    assert asked_by(flight, rule, other, says(2, plan=PLAN)) == 1, "another robot"
+    for _ in range(2):
+        flight.comm_round(other)
+    assert asked_by(flight, rule, other) == 0
+    flight.agent.handle(Sensed(position=(30.0, 50.0), neighbors=1, sensed={1: PLAN.points[2]}, observed=()))
+    assert asked_by(flight, rule, other) == 1, "another position"
+    for _ in range(2):
+        flight.comm_round(other)
+    assert asked_by(flight, rule, other) == 0
+    flight.agent.handle(Sensed(position=(30.0, 50.0), neighbors=1, sensed={1: (40.0, 50.0)}, observed=()))
+    assert asked_by(flight, rule, other) == 1, "a sensed robot has moved"
 
 
-def test_rounds_only_go_forward() -> None:
-    tracker = FormedTracker(spacing=10)
-    tracker.update(3, **IN_ORDER)
-    with pytest.raises(AssertionError, match="round 3 after round 3"):
-        tracker.update(3, **IN_ORDER)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_with_more_robots_or_more_goals_the_fewer_are_all_served(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    robots, goals = int(rng.integers(1, 6)), int(rng.integers(1, 6))
-    start, places = (
-        rng.integers(0, 4, (n, 2)).astype(float) if seed % 2 else rng.uniform(0, 9, (n, 2)) for n in (robots, goals)
-    )
-    few, many = (start, places) if robots <= goals else (places, start)
-    orders = permutations(range(len(many)), len(few))
-    best = min(max(math.dist(few[i], many[j]) for i, j in enumerate(order)) for order in orders)
-    assert bottleneck_distance(start, places) == pytest.approx(best, abs=1e-12)
-
-
-def test_the_lower_bound_to_a_plan_that_travels_is_the_first_round_in_which_it_can_be_met() -> None:
-    def bound(x: float, velocity: float) -> int:
-        return lower_bound_rounds([(0, 0)], [(x, 0)], 6, lambda rounds: (velocity * rounds, 0.0))
-
-    assert bound(18, 0) == lower_bound_rounds([(0, 0)], [(18, 0)], 6) == 3
-    assert bound(18, 3) == 6 and bound(18.1, 3) == 7, "it flees at half the speed"
-    assert bound(18, -3) == 2, "it comes to meet the robot"
-    assert bound(0, 3) == 0
-
-
-def test_spares_need_no_goal_and_places_that_cannot_be_used_need_no_robot() -> None:
-    spare = but(slots=[2, 0, None], goal_distances=[0.5, 0.0, math.inf])
-    for usable, fine in ((2, True), (3, False), (1, False)):
-        tracker = FormedTracker(spacing=10)
-        tracker.update(0, **spare, usable=usable)
-        assert tracker.in_order is fine
-    gaps = FormedTracker(spacing=10)
-    gaps.update(0, **IN_ORDER, usable=5)
-    assert gaps.in_order
+def test_a_rule_is_asked_in_every_communication_round_while_its_claim_holds_an_offer() -> None:
+    """The offer expires after a number of communication rounds, whatever is heard."""
+    rule, flight = counting()
+    table: BidTable = ((1, -1.0, 1), (1, -1.0, 0), (0, 0.0, NO_OWNER))
+    flight.begin({1: PLAN.points[1]})
+    message = says(1, plan=PLAN, table=table, slot=0)
+    bound: list[int] = []
+    for _ in range(BOUND_ROUNDS + 1):
+        assert asked_by(flight, rule, message) == 1
+        assert flight.agent.claim.slot == 1 and flight.agent.claim.offer is not None
+        bound.append(flight.agent.claim.bound)
+    assert bound == [4, 3, 2, 1, 4], "it expires, and is made again"

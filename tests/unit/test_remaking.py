@@ -6,7 +6,7 @@ import pytest
 from one_flight import LINE, PLAN, Flight, make, says
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.replanning import MOST_WAIT, REMAKE_PATIENCE, Gaps
+from llm_flock.protocol.membership.replanning import MOST_WAIT, REPLAN_PATIENCE, Gaps
 from llm_flock.protocol.plan import Plan
 
 
@@ -21,8 +21,8 @@ def test_who_is_alive_and_has_the_lowest_id_remakes_the_plan_first(robot: int, w
         beats = tuple(count + 1 if k == other else 2 * int(k == 1) for k in range(3))
         flight.round(says(other, beats))
     assert flight.asked[1].question.mission.n_places == 2
-    # Robot 1 is silent from round 4 on; then the plan must not fit for more than REMAKE_PATIENCE rounds and a rank.
-    assert flight.number == 4 + REMAKE_PATIENCE + waits
+    # Robot 1 is silent from round 4 on; then the plan must not fit for more than REPLAN_PATIENCE rounds and a rank.
+    assert flight.number == 4 + REPLAN_PATIENCE + waits
     assert waits <= MOST_WAIT
     assert flight.agent.provenance is not None and flight.agent.provenance.epoch == 1
 
@@ -30,7 +30,7 @@ def test_who_is_alive_and_has_the_lowest_id_remakes_the_plan_first(robot: int, w
 def test_who_sees_the_body_that_is_in_the_way_remakes_the_plan_at_once_and_is_told_of_it() -> None:
     flight = Flight(make(2, gaps="replan"), here=PLAN.points[2])
     body = {1: PLAN.points[1]}
-    for number in range(1, 4 + REMAKE_PATIENCE + 1):
+    for number in range(1, 4 + REPLAN_PATIENCE + 1):
         assert len(flight.asked) <= 1
         flight.round(says(0, (number + 1, 2, 0)), sensed=body)
     assert len(flight.asked) == 2 and flight.asked[1].question.still == (PLAN.points[1],)

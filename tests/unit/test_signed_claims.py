@@ -7,7 +7,7 @@ import math
 
 import msgspec
 import pytest
-from signed_team import Liar, SignedTeam, line_up
+from signed_team import Liar, SignedTeam, evidence_of, line_up
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
@@ -68,7 +68,7 @@ def test_who_claims_every_place_holds_one_at_most(team: SignedTeam, liar: Liar) 
             holding = [
                 (evidence._held[a, e].number, a)
                 for a, e in enumerate(agent.claim.table or ())
-                if e[2] == team.liar and evidence.order(a, e) == last
+                if e[2] == team.liar and evidence.precedence(a, e) == last
             ]
             assert len(holding) <= 1
     team.fly(12)
@@ -175,10 +175,10 @@ def test_false_words_do_not_count(team: SignedTeam, liar: Liar) -> None:
         team.comm_round()
     team.tell(1, liar.says(words=[good, good]), team.liar)
     team.comm_round()
-    evidence_of = [agent._agreement._signing.evidence for agent in team.agents]  # type: ignore[union-attr]
-    assert evidence_of[0]._words == {}
-    assert evidence_of[0].refused["uncertified"] == 1
-    assert [list(words) for words in evidence_of[1]._words.values()] == [[team.liar]]
+    first, second = evidence_of(team.agents[0]), evidence_of(team.agents[1])
+    assert first._words == {}
+    assert first.refused["uncertified"] == 1
+    assert [list(words) for words in second._words.values()] == [[team.liar]]
 
 
 def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
@@ -239,7 +239,7 @@ def test_one_place_offered_to_two_is_one_exchange(team: SignedTeam, liar: Liar) 
         )
         # For this communication round the victim believes to be where the exchange pays.
         assert team.agents[0].plan is not None
-        team.agents[victim]._agreement._position = team.agents[0].plan.points[slot]
+        team.agents[victim]._agreement.position = team.agents[0].plan.points[slot]
         there = {**team.agents[victim]._agreement._sensed, team.liar: team.agents[0].plan.points[theirs]}
         team.agents[victim]._agreement._sensed = there
         team.tell(victim, liar.says(offer=offer, offer_number=liar.number + victim, slot=slot), team.liar)
@@ -335,7 +335,7 @@ def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
 
 
 def test_a_page_is_turned_for_another_plan_only(team: SignedTeam) -> None:
-    evidence, context = team.agents[0]._agreement._signing.evidence, team.context  # type: ignore[union-attr]
+    evidence, context = evidence_of(team.agents[0]), team.context
     number = evidence._number
     evidence.attest(Claim(slot=None))
     evidence.turn_to(context)

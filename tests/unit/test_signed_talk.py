@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from signed_team import Liar, SignedTeam, good_plan, line_up
+from signed_team import Liar, SignedTeam, channel_of, evidence_of, good_plan, line_up
 from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import MissionGiven
+from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import Message, MissionStamp, Offer
+from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import (
     MOST_EPOCHS,
     OPERATOR,
-    Authorization,
     Proofs,
     beat_statement,
     mission_statement,
@@ -25,7 +26,6 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
     wrap,
 )
-from llm_flock.protocol.signed.signing import Signing
 
 MISSION = Mission(shape="circle", n_robots=5)
 
@@ -60,17 +60,18 @@ def test_plans_are_remade_so_often_and_not_oftener(team: SignedTeam, liar: Liar,
     assert team.tell(1, lie, team.liar) == ["many_plans"]
 
 
-def test_origins_are_remembered_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("llm_flock.protocol.signed.signing.REMEMBERED_ORIGINS", 2)
+def test_origins_are_remembered_in_bounded_memory(
+    team: SignedTeam, liar: Liar, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("llm_flock.protocol.signed.channel.REMEMBERED_ORIGINS", 2)
     monkeypatch.setattr("llm_flock.protocol.signed.evidence.REMEMBERED", 2)
-    signing = Signing(0, ToyKeys(0))
-    team = SignedTeam(MISSION, line_up(5))
-    team.fly(1)
+    channel, evidence = channel_of(team.agents[0]), evidence_of(team.agents[0])
     for k in range(5):
-        signing.propose(Liar(team).provenance(epoch=k), "00")
-        assert signing.evidence.signed_by(1, b"%d" % k, ToyKeys(1).sign(b"%d" % k))
-    assert len(signing._origins) <= 2
-    assert len(signing.evidence._good) <= 2
+        plan = good_plan(MISSION, k)
+        assert team.tell(0, liar.says(plan=plan, provenance=liar.provenance(epoch=k), table=None), team.liar) == []
+        assert evidence.signed_by(1, b"%d" % k, ToyKeys(1).sign(b"%d" % k))
+    assert len(channel._origins) <= 2
+    assert len(evidence._good) <= 2
 
 
 # ---------------------------------------------------------------- who speaks
@@ -96,12 +97,12 @@ def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) 
 
 
 def test_hearts_are_neither_stopped_nor_kept_beating_by_others(team: SignedTeam, liar: Liar) -> None:
-    before = team.agents[0]._agreement.liveness.beats
+    before = team.agents[0]._liveness.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
     team.begin()
     team.comm_round()
-    after = team.agents[0]._agreement.liveness.beats
+    after = team.agents[0]._liveness.beats
     assert after[4] == before[4]
     assert max(after) < 100
     team.fly(2)
@@ -117,7 +118,7 @@ def test_a_heart_that_beats_is_heard_through_others(team: SignedTeam, liar: Liar
         team.comm_round()
     team.end()
     team.fly(2)
-    assert [agent._agreement.liveness.beats[4] for agent in team.agents] == [9] * 4
+    assert [agent._liveness.beats[4] for agent in team.agents] == [9] * 4
 
 
 # ---------------------------------------------------------------- missions
@@ -127,20 +128,20 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     square = MISSION.change(center=(52.0, 50.0))
     stamp = MissionStamp(10**9, square.digest)
     forged = Authorization(counter=stamp.counter, signature=liar.keys.sign(mission_statement(stamp)))
-    for order in (None, forged):
-        (note,) = team.agents[0].handle(MissionGiven(mission=square, order=order))
+    for authorization in (None, forged):
+        (note,) = team.agents[0].handle(MissionGiven(mission=square, authorization=authorization))
         assert (note.kind, note.detail["reason"]) == ("rejected_message", "no_order")  # type: ignore[union-attr]
-    text = square.model_dump_json(include={"shape", "points", "center", "spacing", "places", "velocity", "since"})
+    text = mission_text(square)
     lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text=text))
     for proofs in (Proofs(), Proofs(mission=forged.signature)):
         assert team.tell(0, wrap(lie, proofs), team.liar) == ["no_order"]
     assert team.agents[0].mission == MISSION
     team.end()
 
-    order = Authorization(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
-    (note,) = team.agents[0].handle(MissionGiven(mission=square, order=order))
+    authorization = Authorization(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
+    (note,) = team.agents[0].handle(MissionGiven(mission=square, authorization=authorization))
     assert note.kind == "mission"  # type: ignore[union-attr]
-    (note,) = team.agents[0].handle(MissionGiven(mission=square, order=order))
+    (note,) = team.agents[0].handle(MissionGiven(mission=square, authorization=authorization))
     assert note.detail["reason"] == "old_mission"  # type: ignore[union-attr]
     team.fly(8)
     assert {agent.mission.center for agent in team.agents} == {(52.0, 50.0)}
