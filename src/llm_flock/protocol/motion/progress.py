@@ -45,7 +45,7 @@ class GoalProgress(msgspec.Struct, frozen=True, kw_only=True):
         side: side to which a detour turns: -1 right, 1 left.
         side_rounds: rounds after which a detour changes sides.
         rounds_on_side: rounds of the detour on this side so far.
-        heading_rad: direction of the detour's last move; None before its first.
+        heading_rad: direction of the detour's last move on this side; None before the first.
     """
 
     goal: Point
