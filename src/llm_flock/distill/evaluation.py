@@ -23,7 +23,7 @@ from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
-from llm_flock.protocol.verification.steps import check_answer, mended
+from llm_flock.protocol.verification.steps import check_answer, clip_waypoint
 
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 T = TypeVar("T")
@@ -91,7 +91,7 @@ def score(question: StepQuestion, answer: StepAnswer | NoAnswer) -> WaypointScor
         standing = math.dist(here, best)
         return WaypointScore(parsed=False, within=False, passed=False, error=standing, shielded_error=standing)
     said = answer.waypoint
-    flown = mended(question.mission, alone, said, shield_on=True)
+    flown = clip_waypoint(question.mission, alone, said, shield_on=True)
     return WaypointScore(
         parsed=True,
         within=math.dist(here, said) <= question.mission.max_step * (1 + LENGTH_TOLERANCE),

@@ -12,7 +12,7 @@ from llm_flock.arrays import Point, Points
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
-from llm_flock.protocol.verification.steps import mended
+from llm_flock.protocol.verification.steps import clip_waypoint
 
 
 def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
@@ -96,12 +96,12 @@ class FallbackPlanner:
         return replace(second, instead_of=answer) if isinstance(second, PlanAnswer) else answer
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """The first planner's waypoint, its failure if the shield can mend the last waypoint, or the second's."""
+        """The first planner's waypoint, its failure if clipping can correct the last waypoint, or the second's."""
         answer = await self._first.step(question)
         if isinstance(answer, StepAnswer):
             return answer
-        unfit = answer.waypoint
-        if unfit is not None and mended(question.mission, question, unfit, shield_on=self._shield_on) is not None:
+        asked, shield_on = answer.waypoint, self._shield_on
+        if asked is not None and clip_waypoint(question.mission, question, asked, shield_on=shield_on) is not None:
             return answer
         second = await self._second.step(question)
         return replace(second, instead_of=answer) if isinstance(second, StepAnswer) else answer

@@ -1,4 +1,7 @@
-"""A quick look whether points of the plane resemble a shape: fast where they do, undecided where they may not."""
+"""A fast comparison of points of the plane with a shape: decides quickly if they match, or not at all.
+
+`llm_flock.metrics.plane` always finds the optimum, but takes the cube of the number of points, many times.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +20,26 @@ from llm_flock.metrics.plane import Correspondence
 Complex: TypeAlias = NDArray[np.complex128]
 
 ANCHORS = 16
-"""So many target points are tried as the partner of the outermost point."""
+"""Number of target points that are tried as the partner of the outermost point."""
 
-INTERVALS, MAX_LOOKS = 64, 8192
-"""Intervals of directions at the start, and how many are looked at before it counts as undecided."""
+INTERVALS, MAX_INTERVALS = 64, 8192
+"""Initial number of intervals of directions, and the number after which the search gives up."""
 
 
-def resemblance(rows: Points, target: Points, enough: float = 0.0) -> float | None:
-    """Mean distance to the shape [units], as `ShapeTarget.error` has it, if the correspondence is plain to see.
+def quick_error(rows: Points, target: Points, enough: float = 0.0) -> float | None:
+    """Mean distance from the shape [units], an upper bound for the optimum, if a correspondence is easy to find.
 
-    The outermost point is turned onto target points about as far out. Once every point has a nearest target point of
-    its own, that correspondence gives the rotation. It costs n log n, where finding the best one in general costs n^3.
+    Rotations turn the outermost point onto target points at about the same radius. If every point then has a different
+    nearest target point, that correspondence determines the final rotation. The cost is n log n, against n^3 for
+    the general case. Call before `ShapeTarget.error` if an upper bound may settle the matter.
 
     Args:
         rows: shape (n, 2) [units].
         target: shape (n, 2) [units].
-        enough: the first correspondence with a mean up to this is taken [units].
+        enough: stop at the first correspondence with a mean of at most this [units].
 
     Returns:
-        None where no such turn was found: then nothing is known.
+        None if no such rotation was found; nothing is known then.
     """
     x, y = _centred(rows), _centred(target)
     best: float | None = None
@@ -47,21 +51,21 @@ def resemblance(rows: Points, target: Points, enough: float = 0.0) -> float | No
     return best
 
 
-def evident(rows: Points, target: Points, symmetry: int = 1) -> Correspondence | None:
-    """The best correspondence, as `plane.longest` has it, where it is so good that no other one can match it.
+def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Correspondence | None:
+    """The best correspondence, as from `plane.longest`, if nearest target points suffice to prove it best.
 
-    No rotation brings the points nearer to the target than each is to its nearest target point, and turning by less
-    than an angle h moves a point by less than h times its distance from the centre. So an interval of directions is
-    done with once the points stay too far off in all of it, or once the nearest target points are the same in all of
-    it and a correspondence: that is then the best one there. Others are halved.
+    For a given rotation, no correspondence is better than the nearest target point of each point, and a rotation by
+    less than an angle h moves a point by less than h times its radius. So an interval of directions is settled if the
+    points are too far from their nearest target points in all of it; or if these are the same in all of it and all
+    different, which is then the best correspondence there. Other intervals are halved.
 
     Args:
         rows: shape (n, 2) [units], n >= 2.
         target: shape (n, 2) [units].
-        symmetry: a turn by 360/symmetry degrees is known to map the target to itself.
+        symmetry: a rotation by 360/symmetry degrees maps the target to itself.
 
     Returns:
-        None where no such correspondence was found, or too many intervals were left.
+        None if no correspondence was found, or too many intervals were left.
     """
     x, y = _centred(rows), _centred(target)
     best = max(_candidates(x, y), key=lambda found: abs(found.z), default=None)
@@ -71,7 +75,7 @@ def evident(rows: Points, target: Points, symmetry: int = 1) -> Correspondence |
     pieces = math.ceil(INTERVALS / symmetry)
     width = math.pi / (pieces * symmetry)
     intervals = [(k * 2 * width, width) for k in range(pieces)]
-    for _ in range(MAX_LOOKS):
+    for _ in range(MAX_INTERVALS):
         if not intervals:
             return best
         least = float((np.abs(x * (best.z / abs(best.z)) - y[best.columns]) ** 2).sum())
@@ -92,7 +96,7 @@ def evident(rows: Points, target: Points, symmetry: int = 1) -> Correspondence |
 
 
 def _candidates(x: Complex, y: Complex) -> Iterator[Correspondence]:
-    """Correspondences of points with nearest target points, once the outermost point is turned onto a target point."""
+    """Correspondences with nearest target points after rotations of the outermost point onto target points."""
     outermost = x[np.abs(x).argmax()]
     if outermost == 0.0:
         return
