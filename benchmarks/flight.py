@@ -1,7 +1,7 @@
-"""Flights of stand-ins through the real cflib: the paper's four, and everything that may go wrong in one.
+"""Flights of stand-ins through the real cflib: the paper's four, and every failure that a flight must survive.
 
     python -m benchmarks flight         the four flights, 20 of each with random starts (eight minutes)
-    python -m benchmarks flight-cases   each safety case once: what was done, the stated time, the measured one
+    python -m benchmarks flight-cases   each safety case once: the reaction, its stated and its measured time
 
 Flights take as long as they take. Those of the paper are flown five at once.
 """
@@ -23,12 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.robots.base import Position
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.flight.patience import Impatient
-from llm_flock.runtime.flight.promises import promises
+from llm_flock.runtime.flight.reaction_times import reaction_times
+from llm_flock.runtime.flight.timed_planner import TimedPlanner
 from llm_flock.testing.crtp import StandIn, StandIns
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5))
@@ -36,7 +35,7 @@ FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5))
 
 RUNS = 20
 TOGETHER = 5
-"""So many flights at once: each is idle most of the time."""
+"""Flights at once: each is idle most of the time."""
 
 ROOM: dict[str, Any] = {"center": [20, 20], "arena": [[0, 0], [40, 40]], "comm_range": 20}
 FAST: dict[str, Any] = {
@@ -48,23 +47,23 @@ FAST: dict[str, Any] = {
     "land_s": 1.6,
     "connect_s": 5.0,
 }
-"""A room of 4 x 4 m at a tenth of a metre a unit; quicker than one would fly real drones indoors."""
+"""A room of 4 x 4 m at a tenth of a metre per unit; faster than real drones would fly indoors."""
 
 
 def flight_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightConfig, list[Position]]:
-    """A flight from random starts that are apart, its drones without addresses yet; and those starts [m]."""
+    """A flight from random starts, its drones without addresses yet; and those starts [m]."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
-    config = build_config_of(FlightConfig, {"mission": mission}, **{**FAST, "seed": seed, **fields})
+    config = FlightConfig.build({"mission": mission}, **{**FAST, "seed": seed, **fields})
     return config, homes_of(config)
 
 
 def addressed(config: FlightConfig, homes: Sequence[Position], uris: Sequence[str]) -> FlightConfig:
-    """The same flight with stand-ins to call."""
+    """The same flight with the addresses of stand-ins."""
     fleet = [
         {"name": f"cf{k}", "uri": uri, "start": home[:2]} for k, (home, uri) in enumerate(zip(homes, uris, strict=True))
     ]
     base = config.model_dump(exclude_unset=True)
-    return build_config_of(FlightConfig, base, drones=fleet)
+    return FlightConfig.build(base, drones=fleet)
 
 
 def case_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightConfig, list[Position]]:
@@ -73,7 +72,7 @@ def case_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightCon
 
 
 def homes_of(config: FlightConfig) -> list[Position]:
-    """Where its drones stand before take-off [m]."""
+    """Positions of its drones before take-off [m]."""
     return [start_of(config, drone) for drone in with_drones(config).fleet.drones]
 
 
@@ -82,11 +81,11 @@ async def yes(_: object) -> bool:
 
 
 DEADMAN_S = 3.0
-"""The stand-ins stay until the deadman has heard that they are down [s]."""
+"""Time for the deadman to hear that the stand-ins are down [s]."""
 
 
 class Watch:
-    """Looks at where stand-ins really are: the smallest distance in the air, and since when all motors are off."""
+    """Follows the true positions of stand-ins: their smallest distance in the air, and when all motors went off."""
 
     def __init__(self, stand_ins: StandIns) -> None:
         self._drones = [stand_ins[k] for k in range(len(stand_ins))]
@@ -167,7 +166,7 @@ def paper_flights() -> None:
 
 
 async def fly_all(flights: Sequence[tuple[str, int, int]]) -> list[dict[str, Any]]:
-    """Several flights at once, each with a sky of its own."""
+    """Several separate flights at once."""
     return list(await asyncio.gather(*(fly_one(*flight) for flight in flights)))
 
 
@@ -176,7 +175,7 @@ async def fly_all(flights: Sequence[tuple[str, int, int]]) -> list[dict[str, Any
 
 @dataclass
 class Scene:
-    """A flight in the middle of which something happens."""
+    """A flight in the middle of which something fails."""
 
     flight: Flight
     stand_ins: StandIns
@@ -184,7 +183,7 @@ class Scene:
 
     @property
     def victim(self) -> StandIn:
-        """Whom it happens to."""
+        """The drone that fails."""
         return self.stand_ins[1]
 
 
@@ -201,7 +200,7 @@ async def _at_once(act: Callable[[], object]) -> float:
 
 
 def _believe_to_be_at(scene: Scene, x_m: float) -> None:
-    """Its estimate is far to the left; the drone itself flies off to the right, away from the others."""
+    """Shift its estimate far to the left: the drone flies off to the right, away from the others."""
     scene.victim.jump((x_m - scene.victim.position[0], 0.0, 0.0))
 
 
@@ -223,11 +222,11 @@ CASES: dict[str, Callable[[Scene], Awaitable[float]]] = {
     "abort": lambda scene: _at_once(scene.flight.abort),
     "emergency": lambda scene: _at_once(scene.flight.emergency),
 }
-"""Each acts, and returns the moment from which its time counts."""
+"""Each causes a failure, and returns the moment from which its time counts."""
 
 
 async def fly_case(name: str, after_s: float = 1.5) -> dict[str, Any]:
-    """One flight with one case in it: what came of it."""
+    """One flight with one failure; returns its outcome."""
     # Where a drone is where it should not be, because its estimate is wrong, the jump is not to be noticed first.
     jump_m = 100.0 if name in ("geofence", "far_outside", "too_near") else 0.3
     cut_outside_m = 10.0 if name == "geofence" else 1.0
@@ -260,18 +259,18 @@ async def fly_case(name: str, after_s: float = 1.5) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _mute() -> Any:
-    """Models that never answer."""
-    plain = Impatient._in_time  # noqa: SLF001
+    """Let no model answer."""
+    plain = TimedPlanner._in_time  # noqa: SLF001
 
-    async def mute(self: Impatient, number: int, answer: Any) -> Any:
+    async def mute(self: TimedPlanner, number: int, answer: Any) -> Any:
         answer.close()
         return await plain(self, number, asyncio.sleep(3600, None))
 
-    Impatient._in_time = mute  # noqa: SLF001
+    TimedPlanner._in_time = mute  # noqa: SLF001
     try:
         yield
     finally:
-        Impatient._in_time = plain  # noqa: SLF001
+        TimedPlanner._in_time = plain  # noqa: SLF001
 
 
 def _row(name: str, config: FlightConfig, result: FlightResult, took_s: float, nearest_m: float) -> dict[str, Any]:
@@ -290,12 +289,12 @@ def _row(name: str, config: FlightConfig, result: FlightResult, took_s: float, n
 
 
 def _stated(name: str, config: FlightConfig) -> dict[str, Any]:
-    promise = promises(config)[name]
-    return {"what": promise.case, "does": promise.does, "stated_s": promise.stated_s}
+    reaction = reaction_times(config)[name]
+    return {"what": reaction.case, "does": reaction.does, "stated_s": reaction.stated_s}
 
 
 async def fly_and_lose_the_process(name: str) -> dict[str, Any]:
-    """The flight process is killed, or stopped for good, in the middle of a round: what the deadman makes of it."""
+    """Kill or stop the flight process in the middle of a round; returns what the deadman does."""
     config, homes = case_config("square", 4, 3)
     with StandIns(homes) as stand_ins, tempfile.TemporaryDirectory() as folder:
         config = addressed(config, homes, stand_ins.uris)

@@ -2,7 +2,7 @@
 
 python -m benchmarks local          missions of three and five robots, and how fast the engine is
 python -m benchmarks local-ten      a circle of ten, asked on events only: duration and memory, in an own process
-python -m benchmarks local-table    the same missions with stock weights, with the adapter, and with ideal stand-ins
+python -m benchmarks local-table    the same missions: stock weights, the adapter, and ideal simulated models
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from llm_flock.llm.grammar import answer_grammar
+from llm_flock.llm.answer_forms import answer_grammar
 from llm_flock.llm.local.engine import Engine, slot_count, thread_count
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.port import AnswerForm
-from llm_flock.llm.sharing import Lane, Pools
+from llm_flock.llm.sharing import CallLane, Pools
 from llm_flock.runtime.api import run_async
 from llm_flock.runtime.result import Summary
 
@@ -34,12 +34,12 @@ SAFE = 3.0
 """The default safe distance [units]."""
 
 FEW, FEW_ROUNDS = 3, 1
-"""Trials of stock weights, and rounds of each: they never form, whatever time they have."""
+"""Trials of stock weights, and rounds of each: they never form."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """What came of some missions with one model."""
+    """Results of some missions with one model."""
 
     model: str
     summaries: tuple[Summary, ...]
@@ -73,7 +73,7 @@ def fly(model: str, shape: str, n: int, seeds: range, **options: Any) -> Flown:
         try:
             for seed in seeds:
                 began = time.perf_counter()
-                lane = Lane(pools=pools)
+                lane = CallLane(pools=pools)
                 result = await run_async(model=model, shape=shape, n_robots=n, seed=seed, lane=lane, **options)
                 out.append((result.summary, time.perf_counter() - began))
         finally:
@@ -85,7 +85,7 @@ def fly(model: str, shape: str, n: int, seeds: range, **options: Any) -> Flown:
 
 
 def missions() -> None:
-    """The bars: every mission forms, and nobody comes too near to anybody."""
+    """The bars: every mission forms, and no robots come closer than the safe distance."""
     machine()
     speed(TRAINED)
     print(HEAD)
@@ -103,27 +103,27 @@ def table() -> None:
 
 
 def ten() -> None:
-    """A circle of ten, asked on events only, in a process whose memory nothing else has used."""
+    """A circle of ten, asked on events only, in a fresh process, to measure its memory."""
     code = "from benchmarks.local import _ten; _ten()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    told = json.loads(done.stdout)
+    result = json.loads(done.stdout)
     machine()
     print(HEAD)
-    print(told["row"])
-    print(f"{told['seconds']:.0f} s   bar 180;   {told['peak_mib']:.0f} MiB   bar 1536", flush=True)
+    print(result["row"])
+    print(f"{result['seconds']:.0f} s   bar 180;   {result['peak_mib']:.0f} MiB   bar 1536", flush=True)
 
 
 def _ten() -> None:
     began = time.perf_counter()
     flown = fly(TRAINED, "circle", 10, range(1), decide="on-event")
     seconds = time.perf_counter() - began
-    # Children as well, should there ever be any: nothing that a mission needs is left out.
+    # Children as well, should there be any.
     peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024
     print(json.dumps({"row": flown.row("circle", 10), "seconds": seconds, "peak_mib": peak}))
 
 
 def machine() -> None:
-    """What was measured on."""
+    """Describe the machine."""
     load = os.getloadavg()[0]
     print(f"{os.cpu_count()} cores, load {load:.1f} (other processes included), {thread_count()} thread(s) compute")
 
@@ -146,8 +146,8 @@ def speed(model: str) -> None:
         print(f"questions {reading:.0f} tokens/s", end="; ")
         for at_once in (1, slot_count()):
             began = time.perf_counter()
-            told = [asked.result().usage for asked in [ask(f"{i}", 100) for i in range(at_once)]]
-            writing = sum(usage.output for usage in told) / (time.perf_counter() - began)
+            usages = [asked.result().usage for asked in [ask(f"{i}", 100) for i in range(at_once)]]
+            writing = sum(usage.output for usage in usages) / (time.perf_counter() - began)
             print(f"answers, {at_once} at once, {writing:.0f} tokens/s", end="; ")
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(f"{peak:.0f} MiB in use", flush=True)

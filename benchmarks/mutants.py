@@ -1,10 +1,9 @@
-"""Do the tests notice when an invariant is broken? Each mutant breaks one, on purpose, in a copy of the sources.
+"""Check that the tests notice broken invariants: try each fault of mutations.toml in a copy of the sources.
 
 python -m benchmarks.mutants            # all of them
 python -m benchmarks.mutants NAME ...   # only these
-python -m benchmarks.mutants --table    # the rows of the table in docs/testing.md
 
-The named tests have to pass on the sources as they are, and to fail on the mutant. Exit code 1 where one survives.
+The named tests must pass on the sources as they are and fail on the mutant. The exit code is 1 if a mutant survives.
 """
 
 from __future__ import annotations
@@ -14,38 +13,55 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from benchmarks.mutations import MUTANTS, Mutant
+import msgspec
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("src", "tests", "pyproject.toml")
 TIMEOUT_S = 300
 
 
-def mutated(text: str, mutant: Mutant) -> str:
-    """The source with the fault in it.
+class Mutant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One deliberate fault; mutations.toml explains the fields."""
 
-    Raises:
-        LookupError: the snippet does not stand there exactly once.
-    """
-    found = text.count(mutant.snippet)
-    if found != 1:
-        raise LookupError(f"{mutant.name}: the snippet stands {found} times in {mutant.file}, not once")
-    return text.replace(mutant.snippet, mutant.instead)
+    name: str
+    invariant: str
+    fault: str
+    file: str
+    snippet: str
+    instead: str
+    test: str
+
+    def path(self, root: Path) -> Path:
+        """The file that is changed."""
+        return root / "src" / "llm_flock" / self.file
+
+    def applied(self, text: str) -> str:
+        """The source with the fault in it.
+
+        Raises:
+            LookupError: the snippet does not occur exactly once.
+        """
+        found = text.count(self.snippet)
+        if found != 1:
+            raise LookupError(f"{self.name}: the snippet occurs {found} times in {self.file}, not once")
+        return text.replace(self.snippet, self.instead)
 
 
-def source(root: Path, mutant: Mutant) -> Path:
-    """The file that is changed."""
-    return root / "src" / "llm_flock" / mutant.file
+def load() -> list[Mutant]:
+    """All mutants."""
+    text = (ROOT / "benchmarks" / "mutations.toml").read_text(encoding="utf-8")
+    return msgspec.convert(tomllib.loads(text)["mutant"], list[Mutant])
 
 
 def tests_pass(root: Path, tests: Iterable[str]) -> bool:
     """Whether these tests pass on the sources under `root`; they must exist, and finish in time."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
     command += [f"tests/{test}" for test in dict.fromkeys(tests)]
-    # A file of byte code would outlive a change of the same size in the same second.
+    # Byte code would outlive a change of the same size in the same second.
     environment = os.environ | {"PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     if done.returncode not in (0, 1):
@@ -53,32 +69,34 @@ def tests_pass(root: Path, tests: Iterable[str]) -> bool:
     return done.returncode == 0
 
 
-def main(arguments: Sequence[str]) -> int:
+def survives(root: Path, mutant: Mutant) -> bool:
+    """Whether the mutant's test still passes with the fault in place."""
+    path = mutant.path(root)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(mutant.applied(text), encoding="utf-8")
+    try:
+        return tests_pass(root, [mutant.test])
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def main(names: Sequence[str]) -> int:
     """Try all mutants, or those named; returns the exit code."""
-    if "--table" in arguments:
-        print("\n".join(mutant.row for mutant in MUTANTS))
-        return 0
-    chosen = [mutant for mutant in MUTANTS if not arguments or mutant.name in arguments]
-    survivors: list[str] = []
+    chosen = [mutant for mutant in load() if not names or mutant.name in names]
+    survivors = 0
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         for name in COPIED:
-            origin = ROOT / name
-            copy = shutil.copytree if origin.is_dir() else shutil.copy
-            copy(origin, root / name)
-        changes = [(mutant, source(root, mutant).read_text(encoding="utf-8")) for mutant in chosen]
-        faults = [mutated(text, mutant) for mutant, text in changes]
+            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+            copy(ROOT / name, root / name)
         if not tests_pass(root, [mutant.test for mutant in chosen]):
             print("the tests fail on the sources as they are")
             return 1
-        for (mutant, text), fault in zip(changes, faults, strict=True):
-            source(root, mutant).write_text(fault, encoding="utf-8")
-            killed = not tests_pass(root, [mutant.test])
-            source(root, mutant).write_text(text, encoding="utf-8")
-            print(f"{'killed  ' if killed else 'SURVIVES'}  {mutant.name}: {mutant.change}", flush=True)
-            if not killed:
-                survivors.append(mutant.name)
-    print(f"{len(chosen) - len(survivors)} of {len(chosen)} killed")
+        for mutant in chosen:
+            alive = survives(root, mutant)
+            survivors += alive
+            print(f"{'SURVIVES' if alive else 'killed  '}  {mutant.name}: {mutant.fault}", flush=True)
+    print(f"{len(chosen) - survivors} of {len(chosen)} killed")
     return 1 if survivors else 0
 
 

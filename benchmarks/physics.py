@@ -1,4 +1,4 @@
-"""Flights of drones with real dynamics, in their own time: as fast as the processor simulates them.
+"""Flights of drones with real dynamics in simulated time: as fast as the processor allows.
 
 SCIPY_ARRAY_API=1 python -m benchmarks physics         the paper's flights and a circle of ten
 SCIPY_ARRAY_API=1 python -m benchmarks physics-speed   how much faster than real time 5, 10 and 50 drones are
@@ -17,9 +17,8 @@ from unittest import mock
 import numpy as np
 from benchmarks.flight import ROOM
 
-from llm_flock.robots.base import Limits
+from llm_flock.robots.base import MotionLimits
 from llm_flock.robots.physics import STEP_S, PhysicsWorld
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight
@@ -31,7 +30,7 @@ FIELDS: dict[str, Any] = {
     "deadman": False,
     "seed": 1,
 }
-"""A unit is 12 cm, so that the safe distance of 3 units holds 0.2 m and twice what these drones may be off."""
+"""A unit is 12 cm, so that the safe distance of 3 units holds 0.2 m and twice these drones' tracking error."""
 
 
 class OwnTime:
@@ -48,21 +47,21 @@ class OwnTime:
         return self.now_s
 
     def pass_(self, seconds: float) -> None:
-        """Let so much time pass."""
+        """Let time pass."""
         self.now_s += seconds
         if self.world is not None:
             self.world.run_until(self.now_s)
 
 
 class _Selector(selectors.DefaultSelector):
-    """Where an event loop would sleep, time passes instead."""
+    """Lets simulated time pass where an event loop would sleep."""
 
     def __init__(self, clock: OwnTime) -> None:
         super().__init__()
         self._clock = clock
 
     def select(self, timeout: float | None = None) -> Any:
-        """What has happened, or time."""
+        """Ready events; lets time pass if there are none."""
         events = super().select(0 if timeout is not None else None)
         if not events and timeout is not None and timeout > 0.0:
             self._clock.pass_(max(1e-4, min(timeout, STEP_S)))
@@ -70,7 +69,7 @@ class _Selector(selectors.DefaultSelector):
 
 
 class Watched(PhysicsWorld):
-    """A world that keeps, at every step, how far drones in the air are from their set-points and from each other."""
+    """A world that measures, at every step, the distances of flying drones from their set-points and each other."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self.errors: list[Any] = []
@@ -98,12 +97,12 @@ async def yes(_: object) -> bool:
 def fly(shape: str, n: int, **fields: Any) -> str:
     """One flight; a row of the table."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
-    config = with_drones(build_config_of(FlightConfig, {"mission": mission}, **{**FIELDS, **fields}))
+    config = with_drones(FlightConfig.build({"mission": mission}, **{**FIELDS, **fields}))
     homes = [start_of(config, drone) for drone in config.fleet.drones]
     clock = OwnTime()
     began = time.perf_counter()
     world = clock.world = Watched(homes, clock=clock)
-    limits: Limits = config.driver_limits
+    limits: MotionLimits = config.driver_limits
     robots = [world.robot(k, f"cf{k}", limits) for k in range(n)]
     with mock.patch("time.monotonic", clock):
         loop = asyncio.SelectorEventLoop(_Selector(clock))

@@ -1,4 +1,4 @@
-"""Swarms of processes: do they form, how fast against lockstep, and what does a robot cost.
+"""Swarms of processes: whether they form, how fast against lockstep, and the cost of a robot.
 
 `python -m benchmarks swarm` flies `RUNS` missions of ten processes with simulated models that take a moment
 (log-normal, median 0.3 s, sigma 0.6), and the same missions in lockstep with the same models. A lockstep round lasts as
@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import llm_flock
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
@@ -37,7 +36,7 @@ Meanwhile = Callable[[Swarm], Awaitable[None]]
 
 def config_of(robots: int, seed: int, **options: Any) -> SwarmConfig:
     base = {"shape": "circle", "n_robots": robots, "model": "simulated:brisk", "start": "connected", "seed": seed}
-    return build_config_of(SwarmConfig, {}, **{**base, "connect": "", "max_s": 120.0, **options})
+    return SwarmConfig.build({}, **{**base, "connect": "", "max_s": 120.0, **options})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +61,7 @@ def fly(
     absent: int = 0,
     wanted: int | None = None,
 ) -> Flight:
-    """One mission; `meanwhile` begins when the robots do, and it lasts so long, and until so many have formed."""
+    """One mission; `meanwhile` begins with the robots; it lasts `lasts_s`, and until `wanted` robots have formed."""
     n = config.mission.n_robots
 
     async def whole() -> Flight:
@@ -82,7 +81,7 @@ def fly(
             shares = {name: (_cpu_s(pid) - used[name]) / max(seconds, 1.0) for name, pid in pids.items()}
             robots = [name for name in pids if name.startswith("robot")]
             return Flight(
-                result=swarm.result(stopped, None),
+                result=swarm.result(stopped),
                 cpu=statistics.mean(shares[name] for name in robots),
                 world_cpu=shares["world"],
                 memory_mib=statistics.mean(_memory_mib(pids[name]) for name in robots),
@@ -104,13 +103,13 @@ def _cpu_s(pid: int) -> float:
 
 
 def _memory_mib(pid: int) -> float:
-    """Memory of its own, and its share of what is shared."""
+    """Private memory, and its share of shared memory."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
 def lockstep_s(config: SwarmConfig) -> float:
-    """Time until the same mission has formed in lockstep: what its rounds took to think, and a flight for each."""
+    """Time until the same mission has formed in lockstep: the models' time in each round, and a flight for each."""
     times: list[float] = []
     began = time.perf_counter()
     result = llm_flock.run(
@@ -152,8 +151,8 @@ def _against_lockstep(options: dict[str, Any]) -> None:
 
 
 SLOWER = 4.0
-"""Thirty processes share two cores: all periods are so many times as long, and bodies so many times slower. Of the
-lease as well: links on which nothing is said for a quarter of it carry signs of life, and 30 robots have 435 links."""
+"""Thirty processes share two cores: all periods are longer and bodies slower by this factor. The lease too: a link that
+is silent for a quarter of it carries signs of life, and 30 robots have 435 links."""
 
 
 def thirty() -> None:

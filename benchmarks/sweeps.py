@@ -1,4 +1,4 @@
-"""What a sweep costs: many simulated trials, and many trials that wait for one server."""
+"""The cost of a sweep: many simulated trials, and many trials that wait for one server."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def whole() -> None:
     """The 1,200 trials of experiments/simulated.toml in a pool of two processes."""
     sweep, began = load_sweep(SIMULATED), time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        standing = fly_sweep(sweep, Path(folder), jobs=2)
+        status = fly_sweep(sweep, Path(folder), jobs=2)
         took = time.perf_counter() - began
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     mib = (2 * children.ru_maxrss + resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024
-    print(f"{standing.finished} of {standing.trials} simulated trials, two processes")
+    print(f"{status.finished} of {status.trials} simulated trials, two processes")
     print(
         f"  {took:.0f} s (processor {children.ru_utime + children.ru_stime:.0f} s)   bar 360;   "
         f"{mib:.0f} MiB   bar 2048",

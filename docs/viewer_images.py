@@ -1,4 +1,4 @@
-"""Takes the pictures of docs/viewer.md: `python docs/viewer_images.py [FOLDER]`, with the extras `view` and `dev`.
+"""Takes the pictures of docs/how-to/viewer.md: `python docs/viewer_images.py [FOLDER]`, with extras `view` and `dev`.
 
 Every model in them is simulated. A real browser opens a real viewer; the pictures are reduced to 128 colours.
 """

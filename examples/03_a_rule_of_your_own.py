@@ -1,4 +1,4 @@
-"""A consensus rule of one's own: the plan with the smallest bounding box wins."""
+"""Your own consensus rule: the plan with the smallest bounding box wins."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from llm_flock.testing import check_consensus_rule
 
 
 def rank(plan: Plan) -> tuple[float, str]:
-    """Smaller is better; the digest settles ties, so that all robots settle them alike."""
+    """Smaller is better; the digest breaks ties, the same for all robots."""
     return float(np.ptp(plan.array, axis=0).prod()), plan.digest
 
 
@@ -24,7 +24,7 @@ class SmallestBox:
     name: str = "smallest-box"
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
-        """Adopt the smallest plan heard, if it is smaller than one's own."""
+        """Adopt the smallest plan heard, if it is smaller than the own one."""
         best: Message | None = None
         for message in heard:
             if message.plan is None:

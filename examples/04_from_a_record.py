@@ -1,4 +1,4 @@
-"""Record a run, read it back, draw it: what every figure and every later analysis starts from."""
+"""Record a run, read it back and draw it, as every figure and analysis does."""
 
 import tempfile
 from pathlib import Path

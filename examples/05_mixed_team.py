@@ -1,4 +1,4 @@
-"""Models differ by robot, some are faulty, and messages get lost: what the record says about it."""
+"""Robots with different models, some faulty, over links that lose messages; print what the record shows."""
 
 import llm_flock
 

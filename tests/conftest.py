@@ -1,4 +1,4 @@
-"""What holds for every test: no real network, no real model, no key from the environment.
+"""Rules for every test: no real network, no real model, no key from the environment.
 
 Unit and property tests may not open any connection; the other suites may talk to this machine only.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 import pydantic_ai.models
 import pytest
 from hypothesis import settings
+from skipped_waits import skip_waits
 
 TESTS = Path(__file__).parent
 OFFLINE_SUITES = ("unit", "property")
@@ -24,8 +26,13 @@ settings.register_profile("default", deadline=None, print_blob=True)
 settings.load_profile("default")
 
 
+# A shell starts jobs in the background with Ctrl-C ignored, and the processes that tests interrupt would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 class NetworkBlocked(AssertionError):
-    """A test tried to reach what its suite may not reach."""
+    """A test tried to open a connection that its suite may not open."""
 
 
 def is_loopback(host: Any) -> bool:
@@ -46,7 +53,7 @@ def suite_of(path: Path) -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Random cases run lines again and again that examples have covered: tracing them takes twice their time."""
+    """Leave coverage off in random cases: examples cover the same lines, and tracing doubles the time."""
     for item in items:
         if suite_of(item.path) == "property" and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
             item.add_marker("no_cover")
@@ -54,7 +61,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keys of real providers are out of reach, so that a test gives the same result everywhere."""
+    """Hide the keys of real providers, so that a test gives the same result everywhere."""
     for name in list(os.environ):
         if name.endswith("_API_KEY"):
             monkeypatch.delenv(name)
@@ -62,7 +69,7 @@ def no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def guarded_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Connections fail loudly: all of them in the offline suites, those that leave this machine elsewhere."""
+    """Make connections fail: all of them in the offline suites, those that leave this machine in the others."""
     offline = suite_of(request.path) in OFFLINE_SUITES
     monkeypatch.setattr(pydantic_ai.models, "ALLOW_MODEL_REQUESTS", not offline)
 
@@ -95,9 +102,15 @@ def guarded_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(socket, "getaddrinfo", guarded_resolve)
 
 
+@pytest.fixture
+def skipped_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skip the time in which the test's event loop only waits; `skipped_waits.py` says where that is allowed."""
+    skip_waits(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache that no other user of this machine sees: what tests keep there goes with them."""
+    """A cache folder for one test module, removed afterwards."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))

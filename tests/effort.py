@@ -8,5 +8,5 @@ EFFORT = float(os.environ.get("LLM_FLOCK_EFFORT", "1"))
 
 
 def cases(number: int) -> settings:
-    """So many random cases in a plain run, for tests that fly whole teams."""
+    """Draw this number of random cases in a plain run. For tests that fly whole teams."""
     return settings(max_examples=max(1, round(number * EFFORT)), deadline=None)

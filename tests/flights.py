@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from llm_flock.robots.simulated_robot import SimulatedRobot
-from llm_flock.runtime.config import build_config_of
-from llm_flock.runtime.flight.config import Drone, FlightConfig
+from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.flight.preflight import Report
+from llm_flock.runtime.flight.preflight import PreflightReport
 
 ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}
 BRISK = {"round_s": 0.6, "max_speed_m_s": 6.0, "take_off_s": 0.4, "land_s": 0.4, "settle_s": 0.3, "deadman": False}
@@ -27,10 +26,10 @@ def flight_config(
     room = {"shape": shape, "n_robots": n, **ROOM, **(mission or {})}
     if n == 4 and "drones" not in fields:
         fields["drones"] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
-    return with_drones(build_config_of(FlightConfig, {"mission": room}, **{**BRISK, "take_off_group": 10, **fields}))
+    return with_drones(FlightConfig.build({"mission": room}, **{**BRISK, "take_off_group": 10, **fields}))
 
 
-async def yes(report: Report) -> bool:
+async def yes(report: PreflightReport) -> bool:
     """Whoever confirms every flight."""
     return True
 
@@ -63,6 +62,6 @@ def flown(config: FlightConfig, sabotage: Sabotage | None = None, at: str = "rou
     return asyncio.run(fly(config, sabotage, at))
 
 
-def one_by_one(config: FlightConfig, drones: Sequence[Drone]) -> list[SimulatedRobot]:
+def one_by_one(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
     """A driver as a user may write one."""
     return [SimulatedRobot(drone.name, start_of(config, drone)) for drone in drones]

@@ -18,8 +18,10 @@ from llm_flock.record.schema import (
     MissionInfo,
     PlanInfo,
     ProtocolEvent,
+    RoundEnd,
     RunInfo,
     State,
+    SummaryMessage,
 )
 from llm_flock.record.writer import RecordSink, RecordWriter
 
@@ -88,21 +90,20 @@ class FakeRun:
         return np.hstack([flat, np.full((len(flat), self.dim - 2), 20.0)])
 
     def write(self, sink: RecordSink, *, finish: bool = True, llm: bool = True) -> None:
-        sink.run(run_info(self.seed))
+        sink.write(run_info(self.seed))
         mission = self.mission.model_dump(mode="json")
-        sink.mission(MissionInfo(version=0, round=0, mission=mission, ideal=self.ideal.tolist()))
+        sink.write(MissionInfo(version=0, round=0, mission=mission, ideal=self.ideal.tolist()))
         for number in range(self.rounds + 1):
             self.write_round(sink, number, llm=llm)
         if finish:
-            sink.summary(
-                {
-                    "formed": self.agree,
-                    "rounds": self.rounds,
-                    "rounds_to_formed": self.rounds if self.agree else None,
-                    "wall_s": 1.5,
-                    "cost_usd": None,
-                }
-            )
+            result = {
+                "formed": self.agree,
+                "rounds": self.rounds,
+                "rounds_to_formed": self.rounds if self.agree else None,
+                "wall_s": 1.5,
+                "cost_usd": None,
+            }
+            sink.write(SummaryMessage(result=result))
 
     def write_round(self, sink: RecordSink, number: int, *, llm: bool = True) -> None:
         n = self.mission.n_robots
@@ -110,12 +111,12 @@ class FakeRun:
         leaders = [0 if self.agree and min(i, n - i) < number else i for i in range(n)]
         if number == 1:
             for robot, plan in enumerate(self.plans):
-                sink.plan(PlanInfo(round=1, plan_id=plan.digest, proposer=robot, points=plan.array.tolist()))
+                sink.write(PlanInfo(round=1, plan_id=plan.digest, proposer=robot, points=plan.array.tolist()))
         if number:
             for robot in range(n if llm else 0):
-                sink.llm(llm_entry(number, robot))
+                sink.write(llm_entry(number, robot))
             for robot in range(n):
-                sink.event(
+                sink.write(
                     ProtocolEvent(
                         round=number, comm_round=0, robot=robot, kind="adopted", detail={"plan": None, "from": 1}
                     )
@@ -124,7 +125,7 @@ class FakeRun:
         share = 0.0 if not self.rounds else min(1.0, 1.2 * number / self.rounds)
         positions = self.start + share * (goals - self.start)
         none: list[Any] = [None] * n
-        sink.state(
+        sink.write(
             State(
                 round=number,
                 positions=positions.tolist(),
@@ -139,7 +140,7 @@ class FakeRun:
         )
         distances = graph.distances(positions) + np.diag(np.full(n, np.inf))
         error = float(np.linalg.norm(positions - goals, axis=1).mean())
-        sink.metrics(
+        sink.write(
             MetricsRow(
                 round=number,
                 procrustes_mean=error,
@@ -158,7 +159,7 @@ class FakeRun:
                 messages_rejected={},
             )
         )
-        sink.end_round(number)
+        sink.write(RoundEnd(round=number))
 
 
 def make_record(path: Path, *, finish: bool = True, llm: bool = True, **fake: Any) -> Path:

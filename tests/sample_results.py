@@ -8,7 +8,8 @@ from typing import Any
 from sample_records import FakeRun
 
 from llm_flock.experiments import tables
-from llm_flock.experiments.store import Store, StoredTrial
+from llm_flock.experiments.store import Store
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.record.writer import RecordWriter
 from llm_flock.runtime.config import load_config
 from llm_flock.runtime.result import Summary
@@ -34,7 +35,7 @@ def summary(**changes: Any) -> dict[str, Any]:
     return fields | changes
 
 
-def trial(shape: str, n: int, protocol: str, seed: int, **changes: Any) -> StoredTrial:
+def trial(shape: str, n: int, protocol: str, seed: int, **changes: Any) -> TrialResult:
     """`flock` forms in seed + 4 rounds; the others never do and come too near; each ends in its own way for seed 0."""
     good = protocol == "flock"
     config = load_config(None, shape=shape, n_robots=n, protocol=protocol, seed=seed, model="openai:o3-mini")
@@ -75,7 +76,7 @@ def trial(shape: str, n: int, protocol: str, seed: int, **changes: Any) -> Store
     }
     if protocol == "baseline" and seed == 5:
         fields |= {"summary": None, "error": "ZeroDivisionError: in a rule", "rounds": {k: [] for k in rounds}}
-    return StoredTrial(**fields | changes)
+    return TrialResult(**fields | changes)
 
 
 def write_results(folder: Path, *, records: bool = True, **changes: Any) -> Path:

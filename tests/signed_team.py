@@ -56,7 +56,7 @@ Talk = Callable[[], Sequence[bytes]]
 
 def channel_of(agent: Agent) -> SignedChannel:
     """The signed channel of an agent with keys."""
-    channel = agent._exchange._channel
+    channel = agent._messaging._channel
     assert isinstance(channel, SignedChannel)
     return channel
 

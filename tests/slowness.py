@@ -1,13 +1,13 @@
-"""How much slower than the machine for which time limits were set this one is at the moment."""
+"""How slow this machine is now, compared with the one for which time limits were set."""
 
 import time
 
 REFERENCE_S = 0.017
-"""What the loop below takes there: 0.037 s where one and the same trial took 2.2 times as long as there."""
+"""Time of the loop below on the reference machine [s]. Where it takes 0.037 s, a trial takes 2.2 times as long."""
 
 
 def slowness() -> float:
-    """A factor for time limits, at least 1: the quickest of five loops, as a share of the reference."""
+    """A factor for time limits, at least 1: the fastest of five loops, relative to the reference."""
     best = float("inf")
     for _ in range(5):
         began, total = time.perf_counter(), 0

@@ -134,7 +134,7 @@ class StillTeam:
         return [robot for robot in range(len(self.agents)) if robot not in self.silent]
 
     @property
-    def living(self) -> list[Agent]:
+    def active(self) -> list[Agent]:
         """The agents that run."""
         return [self.agents[robot] for robot in self.awake]
 
@@ -159,7 +159,7 @@ class StillTeam:
                     self.agents[i].handle(Planned(PlanAnswer(plan=turned_plan(effect.question), slot=i)))
         for _ in range(COMM_ROUNDS):
             self._comm_round(heard_by, junk)
-        for agent in self.living:
+        for agent in self.active:
             effects: list[Effect] = agent.handle(AgreementEnded())
             if isinstance(effects[-1], AskStep):
                 agent.handle(Decided(NoAnswer(cause="answer", reason="bodies stand still")))
@@ -173,7 +173,7 @@ class StillTeam:
         for i, payload in self.transport.deliver():
             if i not in self.silent:
                 self.agents[i].handle(Received(payload))
-        for agent in self.living:
+        for agent in self.active:
             for payload in junk:
                 agent.handle(Received(payload))
             agent.handle(CommRoundEnded())
@@ -198,15 +198,15 @@ def assert_at_rest(team: StillTeam, rejected: Mapping[str, int] | None = None) -
         team: the team.
         rejected: how many messages each robot has refused, by reason; none if left out.
     """
-    living = team.living
-    assert len({agent.mission.digest for agent in living}) == 1
-    assert len({agent.plan for agent in living}) == 1
-    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in living)
-    tables = {agent.claim.table for agent in living}
+    active = team.active
+    assert len({agent.mission.digest for agent in active}) == 1
+    assert len({agent.plan for agent in active}) == 1
+    assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in active)
+    tables = {agent.claim.table for agent in active}
     assert len(tables) == 1
     (table,) = tables
     assert table is not None
-    claimed = {agent.claim.slot: agent.robot for agent in living if agent.claim.slot is not None}
+    claimed = {agent.claim.slot: agent.robot for agent in active if agent.claim.slot is not None}
     owners = {a: owner for a, (_, _, owner) in enumerate(table) if owner >= 0}
     assert owners == claimed, "slots belong to the robots that claim them"
-    assert all(agent.rejected == (rejected or {}) for agent in living)
+    assert all(agent.rejected == (rejected or {}) for agent in active)

@@ -7,16 +7,15 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from llm_flock.runtime.config import build_config_of
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
 
 
 def swarm_config(robots: int = 5, *, seed: int = 1, **options: Any) -> SwarmConfig:
-    """A team that starts in radio contact, whose models take a moment, on a port of its own."""
+    """A team that starts in radio contact, with models that take a moment to answer, on a free port."""
     base = {"shape": "circle", "n_robots": robots, "model": "simulated:brisk", "seed": seed, "start": "connected"}
-    return build_config_of(SwarmConfig, {}, **{**base, "connect": "", "max_s": 90.0, **options})
+    return SwarmConfig.build({}, **{**base, "connect": "", "max_s": 90.0, **options})
 
 
 def fly(
@@ -26,7 +25,7 @@ def fly(
     until: Callable[[Observer], bool] | None = None,
     absent: frozenset[int] = frozenset(),
 ) -> SwarmResult:
-    """Fly a mission; what happens meanwhile begins when the robots do. Nobody is left afterwards."""
+    """Fly a mission and check that no process is left; `meanwhile` starts when the robots have begun."""
     pids: set[int] = set()
 
     async def all_of_it() -> SwarmResult:
@@ -39,7 +38,7 @@ def fly(
             await asyncio.gather(task, return_exceptions=True)
             if not task.cancelled() and (error := task.exception()) is not None:
                 raise error
-            return swarm.result(stopped, config.trial.out)
+            return swarm.result(stopped)
 
     result = asyncio.run(all_of_it())
     assert not living(pids), "processes were left behind"
@@ -47,7 +46,7 @@ def fly(
 
 
 async def _when_begun(swarm: Swarm, meanwhile: Callable[[Swarm], Awaitable[None]] | None) -> None:
-    while swarm.observer.began_s is None:  # noqa: ASYNC110 - nobody sets an event
+    while swarm.observer.began_s is None:  # noqa: ASYNC110 - there is no event to wait for
         await asyncio.sleep(0.05)
     if meanwhile is not None:
         await meanwhile(swarm)
@@ -58,7 +57,7 @@ def formed(observer: Observer) -> bool:
 
 
 def living(pids: set[int]) -> set[int]:
-    """Those of these processes that are still there, and not only waiting to be buried."""
+    """The processes that still run; zombies do not count."""
 
     def lives(pid: int) -> bool:
         try:

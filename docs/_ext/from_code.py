@@ -1,24 +1,39 @@
 """Directives that draw pages from the code, so that the pages cannot fall behind it.
 
-`agent-states`  diagram and table of the agent's transitions
-`cli-options`   every command of the command line with its arguments and options
-`config-fields` every field of the configuration file with default and description
-`summary-keys`  every key that `run --json` prints
-`sweep-fields`  every field of a sweep's own tables
+`agent-states`       diagram and table of the agent's transitions
+`cli-options`        every command of the command line with its arguments and options
+`config-fields`      every field of the configuration file with default and description
+`summary-keys`       every key that `run --json` prints
+`sweep-fields`       every field of a sweep's own tables
 `result-columns TABLE` every column of `trials` or `rounds`, the tables of a sweep
+`message-fields`     every field of a protocol message
+`rooms [PACKAGE]`    the packages by import layer, or those of a package, one line each
+`modules`            the modules of each package, one line each
+`protocol-constants` every documented constant of the protocol with its value
 """
 
 from __future__ import annotations
 
+import ast
 import html
 import math
+import re
+import tomllib
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "llm_flock"
+
+LONGEST_VALUE = 40
+"""Constants whose value is longer than this [characters] are tables of the code, not figures of the protocol."""
 
 WIDTH, HEIGHT = 760, 520
 BOX_W, BOX_H = 124, 38
@@ -33,14 +48,20 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], code_columns: in
     def row(cells: Sequence[str], as_code: bool) -> nodes.row:
         line = nodes.row()
         for column, text in enumerate(cells):
-            inline = nodes.literal(text=text) if as_code and column < code_columns and text else nodes.Text(text)
-            line += nodes.entry("", nodes.paragraph("", "", inline))
+            inline = [nodes.literal(text=text)] if as_code and column < code_columns and text else spans(text)
+            line += nodes.entry("", nodes.paragraph("", "", *inline))
         return line
 
     head += row(header, as_code=False)
     body += [row(cells, as_code=True) for cells in rows]
     group += [head, body]
     return nodes.table("", group)
+
+
+def spans(text: str) -> list[nodes.Node]:
+    """Plain words, with what stands between backticks as code."""
+    parts = text.split("`")
+    return [nodes.literal(text=part) if k % 2 else nodes.Text(part) for k, part in enumerate(parts) if part]
 
 
 class AgentStates(SphinxDirective):
@@ -52,8 +73,31 @@ class AgentStates(SphinxDirective):
         edges = [
             (str(source), event.__name__, sorted(map(str, targets))) for (source, event), targets in TRANSITIONS.items()
         ]
-        rows = [(source, event, " or ".join(targets)) for source, event, targets in edges]
-        return [nodes.raw("", draw(edges), format="html"), table(("Phase", "Event", "Leads to"), rows, 2)]
+        always = everywhere(edges)
+        ends = [event for event in dict.fromkeys(event for _, event, _ in edges) if final(edges, event)]
+        rows = [(s, event, " or ".join(targets)) for s, event, targets in edges if event not in (*always, *ends)]
+        rows += [(s, event, " or ".join(targets)) for s, event, targets in edges if event in always and targets != [s]]
+        rows += [("any phase", event, "the same phase") for event in always]
+        rows += [("any phase", event, final(edges, event)) for event in ends]
+        drawn = draw([edge for edge in edges if edge[1] not in always or set(edge[2]) != {edge[0]}])
+        return [nodes.raw("", drawn, format="html"), table(("Phase", "Event", "Leads to"), rows, 2)]
+
+
+def everywhere(edges: list[tuple[str, str, list[str]]]) -> list[str]:
+    """Events that every phase with a way out takes and that only one phase, if any, leaves by."""
+    phases = {source for source, _, _ in edges}
+    stays: dict[str, int] = defaultdict(int)
+    for source, event, targets in edges:
+        stays[event] += source in targets
+    return [event for event, count in stays.items() if count == len(phases)]
+
+
+def final(edges: list[tuple[str, str, list[str]]], event: str) -> str:
+    """The one phase to which an event leads from all others; empty where there is no such phase."""
+    sources = {source for source, _, _ in edges}
+    leads = {source: targets for source, name, targets in edges if name == event}
+    one = {target for targets in leads.values() for target in targets}
+    return one.pop() if leads.keys() == sources and len(one) == 1 else ""
 
 
 def draw(edges: list[tuple[str, str, list[str]]]) -> str:
@@ -238,6 +282,107 @@ class ResultColumns(SphinxDirective):
         return [table(("Column", "Type", "Unit", "Meaning"), rows, 1)]
 
 
+class MessageFields(SphinxDirective):
+    """The fields of a protocol message, from its docstring."""
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.protocol.messages.message import Message
+
+        return [table(("Field", "Meaning"), attributes(Message), 1)]
+
+
+def packages() -> Iterator[tuple[str, Path]]:
+    """Dotted name below `llm_flock` and folder of every package, in the order of their names."""
+    for init in sorted(SOURCE.rglob("__init__.py")):
+        yield ".".join(init.parent.relative_to(SOURCE).parts), init.parent
+
+
+def first_line(module: Path) -> str:
+    """The first line of a module's docstring; empty where it has none."""
+    text = ast.get_docstring(ast.parse(module.read_text(encoding="utf-8")))
+    return (text or "").partition("\n")[0]
+
+
+class Rooms(SphinxDirective):
+    """One row for each package: by layer, the highest first, or those within a package that is named."""
+
+    optional_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        if self.arguments:
+            inside = f"{self.arguments[0]}."
+            rows = [(name, first_line(path / "__init__.py")) for name, path in packages() if name.startswith(inside)]
+            return [table(("Package", "What it is for"), rows)]
+        rows = [(str(level), name, first_line(source(name))) for level, name in by_layer()]
+        return [table(("Layer", "Package or module", "What it is for"), rows, 2)]
+
+
+def source(name: str) -> Path:
+    """The file with the docstring of a package or module at the top of the tree."""
+    package = SOURCE / name / "__init__.py"
+    return package if package.exists() else SOURCE / f"{name}.py"
+
+
+def by_layer() -> list[tuple[int, str]]:
+    """Every name in the import contract with the number of its layer, 1 for the lowest; the highest first."""
+    found = layers()
+    return [(len(found) - k, name) for k, layer in enumerate(found) for name in re.findall(r"\w+", layer)]
+
+
+class Modules(SphinxDirective):
+    """One section for each package, one row for each of its modules."""
+
+    def run(self) -> list[nodes.Node]:
+        sections: list[nodes.Node] = []
+        for name, folder in packages():
+            rows = [(path.name, first_line(path)) for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+            if rows:
+                title = name or "llm_flock"
+                section = nodes.section(ids=[nodes.make_id(f"modules {title}")], names=[f"modules {title}"])
+                section += nodes.title("", "", nodes.literal(text=title))
+                section += table(("Module", "What it is for"), rows)
+                sections.append(section)
+        return sections
+
+
+def layers() -> list[str]:
+    """The layers of the import contract, the highest first."""
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = config["tool"]["importlinter"]["contracts"]
+    return next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+
+
+def constants(module: Path) -> list[tuple[str, str, str]]:
+    """Name, value and docstring of every documented public constant of a module."""
+    body = ast.parse(module.read_text(encoding="utf-8")).body
+    found: list[tuple[str, str, str]] = []
+    for node, after in pairwise(body):
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        if not isinstance(after, ast.Expr) or not isinstance(after.value, ast.Constant):
+            continue
+        name = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target).strip("()")
+        if re.fullmatch(r"[A-Z][A-Z0-9_]*(, [A-Z][A-Z0-9_]*)*", name):
+            found.append((name, ast.unparse(node.value), " ".join(str(after.value.value).split())))
+    return found
+
+
+class ProtocolConstants(SphinxDirective):
+    """One section for each module of the protocol that has constants."""
+
+    def run(self) -> list[nodes.Node]:
+        sections: list[nodes.Node] = []
+        for path in sorted((SOURCE / "protocol").rglob("*.py")):
+            rows = [row for row in constants(path) if len(row[1]) <= LONGEST_VALUE]
+            if rows:
+                title = ".".join(path.relative_to(SOURCE / "protocol").with_suffix("").parts)
+                section = nodes.section(ids=[nodes.make_id(f"constants {title}")], names=[f"constants {title}"])
+                section += nodes.title("", "", nodes.literal(text=title))
+                section += table(("Constant", "Value", "Meaning"), rows, 2)
+                sections.append(section)
+        return sections
+
+
 def attributes(documented: type) -> list[tuple[str, str]]:
     """Name and meaning of each attribute in a class's docstring, in their order."""
     found: list[tuple[str, str]] = []
@@ -258,4 +403,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("summary-keys", SummaryKeys)
     app.add_directive("sweep-fields", SweepFields)
     app.add_directive("result-columns", ResultColumns)
+    app.add_directive("message-fields", MessageFields)
+    app.add_directive("rooms", Rooms)
+    app.add_directive("modules", Modules)
+    app.add_directive("protocol-constants", ProtocolConstants)
     return {"parallel_read_safe": True}

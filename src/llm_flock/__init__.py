@@ -1,5 +1,7 @@
 """LLM-Flock: robots that agree on a formation, each with its own language model, without a central controller.
 
+Everything that a program needs for a run is here:
+
 import llm_flock
 
 mission = llm_flock.Mission(shape="circle", n_robots=10)
@@ -31,7 +33,7 @@ __all__ = [
     "run_async",
 ]
 
-_WHERE = {
+_MODULES = {
     "Mission": "llm_flock.mission",
     "build_mission": "llm_flock.mission",
     "read_record": "llm_flock.record.reader",
@@ -43,12 +45,9 @@ _WHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load the heavy parts (the model layer above all, about a second) when they are first used.
-
-    A viewer is there in half the time where it needs none of them.
-    """
-    if name not in _WHERE:
+    """Load a public name on first use: importing the model layer takes about a second."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'llm_flock' has no attribute {name!r}")
     import importlib
 
-    return getattr(importlib.import_module(_WHERE[name]), name)
+    return getattr(importlib.import_module(_MODULES[name]), name)

@@ -1,12 +1,12 @@
-"""Entry point of `llm-flock` and `python -m llm_flock`; imports the rest where Ctrl-C can already be caught."""
+"""Entry point of `llm-flock` and `python -m llm_flock`; imports the rest only once Ctrl-C can be caught."""
 
 import sys
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it with exit code 130, whenever it comes."""
+    """Run the command line. Ctrl-C ends it with exit code 130 at any time."""
     try:
-        if sys.argv[1:2] == ["view"]:  # whoever wants to look does not wait for what it takes to fly
+        if sys.argv[1:2] == ["view"]:  # the viewer starts without importing the simulator and the model layer
             from llm_flock.viewer.command import main as command_line
         else:
             from llm_flock.cli import main as command_line

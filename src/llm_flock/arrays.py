@@ -25,9 +25,9 @@ Point: TypeAlias = tuple[float, ...]
 """One position as plain numbers, length d [units; world frame]."""
 
 MAX_COORDINATE = 1e6
-"""Largest absolute coordinate of a mission, and of what models answer [units]; doubles keep it to 1e-10."""
+"""Largest absolute coordinate in a mission or in a model's answer [units]; a double resolves it to about 1e-10."""
 
 
 def moved(point: Point, by: Point, share: float = 1.0) -> Point:
-    """A point moved by a displacement, or by a share of it [units]; the point itself where `by` is empty."""
+    """The point moved by `share` times the displacement `by` [units]; the point itself if `by` is empty."""
     return tuple(x + share * d for x, d in zip(point, by, strict=True)) if by else point

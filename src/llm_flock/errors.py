@@ -1,16 +1,16 @@
 """Every exception the package raises on purpose, on one screen.
 
-Whose fault it is decides the class: the operator's input, a peer's message, a model's answer,
-a provider's service, or a file on disk.
+The class names the source of the fault: the operator's input, a peer's message, a model's answer, a provider's
+service, a robot, or a file on disk.
 
     FlockError
-    |-- InputError          the operator asked for something that is not allowed
-    |-- MessageError        a peer sent something that is not acceptable
-    |-- AnswerError         a model's answer cannot be used (the reason can be told to the model)
+    |-- InputError          the operator gave a value that is not allowed
+    |-- MessageError        a peer sent a message that is not acceptable
+    |-- AnswerError         a model's answer cannot be used (the reason can be sent to the model)
     |-- ModelError          a provider did not answer (time-out, rate limit, cut connection, refusal)
     |   `-- BudgetExceeded  the run's own limit on calls, tokens or money is used up
-    |-- ReplayDrift         a replayed conversation asks something other than what was recorded
-    |-- RobotError          a robot cannot do, or did not confirm, what it was told (llm_flock.robots.base)
+    |-- ReplayDrift         a replayed run sends a question that differs from the recorded one
+    |-- RobotError          a robot cannot execute, or did not confirm, a command (llm_flock.robots.base)
     `-- RecordError         a record cannot be read or written
 """
 
@@ -36,9 +36,13 @@ class InputError(FlockError):
         self.allowed = allowed
         super().__init__(f"{field} = {value!r} is not allowed: {allowed}")
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
+        # Lets a worker process hand it to its parent.
+        return type(self), (self.field, self.value, self.allowed)
+
 
 class MessageError(FlockError):
-    """A message from a peer was rejected; `reason` is a short stable word that is counted."""
+    """A message from a peer was rejected; `reason` is a short, stable word under which rejections are counted."""
 
     def __init__(self, reason: str, detail: str = "") -> None:
         self.reason = reason
@@ -47,7 +51,7 @@ class MessageError(FlockError):
 
 
 class AnswerError(FlockError):
-    """A model's answer cannot be used; the message says why, in words that the model can act on."""
+    """A model's answer cannot be used; the message gives the reason in words that the model can act on."""
 
 
 class ModelError(FlockError):
@@ -55,10 +59,10 @@ class ModelError(FlockError):
 
     Attributes:
         kind: `timeout`, `rate_limit`, `server`, `connection`, `refused` (a 4xx other than 429),
-            `garbage` (the response is not of the provider's protocol) or `budget`.
-        retry_after_s: what the provider asked us to wait [s], where it said so.
-        faults: kinds of all faults met before giving up, in order.
-        model: `provider:model` that failed, where it is not the one that was asked (a replayed conversation).
+            `garbage` (the response does not follow the provider's protocol) or `budget`.
+        retry_after_s: waiting time that the provider asked for [s]; None if it did not.
+        faults: kinds of all faults before the client gave up, in order.
+        model: `provider:model` that failed, if it differs from the model that was asked (a replayed conversation).
     """
 
     def __init__(
@@ -80,7 +84,7 @@ class BudgetExceeded(ModelError):
 
 
 class ReplayDrift(FlockError):
-    """A replayed run asks a question that the cassette does not hold, or holds differently."""
+    """A replayed run sends a question that is missing from the recording, or recorded with other contents."""
 
 
 class RecordError(FlockError):

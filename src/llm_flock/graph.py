@@ -1,4 +1,4 @@
-"""The disk graph of a team: who hears whom, and what follows from it."""
+"""The communication graph of a team: robots are neighbours if they are within radio range of each other."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def distances(positions: ArrayLike) -> Pairwise:
 
 
 def adjacency(positions: ArrayLike, comm_range: float) -> Mask:
-    """Which robots are neighbours N_i: at most `comm_range` apart, nobody of itself (paper, equation 1 and line 129).
+    """Whether each two robots are neighbours: at most `comm_range` apart, and different (paper, equation 1, line 129).
 
     Args:
         positions: shape (n, d) [units].
@@ -37,12 +37,12 @@ def adjacency(positions: ArrayLike, comm_range: float) -> Mask:
 
 
 def neighbors(positions: ArrayLike, comm_range: float) -> tuple[tuple[int, ...], ...]:
-    """The neighbours N_i of each robot, in ascending order; arguments as for `adjacency`."""
+    """The neighbours N_i of each robot by number, in ascending order; arguments as for `adjacency`."""
     return tuple(tuple(np.flatnonzero(row).tolist()) for row in adjacency(positions, comm_range))
 
 
 def influence(positions: ArrayLike, comm_range: float) -> Vector:
-    """Influence I_i = |N_i| / N of each robot (paper, equation 1), shape (n,); at most (N - 1) / N.
+    """Influence I_i = |N_i| / N of each robot (paper, equation 1), shape (n,), 0 .. (N - 1) / N.
 
     Arguments as for `adjacency`.
     """
@@ -51,7 +51,7 @@ def influence(positions: ArrayLike, comm_range: float) -> Vector:
 
 
 def is_connected(adjacent: Mask) -> bool:
-    """Whether the graph is one piece; a robot alone is.
+    """Whether there is a path between any two robots; True for a single robot.
 
     Args:
         adjacent: shape (n, n), symmetric; the diagonal does not matter.
@@ -66,10 +66,10 @@ def is_connected(adjacent: Mask) -> bool:
 
 
 def diameter(adjacent: Mask) -> int | None:
-    """Largest number of hops between two robots, or None where the graph is not one piece.
+    """Largest number of hops between two robots; None if the graph is not connected.
 
-    Max-consensus on plans takes that many communication rounds on a fixed graph without loss. Argument as for
-    `is_connected`.
+    On a fixed graph without message loss, max-consensus on plans takes this many communication rounds. Argument as
+    for `is_connected`.
     """
     hops = np.asarray(shortest_path(csr_array(adjacent), directed=False, unweighted=True))
     longest = float(hops.max())

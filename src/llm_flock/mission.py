@@ -1,4 +1,4 @@
-"""What a team is asked to do: validated, immutable, the same object for every part of the system."""
+"""The mission: a validated, immutable description of the formation, the team, and the team's limits."""
 
 from __future__ import annotations
 
@@ -17,38 +17,37 @@ from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 
 MIN_LENGTH = 1e-3
-"""Smallest length that a mission may ask for [units]: plans are rounded to a thousandth of it."""
+"""Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
 
 MAX_ROBOTS = 2_000
-"""Most robots of a mission. The figures of a run are exact and look at all pairs of robots: at 1,000 robots the shape
-error of one round takes a minute, and it grows with about the third power."""
+"""Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
+one round can take a minute, and the time grows with about the third power of the team size."""
 
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=MIN_LENGTH, allow_inf_nan=False)]
 
 ORIENTATIONS = 72
-"""In so many turns of the shape room among the obstacles is looked for."""
-SAFETY_FIELDS = ("n_robots", "safe_distance", "max_step", "comm_range", "sense_range", "arena", "obstacles")
-"""What a robot knows of itself and its surroundings: no mission that comes over the radio may change it."""
+"""Number of evenly spaced orientations in which the shape is tried among the obstacles."""
+
 START_DENSITY = 0.35
 """Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
 
 
 def start_volume(n_robots: int, dim: int, safe_distance: float) -> float:
-    """Volume of the smallest arena in which that many random starts, safe_distance apart, are drawn [units^dim]."""
+    """Volume of the smallest arena that has room for `n_robots` random starts, `safe_distance` apart [units^dim]."""
     ball = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1) * (safe_distance / 2) ** dim
     return n_robots * ball / START_DENSITY
 
 
 class Mission(BaseModel):
-    """A formation to build, the team that builds it, and the limits it must respect.
+    """A formation to build, the team that builds it, and the limits that the team must respect.
 
-    Defaults are the paper's (section 4: spacing 10, safe distance 3, 6 units a round, radio range 15,
-    arena 100 x 100, centre [50, 50]). Lengths are in mission units, in the world frame.
+    The defaults are those of the paper (section 4: spacing 10, safe distance 3, 6 units per round, radio range 15,
+    arena 100 x 100, centre [50, 50]). Lengths are in mission units, positions in the world frame.
 
     Raises:
-        ValidationError: pydantic's, where a field by itself is wrong (`Mission(n_robots=0)`).
-        InputError: where fields do not go together. `build_mission` raises this one for both.
+        ValidationError: a single field is invalid (`Mission(n_robots=0)`); raised by pydantic.
+        InputError: fields contradict each other. `build_mission` raises InputError in both cases.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -58,42 +57,40 @@ class Mission(BaseModel):
     )
     n_robots: int = Field(default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
     places: int | None = Field(
-        default=None, ge=1, le=MAX_ROBOTS, description="Places of the formation; one for each robot if unset"
+        default=None, ge=1, le=MAX_ROBOTS, description="Number of places in the formation; one per robot if unset"
     )
     center: tuple[Coordinate, ...] = Field(default=(50.0, 50.0), description="Centre of the formation [units]")
     velocity: tuple[Coordinate, ...] | None = Field(
-        default=None, description="Velocity of the centre [units per round]; it stands still if unset"
+        default=None, description="Velocity of the centre [units per round]; the formation stands still if unset"
     )
-    since: int = Field(default=0, ge=0, description="Round in which a moving centre is at `center`")
+    since: int = Field(default=0, ge=0, description="Round in which a moving formation has its centre at `center`")
     spacing: Length = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
-    safe_distance: Length = Field(
-        default=3.0, description="Smallest distance allowed between any two robots d_s [units]"
-    )
+    safe_distance: Length = Field(default=3.0, description="Smallest allowed distance between two robots d_s [units]")
     max_step: Length = Field(default=6.0, description="Longest move in one round v_m [units]")
     comm_range: Length = Field(default=15.0, description="Radio range r_comm [units]")
     sense_range: Length | None = Field(
         default=None, description="Range of the position sensors [units]; comm_range if unset"
     )
     arena: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] = Field(
-        default=((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corner of the flight space [units]"
+        default=((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corners of the flight space [units]"
     )
     points: tuple[tuple[Coordinate, ...], ...] | None = Field(
-        default=None, description="Target points of the shape 'points' [units], used relative to their own mean"
+        default=None, description="Target points of the shape 'points' [units]; only their relative positions matter"
     )
     obstacles: tuple[Obstacle, ...] = Field(
-        default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots keep clear of"
+        default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots must avoid"
     )
 
     @model_validator(mode="before")
     @classmethod
     def _fill_from_points(cls, data: Any) -> Any:
-        """`points` alone says what the shape is, how many places it has, and, unless given, how many robots."""
+        """Derive the shape, the number of places and, unless given, the number of robots from `points`."""
         if not isinstance(data, dict):
             return data
         given = cast("dict[str, Any]", data)
         points = given.get("points")
         if not isinstance(points, Sized):
-            return given  # nothing was given, or what the field itself will refuse
+            return given  # absent, or of a type that the field's own validation refuses
         if not len(points):
             raise InputError("points", points, "at least one point")
         filled = {"shape": "points", "n_robots": len(points), **given}
@@ -120,7 +117,7 @@ class Mission(BaseModel):
         return self
 
     def _check_velocity(self) -> None:
-        """Robots must be able to catch up with their places."""
+        """Check that robots can catch up with their moving places."""
         if self.velocity is None:
             return
         if len(self.velocity) != self.dim:
@@ -130,12 +127,12 @@ class Mission(BaseModel):
             raise InputError(
                 "velocity",
                 list(self.velocity),
-                f"at most max_step / 2 = {self.max_step / 2:g} a round, so that robots can catch up with their places "
-                f"(here {speed:.4g})",
+                f"at most max_step / 2 = {self.max_step / 2:g} per round, so that robots can catch up with their "
+                f"places (here {speed:.4g})",
             )
 
     def _check_room(self) -> None:
-        """Random starts at least `safe_distance` apart must exist, and be found by drawing."""
+        """Check that random starts at least `safe_distance` apart exist, and that drawing can find them."""
         low, high = self.arena
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
         most = max(1, int(volume / start_volume(1, len(low), self.safe_distance)))
@@ -145,9 +142,16 @@ class Mission(BaseModel):
             )
 
     def check_shape(self) -> None:
-        """Raise InputError unless the shape exists for that number, keeps the safe distance, and fits the arena."""
+        """Check the shape alone. Call after a change of `places`; construction does it by itself.
+
+        Raises:
+            InputError: the shape does not exist for this number of places, violates the safe distance, or does not
+                fit into the arena.
+        """
         if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
-            raise InputError("points", "given" if self.points else "missing", "points together with shape 'points'")
+            raise InputError(
+                "points", "given" if self.points else "missing", "given with shape 'points', and only with it"
+            )
         if self.points is not None and any(len(p) != len(self.center) for p in self.points):
             raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
         ideal = self._ideal_points()
@@ -165,13 +169,13 @@ class Mission(BaseModel):
             raise InputError(
                 "arena",
                 [list(low), list(high)],
-                f"at least {reach:.4g} units from center to every wall: '{self.shape}' of {self.n_places} "
-                f"{'robots' if self.places is None else 'places'} with spacing {self.spacing:g} reaches that far "
+                f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of "
+                f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g} "
                 f"(here {room:.4g})",
             )
 
     def _check_obstacles(self) -> None:
-        """Obstacles must be of this space, and leave the shape room in some orientation."""
+        """Check that obstacles have the mission's dimension and leave room for the shape in some orientation."""
         for obstacle in self.obstacles:
             if obstacle.dim != self.dim:
                 allowed = f"{self.dim} coordinates, as the centre has"
@@ -187,12 +191,12 @@ class Mission(BaseModel):
         raise InputError(
             "obstacles",
             f"{len(self.obstacles)} obstacles",
-            f"room for '{self.shape}' around the centre in some orientation, every place at least "
-            f"safe_distance / 2 = {self.body_radius:g} from every obstacle",
+            f"obstacles that leave room for '{self.shape}' around the centre in some orientation, with every place at "
+            f"least safe_distance / 2 = {self.body_radius:g} from every obstacle",
         )
 
     def _ideal_points(self) -> Points | None:
-        """What `ideal` gives, shape (n_places, d); what the shape says against a number is said of the right field."""
+        """The points of `ideal`, shape (n_places, d). An error about the number names the field that sets it."""
         try:
             return formations.ideal_points(self.shape, self.n_places, self.center, self.spacing, self.points)
         except InputError as error:
@@ -202,12 +206,12 @@ class Mission(BaseModel):
 
     @property
     def n_places(self) -> int:
-        """How many places the formation has: fewer than robots leave spares, more leave gaps."""
+        """Number of places in the formation. Fewer than robots leave spare robots, more leave empty places."""
         return self.n_robots if self.places is None else self.places
 
     @property
     def body_radius(self) -> float:
-        """How far the centre of a robot stays from obstacles: half the safe distance [units]."""
+        """Smallest allowed distance of a robot's centre from an obstacle: half the safe distance [units]."""
         return self.safe_distance / 2
 
     def __hash__(self) -> int:
@@ -218,7 +222,7 @@ class Mission(BaseModel):
 
     @cached_property
     def dim(self) -> int:
-        """Dimension d of space."""
+        """Dimension d of the flight space, 2 or 3."""
         return len(self.center)
 
     @property
@@ -228,18 +232,18 @@ class Mission(BaseModel):
 
     @cached_property
     def ideal(self) -> tuple[Point, ...] | None:
-        """Ideal target points of the shape in its reference orientation, or None where none is known."""
+        """Ideal target points of the shape in its reference orientation [units]; None for a shape in words."""
         points = self._ideal_points()
         return None if points is None else tuple(tuple(float(x) for x in row) for row in points)
 
     @cached_property
     def digest(self) -> str:
-        """16 hexadecimal digits that stand for the content of this mission."""
+        """16 hexadecimal digits that identify the content of this mission."""
         return hashlib.blake2b(self.model_dump_json().encode(), digest_size=8).hexdigest()
 
     @cached_property
     def travel_rounds(self) -> float:
-        """After so many rounds the formation stops at a wall; infinite for a centre that stands still."""
+        """Rounds after `since` at which the formation stops at a wall; infinite for a formation that stands still."""
         if self.velocity is None:
             return math.inf
         reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
@@ -252,9 +256,9 @@ class Mission(BaseModel):
         return max(0.0, min(room, default=math.inf))
 
     def drift(self, round_: int) -> Point:
-        """How far the centre is from `center` at the end of a round [units].
+        """Displacement of the centre from `center` at the end of a round [units].
 
-        The formation stops as a whole where the circle around its shape would touch a wall.
+        The formation stops as a whole when the circle around its shape reaches a wall.
         """
         if self.velocity is None:
             return (0.0,) * self.dim
@@ -262,27 +266,28 @@ class Mission(BaseModel):
         return tuple(rounds * v for v in self.velocity)
 
     def at(self, round_: int) -> Mission:
-        """The same mission as it is at the end of a round: `center` is where the centre is then, `since` is that round.
+        """The mission as it stands at the end of a round: `center` is the centre's position then, `since` that round.
 
-        Where the formation has stopped at a wall, it has no velocity any more. A mission that stands still is its own.
+        A formation that has stopped at a wall has no velocity any more. A formation that stands still returns itself.
         """
         return self if self.velocity is None else _at(self, round_)
 
     def resized(self, places: int) -> Mission:
-        """The same mission for a plan of so many places.
+        """The same mission with another number of places. Call to check a plan for a smaller team.
 
-        A formation of another size stops elsewhere at a wall: of a moving one, this is about the size alone.
+        Use the result of a moving mission for the size of its plan only: a formation of another size stops elsewhere
+        at a wall.
 
         Raises:
-            InputError: the shape does not exist for that number, or it does not fit.
+            InputError: the shape does not exist for this number of places, or does not fit.
         """
         return self if places == self.n_places else _resized(self, places)
 
     def change(self, **fields: Any) -> Mission:
-        """A changed mission, validated as a whole. New points make the shape `points`, a new shape drops the points.
+        """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
 
         Raises:
-            InputError: naming the first offending field, its value, and what is allowed.
+            InputError: a field is invalid; names the first such field, its value, and what is allowed.
         """
         changed = {**self.model_dump(), **fields}
         if fields.get("points") is not None:
@@ -292,24 +297,14 @@ class Mission(BaseModel):
             changed["points"] = None
         return build_mission(**changed)
 
-    def refuses(self, new: Mission) -> str | None:
-        """Why a mission that came over the radio may not replace this one, or None.
-
-        Shape, places, centre, spacing and velocity are the operator's to change; a robot's limits and surroundings
-        are its own.
-        """
-        if new.dim != self.dim:
-            return f"it has {new.dim} dimensions, not {self.dim}"
-        for field in SAFETY_FIELDS:
-            if getattr(new, field) != getattr(self, field):
-                return f"it changes {field}, which is not up to a mission"
-        return None
-
     def check_sensing(self) -> None:
-        """Raise InputError unless the safety shield's proof holds: no robot may appear out of nowhere in one round.
+        """Check that robots sense far enough for the shield. Call before a run with the shield on.
 
-        Two robots that do not see each other close in by at most 2 * max_step, so
+        Two robots that do not see each other approach by at most 2 * max_step in one round, so the proof needs
         sense_range >= safe_distance + 2 * max_step (Zhou et al. 2017, lockstep form).
+
+        Raises:
+            InputError: the range is shorter.
         """
         needed = self.safe_distance + 2 * self.max_step
         if self.sensing < needed:
@@ -323,7 +318,7 @@ class Mission(BaseModel):
 
 @lru_cache(maxsize=256)
 def _at(mission: Mission, round_: int) -> Mission:
-    """`Mission.at`, without validation: what was valid stays so on the way, and nothing cached is taken on."""
+    """`Mission.at` without validation: a valid mission stays valid as it moves. Cached properties are not copied."""
     center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
     stopped = round_ - mission.since >= mission.travel_rounds
     fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
@@ -338,16 +333,16 @@ def _resized(mission: Mission, places: int) -> Mission:
     fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
     fields["places"] = None if places == mission.n_robots else places
     resized = Mission.model_construct(**fields)
-    # Nothing but the shape depends on the number; obstacles may be anywhere once a formation travels.
+    # Only the shape depends on the number. Obstacles are not checked: a moving formation may be anywhere among them.
     resized.check_shape()
     return resized
 
 
 def build_mission(**fields: Any) -> Mission:
-    """A `Mission` from plain values.
+    """A `Mission` from plain values. Call it where values come from an operator.
 
     Raises:
-        InputError: naming the first offending field, its value, and what is allowed.
+        InputError: a field is invalid; names the first such field, its value, and what is allowed.
     """
     try:
         return Mission(**fields)
@@ -356,9 +351,10 @@ def build_mission(**fields: Any) -> Mission:
 
 
 def input_error(error: ValidationError) -> InputError:
-    """The first fault of a pydantic validation as this package's own error.
+    """The first error of a pydantic validation as an InputError.
 
-    The field is named without its section, as flags and our own checks name it; an index in it is kept: `center.1`.
+    The field is named without its section, as flags and this package's own checks name it. An index in it is kept:
+    `center.1`.
     """
     first = error.errors(include_url=False)[0]
     place = list(first["loc"])

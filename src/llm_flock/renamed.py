@@ -1,4 +1,4 @@
-"""Old names of flags, settings and record fields. They work for one more version, and say what to write instead."""
+"""Old names of flags, settings and record fields. They work for one more version, with a warning."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ VALUES: Mapping[str, Mapping[str, str]] = {
     "consensus": {"pedigree": "provenance"},
     "gaps": {"remake": "replan"},
 }
-"""Values of settings: old name to new name, by setting."""
+"""Values of settings, by setting: old name to new name."""
 
 RECORD_FIELDS: Mapping[str, Mapping[str, str]] = {"/protocol": {"tick": "comm_round"}}
-"""Fields of recorded messages: old name to new name, by channel. Newer records have the new names only."""
+"""Fields of recorded messages, by channel: old name to new name. Newer records have the new names only."""
 
 
 def current(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings under their present names; logs a warning for each old name. Call where settings come in."""
+    """Settings under their current names. Call on all settings from outside; logs a warning for each old name."""
     found: dict[str, Any] = {}
     for name, value in settings.items():
         field = FIELDS.get(name, name)
@@ -35,8 +35,18 @@ def current(settings: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+def former(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings under their old names. Call where a hash of settings must not change with a name."""
+    fields = {new: old for old, new in FIELDS.items()}
+    values = {field: {new: old for old, new in names.items()} for field, names in VALUES.items()}
+    return {
+        fields.get(name, name): values.get(name, {}).get(value, value) if isinstance(value, str) else value
+        for name, value in settings.items()
+    }
+
+
 def current_flag(token: str) -> str:
-    """A flag under its present name; logs a warning for an old one."""
+    """A flag under its current name. Call on each token of a command line; logs a warning for an old name."""
     name, equals, value = token.partition("=")
     field = FIELDS.get(name.removeprefix("--").replace("-", "_")) if name.startswith("--") else None
     if field is None:

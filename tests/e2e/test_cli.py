@@ -1,4 +1,4 @@
-"""The command line as a user meets it: real processes, real files, real signals."""
+"""The command line as a user meets it: real files, real signals, and real processes wherever those matter."""
 
 import json
 import os
@@ -10,24 +10,15 @@ import time
 from pathlib import Path
 
 import pytest
+from command_line import ENV, Done, flock, flock_process
 
 from llm_flock.record.reader import read_record
 from llm_flock.runtime.result import Summary
 
-ENV = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-
-
-def flock(*arguments: str, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "llm_flock", *arguments], cwd=cwd, env=ENV, capture_output=True, text=True, timeout=120
-    )
-    if check:
-        assert done.returncode == 0, done.stderr + done.stdout
-    return done
-
 
 def test_run_figure_animate_inspect(tmp_path: Path) -> None:
-    done = flock("run", "--shape", "circle", "--robots", "10", "--seed", "7", "--out", "demo", cwd=tmp_path)
+    run = ("run", "--shape", "circle", "--robots", "10", "--seed", "7", "--out", "demo")
+    done = flock_process(*run, cwd=tmp_path)
     assert "simulated" in done.stdout and "yes, in round" in done.stdout
     assert flock("figure", "demo", cwd=tmp_path).stdout.strip() == "demo/snapshots.png"
     assert flock("animate", "demo", cwd=tmp_path).stdout.strip() == "demo/animation.gif"
@@ -80,21 +71,24 @@ def test_a_configuration_file_and_flags(tmp_path: Path) -> None:
 def test_wrong_input_is_one_line_exit_code_2_and_nothing_written(
     tmp_path: Path, arguments: list[str], words: str
 ) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "llm_flock", "run", *arguments],
-        cwd=tmp_path,
-        env={k: v for k, v in ENV.items() if not k.endswith("_API_KEY")},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and words in done.stderr and done.stderr.count("\n") == 1
+    done = flock("run", *arguments, cwd=tmp_path, check=False)
+    refused(done, words)
     assert list(tmp_path.iterdir()) == []
 
 
+def refused(done: Done, words: str) -> None:
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and words in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_wrong_input_in_a_process_of_its_own(tmp_path: Path) -> None:
+    refused(flock_process("run", "--robots", "0", cwd=tmp_path, check=False), "n_robots = 0")
+
+
 def test_a_provider_that_never_answers_ends_the_run_with_exit_code_1(tmp_path: Path) -> None:
-    done = flock("run", "--model", "simulated:flaky", "--max-tries", "1", "--out", "x", cwd=tmp_path, check=False)
+    done = flock_process(
+        "run", "--model", "simulated:flaky", "--max-tries", "1", "--out", "x", cwd=tmp_path, check=False
+    )
     assert done.returncode == 1
     assert "no model answered" in done.stderr
     assert read_record(tmp_path / "x/run.mcap").complete
@@ -140,7 +134,7 @@ def test_lists_and_help(tmp_path: Path) -> None:
         "--consensus",
         "--assignment",
         "--rounds",
-        "--comm_rounds",
+        "--comm-rounds",
         "--loss",
         "--delay",
         "--noise",
@@ -186,8 +180,7 @@ def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> Non
 )
 def test_a_comparison_that_cannot_be_is_one_line(tmp_path: Path, arguments: list[str], words: str) -> None:
     done = flock("compare", "--trials", "1", "--jobs", "1", *arguments, cwd=tmp_path, check=False)
-    assert done.returncode == 2 and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
-    assert words in done.stderr
+    refused(done, words)
 
 
 def test_broken_trials_are_told_by_the_exit_code(tmp_path: Path) -> None:

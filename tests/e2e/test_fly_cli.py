@@ -13,9 +13,11 @@ import time
 from pathlib import Path
 
 import pytest
+from command_line import Done, flock
 
 ROOT = Path(__file__).parents[2]
-COMMAND = [sys.executable, "-m", "llm_flock", "fly", "--config", str(ROOT / "examples" / "flight.toml"), "--no-record"]
+FLY = ["fly", "--config", str(ROOT / "examples" / "flight.toml"), "--no-record"]
+COMMAND = [sys.executable, "-m", "llm_flock", *FLY]
 BRISK = ["--take-off-group", "4", "--take-off-s", "0.5", "--land-s", "0.5", "--round-s", "0.8", "--max-speed-m-s", "5"]
 LONG = ["--no-stop-when-formed", "--rounds", "60"]
 
@@ -24,18 +26,22 @@ def run(*arguments: str, text: str | None = None) -> subprocess.CompletedProcess
     return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, input=text, timeout=60, check=False)
 
 
+def on_paper(*arguments: str) -> Done:
+    return flock(*FLY, "--dry-run", *arguments, cwd=ROOT, check=False)
+
+
 def test_a_dry_run_prints_and_checks_every_set_point() -> None:
-    done = run("--dry-run")
+    done = on_paper()
     assert done.returncode == 0 and "0 faults" in done.stdout and "cf4" in done.stdout
-    plan = json.loads(run("--dry-run", "--json").stdout)
+    plan = json.loads(on_paper("--json").stdout)
     assert plan["formed"] and plan["faults"] == [] and len(plan["landing"]) == 1
     assert all(len(row["targets_m"]) == 4 and row["separation_m"] >= 0.3 for row in plan["rounds"])
 
 
 def test_a_flight_that_cannot_be_safe_is_wrong_input() -> None:
-    done = run("--dry-run", "--min-separation-m", "0.5")
+    done = on_paper("--min-separation-m", "0.5")
     assert done.returncode == 2 and "safe_distance" in done.stderr
-    assert run("--geofence=-1,-1,0,1,1,2").returncode == 2
+    assert flock(*FLY, "--geofence=-1,-1,0,1,1,2", cwd=ROOT, check=False).returncode == 2
 
 
 def test_nothing_takes_off_unless_the_operator_says_so() -> None:

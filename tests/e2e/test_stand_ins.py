@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
-ENV = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
+from command_line import Done, flock
+
 YAML = """
 fileversion: 3
 robots:
@@ -19,14 +17,8 @@ robot_types:
 """
 
 
-def flock(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "llm_flock", "stand-ins", *arguments],
-        env=ENV,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+def stand_ins(*arguments: str) -> Done:
+    return flock("stand-ins", *arguments, cwd=Path.cwd(), check=False)
 
 
 def free_port() -> int:
@@ -37,7 +29,7 @@ def free_port() -> int:
 
 def test_they_say_where_they_are() -> None:
     port = free_port()
-    done = flock("3", "--port", str(port), "--spacing", "0.5", "--seconds", "0.1")
+    done = stand_ins("3", "--port", str(port), "--spacing", "0.5", "--seconds", "0.1")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
         f"udp://127.0.0.1:{port} at 0, 0, 0",
@@ -50,16 +42,16 @@ def test_the_drones_of_a_file(tmp_path: Path) -> None:
     port = free_port()
     path = tmp_path / "crazyflies.yaml"
     path.write_text(YAML.replace("PORT", str(port)).replace("URI", f"udp://127.0.0.1:{port + 1}"))
-    done = flock("--crazyflies", str(path), "--seconds", "0.1")
+    done = stand_ins("--crazyflies", str(path), "--seconds", "0.1")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[1] == f"udp://127.0.0.1:{port + 1} at 1.5, 0, 0"
     path.write_text(YAML.replace("PORT", str(port)).replace("URI", "radio://0/80/2M/E7E7E7E701"))
-    done = flock("--crazyflies", str(path), "--seconds", "0.1")
+    done = stand_ins("--crazyflies", str(path), "--seconds", "0.1")
     assert done.returncode == 2 and "robots.b.uri" in done.stderr
 
 
 def test_a_port_that_is_taken() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
-        done = flock("1", "--port", str(taken.getsockname()[1]), "--seconds", "0.1")
+        done = stand_ins("1", "--port", str(taken.getsockname()[1]), "--seconds", "0.1")
     assert done.returncode == 2 and "port" in done.stderr

@@ -13,8 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from command_line import flock
 
 from llm_flock.record.reader import read_record
+from llm_flock.runtime.network import watch
 from llm_flock.runtime.network.swarm import free_port
 
 MARK = "LLM_FLOCK_TEST"
@@ -62,7 +64,7 @@ def test_no_process_is_left_behind(how: signal.Signals, mark: str) -> None:
         mark, "swarm", *TEAM, "--robots", "4", "--no-record", "--connect", "", "--model", "simulated:slow", "--quiet"
     )
     wait_for(7, mark)  # the launcher, the one that forks, the world, and four robots
-    os.kill(max(marked(mark)), signal.SIGSTOP)  # one that cannot listen
+    os.kill(sorted(marked(mark))[-2], signal.SIGSTOP)  # one that cannot listen, and surely runs
     swarm.send_signal(how)
     _, said = swarm.communicate(timeout=20)
     wait_for(0, mark, 10.0)
@@ -88,16 +90,16 @@ def test_robots_that_are_started_one_by_one(mark: str, tmp_path: Path) -> None:
     world = start(mark, "world", "--config", str(config))
     assert world.stderr is not None and "listens" in world.stderr.readline()
     robots = [start(mark, "robot", "--id", str(k), "--config", str(config)) for k in range(3)]
-    watch = start(mark, "watch", "--config", str(config), "--out", str(tmp_path / "seen"), "--quiet")
+    watcher = start(mark, "watch", "--config", str(config), "--out", str(tmp_path / "seen"), "--quiet")
     record = tmp_path / "seen" / "run.mcap"
     wait_for_places(record, missions=1)
     mission = start(mark, "mission", "--set", "shape=line", "--set", "center=45,55", "--config", str(config))
     out, said = mission.communicate(timeout=100)
     assert mission.returncode == 0 and "given to robot" in out, said
     wait_for_places(record, missions=2)
-    for process in (watch, *robots, world):
+    for process in (watcher, *robots, world):
         process.send_signal(signal.SIGTERM)
-    for process in (watch, *robots, world):
+    for process in (watcher, *robots, world):
         _, said = process.communicate(timeout=20)
         assert process.returncode == 0, said
     found = read_record(record)
@@ -117,7 +119,9 @@ def wait_for_places(record: Path, *, missions: int) -> None:
     raise AssertionError("nobody took a place")
 
 
-def test_nobody_there_is_said(mark: str) -> None:
-    mission = start(mark, "mission", "--set", "shape=line", "--connect", f"tcp/127.0.0.1:{free_port()}")
-    _, said = mission.communicate(timeout=100)
-    assert mission.returncode == 2 and "nobody was there" in said
+def test_nobody_there_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "MEET_S", 0.5)
+    done = flock(
+        "mission", "--set", "shape=line", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path, check=False
+    )
+    assert done.returncode == 2 and "nobody was there" in done.stderr

@@ -9,15 +9,15 @@ from pathlib import Path
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import Message
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
-from llm_flock.runtime.network.joining import open_link
+from llm_flock.runtime.network.connection import open_link
 from llm_flock.runtime.network.swarm import launched
-from llm_flock.runtime.network.wire import Beacon, Saying, pack
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack
 from llm_flock.trust.keys import make_keys
 
 
 def saying(message: Message) -> bytes:
     beacon = Beacon(stamp=time.time(), position=(50.0, 50.0), end=(50.0, 50.0))
-    return pack(Saying(beacon=beacon, message=encode(message)))
+    return pack(BeaconedMessage(beacon=beacon, message=encode(message)))
 
 
 async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
@@ -35,7 +35,7 @@ async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
                 member.publish("say", 3, said)
                 await asyncio.sleep(0.1)
             stopped = await swarm.run()
-            result = swarm.result(stopped, None)
+            result = swarm.result(stopped)
         finally:
             stranger.close()
             member.close()

@@ -11,6 +11,7 @@ from swarms import formed, swarm_config
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
+from llm_flock.members import WORLD
 from llm_flock.protocol.messages.codec import decode, encode
 from llm_flock.protocol.messages.message import UNSAID, Message, Provenance
 from llm_flock.protocol.plan import Plan
@@ -25,10 +26,9 @@ from llm_flock.protocol.signed.certificates import (
     wrap,
 )
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.joining import load_keys, open_link
+from llm_flock.runtime.network.connection import load_keys, open_link
 from llm_flock.runtime.network.swarm import SwarmResult, launched
-from llm_flock.runtime.network.wire import Beacon, Frame, Saying, pack, unpack
-from llm_flock.transport.seal import WORLD
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
 from llm_flock.trust.keys import make_keys
 
 N, LIAR = 5, 4
@@ -58,7 +58,7 @@ class Liar:
 
     def _hear(self, sender: int, payload: bytes) -> None:
         try:
-            payload = unpack(Saying, payload).message
+            payload = unpack(BeaconedMessage, payload).message
             message = decode(unwrap(payload, N)[0], N, 2)
         except MessageError:
             return
@@ -71,7 +71,7 @@ class Liar:
 
     def _see(self, sender: int, payload: bytes) -> None:
         if sender == WORLD:
-            self.here = unpack(Frame, payload).bodies[LIAR].position
+            self.here = unpack(WorldState, payload).bodies[LIAR].position
 
     def lies(self) -> list[bytes]:
         """Claims on all places, for itself or another, at whatever version; a hallucinated plan; another's message."""
@@ -115,7 +115,7 @@ class Liar:
         beacon = Beacon(stamp=time.time(), position=self.here, end=self.here)
         self.link.publish("beacon", LIAR, pack(beacon))
         for lie in self.lies():
-            self.link.publish("say", LIAR, pack(Saying(beacon=beacon, message=lie)))
+            self.link.publish("say", LIAR, pack(BeaconedMessage(beacon=beacon, message=lie)))
 
 
 async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
@@ -131,7 +131,7 @@ async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
         task = asyncio.create_task(lie())
         try:
             stopped = await swarm.run(lambda observer: task.done() and formed(observer))
-            return stopped, swarm.result(stopped, None), liar
+            return stopped, swarm.result(stopped), liar
         finally:
             task.cancel()
             liar.link.close()

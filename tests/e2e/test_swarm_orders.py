@@ -8,25 +8,29 @@ from pathlib import Path
 
 from swarms import fly, formed, swarm_config
 
+from llm_flock.members import OPERATOR, WATCHER
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.joining import open_link
+from llm_flock.runtime.network.connection import open_link
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm
-from llm_flock.runtime.network.wire import Order, pack
-from llm_flock.transport.seal import OPERATOR, WATCHER
+from llm_flock.runtime.network.wire import MissionOrder, pack
 from llm_flock.trust.keys import make_keys
 
 N = 3
 CHANGE = ("--set", "shape=line", "--set", "center=45,55")
 
 
-async def command(config: SwarmConfig, folder: Path, keys: str | None) -> tuple[int | None, str]:
-    """`llm-flock mission` with this swarm's endpoint: its exit code, and what it said."""
+def operator_config(config: SwarmConfig, path: Path, keys: str | None) -> str:
+    """A file for `llm-flock mission` with this swarm's endpoint; returns its path."""
     network = f'[network]\nconnect = "{config.network.connect}"\n' + (f'keys = "{keys}"\n' if keys else "")
-    path = folder / "operator.toml"
     path.write_text(f'[mission]\nshape = "circle"\nn_robots = {N}\n\n{network}', encoding="utf-8")
+    return str(path)
+
+
+async def command(path: str) -> tuple[int | None, str]:
+    """Run `llm-flock mission` with this file; returns its exit code and its output."""
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "llm_flock", "mission", *CHANGE, "--config", str(path)),
+        *(sys.executable, "-m", "llm_flock", "mission", *CHANGE, "--config", path),
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
     )
@@ -40,7 +44,7 @@ async def publish(config: SwarmConfig, member: int) -> None:
     try:
         for _ in range(20):
             for robot in range(N):
-                link.publish("mission", robot, pack(Order(fields={"shape": "triangle"}, counter=2**31)))
+                link.publish("mission", robot, pack(MissionOrder(fields={"shape": "triangle"}, counter=2**31)))
             await asyncio.sleep(0.1)
     finally:
         link.close()
@@ -56,16 +60,16 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
         config, observer = swarm.config, swarm.observer
         while not formed(observer):  # noqa: ASYNC110 - nobody sets an event
             await asyncio.sleep(0.1)
-        for foreign in (None, str(tmp_path / "others")):
-            code, said = await command(config, tmp_path, foreign)
+        without = operator_config(config, tmp_path / "without.toml", None)
+        foreign = operator_config(config, tmp_path / "foreign.toml", str(tmp_path / "others"))
+        for code, said in await asyncio.gather(command(without), command(foreign)):
             assert code == 2 and "nobody was there" in said, said
-        await publish(config, WATCHER)
-        await publish(config, OPERATOR)
+        await asyncio.gather(publish(config, WATCHER), publish(config, OPERATOR))
         rejected = sum(report.rejected.get("no_order", 0) for report in observer.reports.values())
         assert rejected > 0 and observer.mission.shape == "circle"
         assert {report.mission[0] for report in observer.reports.values()} == {0}
         steps.append("refused")
-        code, said = await command(config, tmp_path, keys)
+        code, said = await command(operator_config(config, tmp_path / "own.toml", keys))
         assert code == 0 and "given to robot" in said, said
         while observer.mission.shape != "line":  # noqa: ASYNC110 - nobody sets an event
             await asyncio.sleep(0.1)

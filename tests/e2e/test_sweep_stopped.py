@@ -12,8 +12,9 @@ import pytest
 from sweeps import small, small_file
 
 from llm_flock.experiments import tables
-from llm_flock.experiments.store import StoredTrial, read_trial, trial_files
+from llm_flock.experiments.store import read_trial, trial_files
 from llm_flock.experiments.sweep import fly_sweep
+from llm_flock.experiments.trial import TrialResult
 
 
 @pytest.mark.parametrize("executor", ["one", "pool"])
@@ -35,7 +36,7 @@ def test_a_kill_loses_at_most_the_trials_in_flight(tmp_path: Path, executor: str
     assert 4 <= len(kept) < 12
     lost = begun - {name.removesuffix(".json") for name in kept}
     assert len(lost) <= (2 if executor == "pool" else 1)
-    assert all(isinstance(read_trial(out / "trials" / name), StoredTrial) for name in kept)
+    assert all(isinstance(read_trial(out / "trials" / name), TrialResult) for name in kept)
     assert fly_sweep(small(tmp_path, seeds=6), out, executor="one").complete
     assert {path.name: path.stat().st_mtime_ns for path in trial_files(out) if path.name in kept} == kept
     # A kill between keeping a trial and letting go of it leaves an empty file, which stops nobody.

@@ -19,7 +19,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from sample_records import FakeRun, llm_entry, make_record
 
-from llm_flock.record.schema import LlmEntry, ProtocolEvent, RunInfo
+from llm_flock.record.schema import Entry, LlmEntry, ProtocolEvent, RunInfo, SummaryMessage
 from llm_flock.record.writer import RecordWriter
 
 HOSTILE = (
@@ -148,14 +148,14 @@ def test_a_record_is_replayed(replay: str, browser: Browser, width: int, dark: b
 def test_the_run_is_drawn_before_the_viewer_is_there_and_stays_at_its_round(tmp_path: Path, browser: Browser) -> None:
     make_record(tmp_path / "one" / "run.mcap", n=6, rounds=12)
     with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
-        page.locator("#flock-sketch .flock-arena canvas[data-round='0']").wait_for()
+        page.locator("#flock-preview .flock-arena canvas[data-round='0']").wait_for()
         assert page.locator("#app").count() == 0, "nothing but the first look is there yet"
         page.keyboard.press("ArrowRight")
         page.keyboard.press("ArrowRight")
-        page.locator("#flock-sketch .flock-arena canvas[data-round='2']").wait_for()
+        page.locator("#flock-preview .flock-arena canvas[data-round='2']").wait_for()
         ready(page)
         expect(page.locator(".flock-where")).to_have_text("round 2 of 12")
-        expect(page.locator("#flock-sketch")).to_have_count(0)
+        expect(page.locator("#flock-preview")).to_have_count(0)
         assert shown_round(page) == 2
 
 
@@ -163,9 +163,9 @@ def test_a_live_run_stays_at_the_round_that_was_chosen_before_the_viewer_was_the
     tmp_path: Path, browser: Browser
 ) -> None:
     with run_that_goes_on(tmp_path), viewer(tmp_path, "--live") as url, page_at(browser, url) as page:
-        page.locator("#flock-sketch .flock-arena canvas[data-round='5']").wait_for()
+        page.locator("#flock-preview .flock-arena canvas[data-round='5']").wait_for()
         page.keyboard.press("ArrowLeft")
-        page.locator("#flock-sketch .flock-arena canvas[data-round='4']").wait_for()
+        page.locator("#flock-preview .flock-arena canvas[data-round='4']").wait_for()
         ready(page)
         expect(page.locator(".flock-where")).to_have_text("round 4 of 5")
         page.keyboard.press("End")
@@ -230,26 +230,24 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
         class Hostile:
             """Puts hostile words wherever a model or a peer can put any."""
 
-            def __getattr__(self, name: str) -> object:
-                return getattr(writer, name)
+            def write(self, entry: Entry) -> None:
+                writer.write(self.changed(entry))
 
-            def run(self, info: RunInfo) -> None:
-                writer.run(info.model_copy(update={"config": {"model": {"model": HOSTILE}}}))
-
-            def llm(self, entry: LlmEntry) -> None:
+            def changed(self, entry: Entry) -> Entry:
+                if isinstance(entry, RunInfo):
+                    return entry.model_copy(update={"config": {"model": {"model": HOSTILE}}})
+                if isinstance(entry, ProtocolEvent):
+                    return entry.model_copy(update={"kind": "rejected_message", "detail": {"detail": HOSTILE}})
+                if not isinstance(entry, LlmEntry):
+                    return entry
                 changes: dict[str, Any] = {"text": HOSTILE, "rejected": HOSTILE, "parsed": None, "model": HOSTILE}
                 if entry.robot == 1:
                     changes = {"text": None, "error": HOSTILE, "parsed": None, "faults": [HOSTILE]}
                 if entry.robot == 2:
                     changes = {"text": HOSTILE, "parsed": {"waypoint": HOSTILE}, "kind": HOSTILE}
-                writer.llm(
-                    llm_entry(entry.round, entry.robot, messages=[{"role": HOSTILE, "text": HOSTILE}], **changes)
-                )
+                return llm_entry(entry.round, entry.robot, messages=[{"role": HOSTILE, "text": HOSTILE}], **changes)
 
-            def event(self, event: ProtocolEvent) -> None:
-                writer.event(event.model_copy(update={"kind": "rejected_message", "detail": {"detail": HOSTILE}}))
-
-        fake.write(Hostile())  # pyright: ignore[reportArgumentType]
+        fake.write(Hostile())
     with viewer(tmp_path, folder.name) as url, page_at(browser, url) as page:
         ready(page)
         page.keyboard.press("ArrowRight")
@@ -290,7 +288,7 @@ def test_a_record_is_followed_while_it_is_written(tmp_path: Path, browser: Brows
         expect(page.locator(".flock-where")).to_have_text("round 13 of 15")
         page.keyboard.press("End")
         expect(page.locator(".flock-where")).to_have_text("round 15 of 15")
-        writer.summary({"formed": False, "stopped": "rounds"})
+        writer.write(SummaryMessage(result={"formed": False, "stopped": "rounds"}))
         writer.close()
         expect(page.locator(".flock-state")).to_have_text("not formed (rounds)")
 
@@ -328,7 +326,7 @@ def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) 
         expect(page.locator(".flock-steered")).to_contain_text("error: kill")
         page.get_by_role("button", name="End run").click()
         expect(page.locator(".flock-state")).to_contain_text("formed")
-        marks = page.evaluate("[...globalThis.flockClock('main').reels[0].marks.values()].map(Object.keys).flat()")
+        marks = page.evaluate("[...globalThis.flockClock('main').runs[0].marks.values()].map(Object.keys).flat()")
         assert {"missions", "faults", "plans"} <= set(marks)
     (record,) = (tmp_path / "runs").glob("*/run.mcap")
     assert b"injected" in record.read_bytes()
@@ -344,7 +342,7 @@ def test_two_protocols_fly_side_by_side(tmp_path: Path, browser: Browser) -> Non
         expect(page.locator(".flock-state")).to_contain_text("formed", timeout=20_000)
         page.keyboard.press("End")
         until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {6}, "both end")
-        starts = [page.evaluate(f"globalThis.flockClock('main').reels[{k}].frames.get(6) && 1 || 0") for k in (0, 1)]
+        starts = [page.evaluate(f"globalThis.flockClock('main').runs[{k}].frames.get(6) && 1 || 0") for k in (0, 1)]
         assert starts == [1, 1]
 
 

@@ -57,12 +57,12 @@ def test_a_swarm_is_watched_and_given_another_mission(tmp_path: Path) -> None:
             page.locator("#app .flock-arena canvas[data-round]").wait_for(timeout=60_000)
             expect(page.locator(".flock-state")).to_have_text("live")
             expect(page.get_by_text("simulated language models")).to_be_visible()
-            page.wait_for_function("flockClock('main').reels[0].plans.length > 0", timeout=60_000)
+            page.wait_for_function("flockClock('main').runs[0].plans.length > 0", timeout=60_000)
             page.get_by_label("Shape").fill("polygon:3")
             page.get_by_role("button", name="Give the mission").click()
             expect(page.locator(".flock-steered")).to_have_text(re.compile("mission given to robot"), timeout=20_000)
             page.wait_for_function(
-                "flockClock('main').reels[0].missions.some((one) => one.text.startsWith('polygon'))", timeout=30_000
+                "flockClock('main').runs[0].missions.some((one) => one.text.startsWith('polygon'))", timeout=30_000
             )
             assert said == []
             browser.close()

@@ -199,8 +199,8 @@ def stand_in(options: Options) -> Answer:
     """Who answers: a fixed text, or a simulated model that reads the prompt; the same prompt has the same answer."""
     if options.fixed_answer:
         return lambda messages: options.fixed_answer
-    from llm_flock.llm.profiles import parse_profile
-    from llm_flock.llm.simulated import Responder
+    from llm_flock.llm.simulated.model import Responder
+    from llm_flock.llm.simulated.profiles import parse_profile
 
     profile = parse_profile(options.profile)
 

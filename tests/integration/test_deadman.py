@@ -18,45 +18,45 @@ from llm_flock.robots.base import RobotError
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import heartbeat
-from llm_flock.runtime.flight.deadman import Beat, Ears, land_them, wait_for_the_end
-from llm_flock.runtime.flight.heartbeat import Heartbeat, NoDeadman
-from llm_flock.runtime.flight.lift import take_off
+from llm_flock.runtime.flight.deadman import HeartbeatListener, land_all
+from llm_flock.runtime.flight.heartbeat import Heartbeat, HeartbeatSender, NoDeadman
 from llm_flock.runtime.flight.log import FlightLog
+from llm_flock.runtime.flight.takeoff import take_off
 from llm_flock.runtime.flight.team import FlyingTeam
 
 
-def pipe_to_ears():
+def pipe_to_listener():
     out, into = os.pipe()
-    return Ears(os.fdopen(out)), os.fdopen(into, "w", buffering=1)
+    return HeartbeatListener(os.fdopen(out)), os.fdopen(into, "w", buffering=1)
 
 
 def say(into, **fields) -> None:
-    into.write(Beat(**fields).model_dump_json() + "\n")
+    into.write(Heartbeat(**fields).model_dump_json() + "\n")
     into.flush()
 
 
 def test_a_farewell_is_a_good_end() -> None:
-    ears, into = pipe_to_ears()
+    listener, into = pipe_to_listener()
     say(into, aloft=(0, 1))
     say(into, farewell=True)
-    assert wait_for_the_end(ears, 5.0)
+    assert listener.wait_for_end(5.0)
     into.close()
-    ears.listener.join()
+    listener.thread.join()
 
 
 def test_a_closed_pipe_is_noticed_at_once_and_silence_in_time() -> None:
-    ears, into = pipe_to_ears()
+    listener, into = pipe_to_listener()
     say(into, aloft=(2,))
     into.close()
     began = time.monotonic()
-    assert not wait_for_the_end(ears, 5.0)
-    assert time.monotonic() - began < 1.0 and ears.last.aloft == (2,)
-    ears, into = pipe_to_ears()
+    assert not listener.wait_for_end(5.0)
+    assert time.monotonic() - began < 1.0 and listener.last.aloft == (2,)
+    listener, into = pipe_to_listener()
     began = time.monotonic()
-    assert not wait_for_the_end(ears, 0.3)
+    assert not listener.wait_for_end(0.3)
     assert 0.2 < time.monotonic() - began < 1.0
     into.close()
-    ears.listener.join()
+    listener.thread.join()
 
 
 def up(name: str, home) -> SimulatedRobot:
@@ -73,7 +73,7 @@ def test_everybody_who_can_be_reached_is_landed() -> None:
     assert all(robot.body.position(time.monotonic())[2] == 1.0 for robot in robots)
     robots[2]._lost = True
     said: list[str] = []
-    ends = asyncio.run(land_them(config, robots, said.append))
+    ends = asyncio.run(land_all(config, robots, said.append))
     assert ends == {"d0": "landed", "d1": "landed", "d2": "out of reach", "d3": "landed"}
     heights = [robot.body.position(time.monotonic())[2] for robot in robots]
     assert heights == [0.0, 0.0, 1.0, 0.0]
@@ -84,11 +84,11 @@ ROOT = Path(__file__).parents[2]
 PARENT = """
 import asyncio
 from flights import flight_config
-from llm_flock.runtime.flight.heartbeat import Heartbeat
+from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 
 async def main():
     config = flight_config(deadman=True, robot="flights:one_by_one", deadman_s=1.0, reach_s=3.0)
-    async with Heartbeat(config, lambda: {0, 2}) as heart:
+    async with HeartbeatSender(config, lambda: {0, 2}) as heart:
         print(heart.pid, flush=True)
         await asyncio.sleep(60)
 
@@ -119,7 +119,7 @@ def test_nothing_takes_off_without_a_deadman(monkeypatch) -> None:
     monkeypatch.setattr(heartbeat, "READY_S", 0.01)
 
     async def start() -> None:
-        async with Heartbeat(flight_config(deadman=True, robot="flights:one_by_one"), set):
+        async with HeartbeatSender(flight_config(deadman=True, robot="flights:one_by_one"), set):
             raise AssertionError("not reached")
 
     with pytest.raises(NoDeadman):
@@ -127,19 +127,19 @@ def test_nothing_takes_off_without_a_deadman(monkeypatch) -> None:
 
 
 def test_a_flight_that_fails_in_the_air_says_no_farewell(monkeypatch) -> None:
-    said: list[Beat] = []
+    said: list[Heartbeat] = []
 
     async def fail(aloft: set[int]) -> None:
-        async with Heartbeat(flight_config(deadman=True, robot="flights:one_by_one"), lambda: aloft) as heart:
-            plain = heart.say
-            monkeypatch.setattr(heart, "say", lambda beat: (said.append(beat), plain(Beat(farewell=True))))
+        async with HeartbeatSender(flight_config(deadman=True, robot="flights:one_by_one"), lambda: aloft) as heart:
+            plain = heart._send
+            monkeypatch.setattr(heart, "_send", lambda beat: (said.append(beat), plain(Heartbeat(farewell=True))))
             raise RuntimeError("broken")
 
     for aloft, farewell in ((set(), True), ({1}, False)):
         said.clear()
         with pytest.raises(RuntimeError):
             asyncio.run(fail(aloft))
-        assert said[-1] == Beat(aloft=tuple(aloft), farewell=farewell)
+        assert said[-1] == Heartbeat(aloft=tuple(aloft), farewell=farewell)
 
 
 def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> None:
@@ -152,7 +152,7 @@ def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> N
         for robot in robots:
             await robot.connect(1.0)
         team = FlyingTeam(config, robots, FlightLog(config, NullWriter()))
-        team.tell_deadman = lambda: happened.append(frozenset(team.aloft))
+        team.on_take_off = lambda: happened.append(frozenset(team.aloft))
 
         async def refuse(height_m: float, duration_s: float) -> None:
             happened.append("take off")

@@ -1,4 +1,4 @@
-"""Whole flights of simulated drones, in real time but brisk: the mission, and everything that may end it early."""
+"""Whole flights of simulated drones, brisk and without the waits: the mission, and everything that may end it early."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from itertools import pairwise
 
 import pytest
 from flights import Sabotage, flight_config, flown, fly
+from slowness import slowness
 
 from llm_flock.errors import RecordError
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer
 from llm_flock.record.reader import read_record
+from llm_flock.record.schema import BodySample
 from llm_flock.record.writer import RecordWriter
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import landing
 from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.landing import STOPPED
-from llm_flock.runtime.flight.monitors import Kind
+from llm_flock.runtime.flight.monitors import TroubleKind
 from llm_flock.runtime.result import FlightFigures, RunResult
+
+pytestmark = pytest.mark.usefixtures("skipped_waits")
 
 Robots = list[SimulatedRobot]
 
@@ -44,7 +48,7 @@ def test_a_square_is_formed_and_landed(tmp_path) -> None:
     assert flight.ended == "mission" and flight.safe and set(flight.ends.values()) == {"landed"}
     assert (flight.min_separation_m or 0.0) >= 0.2
     assert flight.tracking_max_m is not None and flight.tracking_max_m < 0.05
-    assert flight.fan_out_ms is not None and flight.fan_out_ms < 100
+    assert flight.fan_out_ms is not None and flight.fan_out_ms < 100 * slowness()
     record = read_record(tmp_path / "run.mcap")
     assert record.result is not None and record.result["flight"]["ends"] == flight.ends
     assert record.rounds == trial(result).summary.rounds == max(sample.round for sample in record.bodies)
@@ -124,23 +128,23 @@ LANDED = {"landed"}
 @pytest.mark.parametrize(
     ("sabotage", "at", "ended", "ends", "within_s"),
     [
-        (lose_link_for_a_while, "round 1", {Kind.LINK_LOST}, LANDED, 3.5),
-        (stall, "round 1", {Kind.ESTIMATE_STALLED}, {"landed", STOPPED}, 6.0),
-        (jump, "round 1", {Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
-        (frozen, "round 1", {Kind.OFF_COURSE}, {"landed", STOPPED}, 6.0),
-        (low_battery, "round 1", {Kind.BATTERY_LOW}, LANDED, 3.0),
-        (outside, "round 1", {Kind.GEOFENCE, Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
-        (far_outside, "round 1", {Kind.FAR_OUTSIDE, Kind.ESTIMATE_JUMPED}, {"landed", "motors cut"}, 2.0),
-        (too_near, "round 1", {Kind.TOO_NEAR, Kind.ESTIMATE_JUMPED}, LANDED, 2.0),
-        (refuse, "round 1", {Kind.REFUSED}, None, 12.0),
-        (abort, "round 1", {Kind.ABORT}, LANDED, 1.5),
-        (abort, "taking off", {Kind.ABORT}, {"never took off"}, 0.5),
-        (emergency, "round 1", {Kind.EMERGENCY}, {"motors cut"}, 0.5),
-        (emergency, "landing", {Kind.EMERGENCY}, {"motors cut"}, 6.0),
+        (lose_link_for_a_while, "round 1", {TroubleKind.LINK_LOST}, LANDED, 3.5),
+        (stall, "round 1", {TroubleKind.ESTIMATE_STALLED}, {"landed", STOPPED}, 6.0),
+        (jump, "round 1", {TroubleKind.ESTIMATE_JUMPED}, LANDED, 2.0),
+        (frozen, "round 1", {TroubleKind.OFF_COURSE}, {"landed", STOPPED}, 6.0),
+        (low_battery, "round 1", {TroubleKind.BATTERY_LOW}, LANDED, 3.0),
+        (outside, "round 1", {TroubleKind.GEOFENCE, TroubleKind.ESTIMATE_JUMPED}, LANDED, 2.0),
+        (far_outside, "round 1", {TroubleKind.FAR_OUTSIDE, TroubleKind.ESTIMATE_JUMPED}, {"landed", "motors cut"}, 2.0),
+        (too_near, "round 1", {TroubleKind.TOO_NEAR, TroubleKind.ESTIMATE_JUMPED}, LANDED, 2.0),
+        (refuse, "round 1", {TroubleKind.REFUSED}, None, 12.0),
+        (abort, "round 1", {TroubleKind.ABORT}, LANDED, 1.5),
+        (abort, "taking off", {TroubleKind.ABORT}, {"never took off"}, 0.5),
+        (emergency, "round 1", {TroubleKind.EMERGENCY}, {"motors cut"}, 0.5),
+        (emergency, "landing", {TroubleKind.EMERGENCY}, {"motors cut"}, 6.0),
     ],
 )
 def test_whatever_goes_wrong_everybody_is_down_in_time(
-    sabotage: Sabotage, at: str, ended: set[Kind], ends: set[str] | None, within_s: float
+    sabotage: Sabotage, at: str, ended: set[TroubleKind], ends: set[str] | None, within_s: float
 ) -> None:
     done: list[float] = []
 
@@ -182,12 +186,12 @@ class Mute(GeometryPlanner):
 
 
 def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
-    from llm_flock.runtime import team
+    from llm_flock.runtime import planners
 
-    plain = team.GeometryPlanner
-    monkeypatch.setattr(team, "GeometryPlanner", lambda robot, rng: (Mute if robot == 2 else plain)(robot, rng))
+    plain = planners.GeometryPlanner
+    monkeypatch.setattr(planners, "GeometryPlanner", lambda robot, rng: (Mute if robot == 2 else plain)(robot, rng))
     flight = figures(flown(flight_config(model="geometry", think_s=0.3, silent_rounds=2)))
-    assert flight.ended == "model_silent" and flight.safe and "2 rounds on end" in (flight.reason or "")
+    assert flight.ended == "model_silent" and flight.safe and "2 rounds in a row" in (flight.reason or "")
 
 
 def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:
@@ -203,15 +207,15 @@ def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:
 
 def test_a_record_that_cannot_be_written_ends_the_flight_on_the_floor(tmp_path, monkeypatch) -> None:
     config = flight_config(out=str(tmp_path))
-    plain = RecordWriter.body
+    plain = RecordWriter.write
     seen: list[SimulatedRobot] = []
 
-    def full(self, sample) -> None:
-        if sample.round == 1:
+    def full(self, entry) -> None:
+        if isinstance(entry, BodySample) and entry.round == 1:
             raise RecordError("no space left")
-        plain(self, sample)
+        plain(self, entry)
 
-    monkeypatch.setattr(RecordWriter, "body", full)
+    monkeypatch.setattr(RecordWriter, "write", full)
     with pytest.raises(RecordError, match="no space left"):
         flown(config, lambda flight, robots: seen.extend(robots), "connecting")
     assert len(seen) == 4

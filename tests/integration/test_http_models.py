@@ -17,7 +17,7 @@ from slowness import slowness
 
 from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm.client import CallSettings
-from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
@@ -112,9 +112,9 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
     meter = BudgetMeter()
 
     async def scenario(server: Server) -> list[Reply]:
-        limits = Limits(
+        limits = CallLimits(
             max_concurrent=20,
-            timeout_s=3.0,
+            timeout_s=1.5,
             retry=RetryPolicy(max_tries=12, first_wait_s=0.01, longest_wait_s=0.1),
             meter=meter,
             rng=np.random.default_rng(5),
@@ -130,7 +130,7 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
             ]
         return [task.result() for task in tasks]
 
-    with running(fixed_answer=ANSWER, latency=0.01, late_latency=6, retry_after=0.02, seed=3, **rates) as server:
+    with running(fixed_answer=ANSWER, latency=0.01, late_latency=3, retry_after=0.02, seed=3, **rates) as server:
         replies = asyncio.run(scenario(server))
         stats = server.stats()
     met = Counter(fault for reply in replies for fault in reply.faults)
@@ -148,7 +148,7 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
 @pytest.mark.no_cover
 def test_two_hundred_calls_run_at_once() -> None:
     async def scenario(server: Server) -> float:
-        limits = Limits(rng=np.random.default_rng(0))
+        limits = CallLimits(rng=np.random.default_rng(0))
         async with pool_for(server) as pool:
             models = [
                 Limited(pool.model("openai-compatible:stand-in", robot=i, rng=np.random.default_rng(i)), limits)
@@ -176,7 +176,9 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
     attempts: list[Attempt] = []
 
     async def scenario(server: Server) -> list[tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]]:
-        limits = Limits(timeout_s=2.0, retry=RetryPolicy(max_tries=20, first_wait_s=0.01), rng=np.random.default_rng(2))
+        limits = CallLimits(
+            timeout_s=1.0, retry=RetryPolicy(max_tries=20, first_wait_s=0.01), rng=np.random.default_rng(2)
+        )
 
         async def think(robot: int, pool: ModelPool) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:
             model = pool.model("openai-compatible:stand-in", robot=robot, rng=np.random.default_rng(robot))
@@ -201,7 +203,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
             return await asyncio.gather(*(think(robot, pool) for robot in range(10)))
 
     rates = {"rate_limit": 0.1, "server_error": 0.1, "cut": 0.1, "garbage": 0.2, "late": 0.1}
-    with running(latency=0.01, late_latency=6, retry_after=0.02, seed=1, **rates) as server:
+    with running(latency=0.01, late_latency=2, retry_after=0.02, seed=1, **rates) as server:
         answers = asyncio.run(scenario(server))
         stats = server.stats()
     for robot, (plan, step) in enumerate(answers):
@@ -217,7 +219,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
 
 def test_max_calls_is_exact_under_concurrency() -> None:
     async def scenario(server: Server) -> int:
-        limits = Limits(meter=BudgetMeter(Budget(max_calls=7)), rng=np.random.default_rng(0))
+        limits = CallLimits(meter=BudgetMeter(Budget(max_calls=7)), rng=np.random.default_rng(0))
         async with pool_for(server) as pool:
             model = Limited(pool.model("openai-compatible:stand-in", robot=0, rng=np.random.default_rng(0)), limits)
             results = await asyncio.gather(*(model.ask(call(i)) for i in range(30)), return_exceptions=True)

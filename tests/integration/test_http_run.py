@@ -1,6 +1,7 @@
 """The whole protocol over real HTTP, against a server that is late, turns away, breaks, cuts and babbles."""
 
 import time
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,15 +10,18 @@ from integration.fault_server import running
 from slowness import slowness
 
 import llm_flock
+from llm_flock.llm.limits import RetryPolicy
+from llm_flock.runtime import planners
 
 MODEL = "openai-compatible:test"
 
 
 @pytest.mark.no_cover
-def test_circle_of_ten_against_a_faulty_server(tmp_path: Path) -> None:
+def test_circle_of_ten_against_a_faulty_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The run ends with a readable record, and every fault that the server sent is counted, kind by kind."""
+    monkeypatch.setattr(planners, "RetryPolicy", partial(RetryPolicy, first_wait_s=0.01))
     with running(
-        late=0.02, late_latency=3, rate_limit=0.05, server_error=0.05, cut=0.05, garbage=0.08, seed=3
+        late=0.01, late_latency=3, rate_limit=0.05, server_error=0.05, cut=0.05, garbage=0.08, seed=3
     ) as server:
         result = llm_flock.run(
             llm_flock.Mission(shape="circle", n_robots=10),

@@ -13,13 +13,13 @@ import time
 from pathlib import Path
 
 import pytest
+from answer_readers import parse_path, parse_plan, parse_plan_json, parse_step, parse_step_json
 from gguf_files import write_model
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm import answers as read
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local.engine import ENGINES, Engine, slot_count
-from llm_flock.llm.local.model import Berths, LocalModel
+from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.local.weights import Weights, find_weights
 from llm_flock.llm.port import AnswerForm, Call, ChatMessage
 from llm_flock.record.reader import read_record
@@ -29,7 +29,7 @@ pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 STOCK = "local:smollm2+none"
-MISSION = {"shape": "triangle", "n_robots": 3, "center": [10, 10], "arena": [[0, 0], [20, 20]], "spacing": 6}
+MISSION = {"shape": "line", "n_robots": 2, "center": [10, 10], "arena": [[0, 0], [20, 20]], "spacing": 6}
 
 
 def question(kind, form: AnswerForm, text: str, robot: int = 0) -> Call:
@@ -45,32 +45,32 @@ def engine(own_cache):
 
 
 async def ask(call: Call, **settings):
-    berths = Berths()
+    leases = EngineLeases()
     try:
-        return await LocalModel(STOCK, berths, CallSettings(**settings)).ask(call)
+        return await LocalModel(STOCK, leases, CallSettings(**settings)).ask(call)
     finally:
-        await berths.aclose()
+        await leases.aclose()
 
 
 def test_every_answer_is_in_the_form_that_was_asked_for():
     """However badly a model answers: at a high temperature it does."""
     forms = [
-        ("step", AnswerForm(n=3, dim=2, reasons=False), lambda text: read.parse_step(text, 2)),
-        ("step", AnswerForm(n=3, dim=3, horizon=2, reasons=False), lambda text: read.parse_path(text, 2, 3)),
-        ("step", AnswerForm(n=3, dim=2, json=True), lambda text: read.parse_step_json(text, 2)),
-        ("plan", AnswerForm(n=3, dim=2, reasons=False), lambda text: read.parse_plan(text, 3, 2)),
-        ("plan", AnswerForm(n=2, dim=2, json=True), lambda text: read.parse_plan_json(text, 2, 2)),
-        ("step", AnswerForm(n=3, dim=2), lambda text: read.parse_step(text, 2)),
+        ("step", AnswerForm(n=3, dim=2, reasons=False), lambda text: parse_step(text, 2)),
+        ("step", AnswerForm(n=3, dim=3, horizon=2, reasons=False), lambda text: parse_path(text, 2, 3)),
+        ("step", AnswerForm(n=3, dim=2, json=True), lambda text: parse_step_json(text, 2)),
+        ("plan", AnswerForm(n=3, dim=2, reasons=False), lambda text: parse_plan(text, 3, 2)),
+        ("plan", AnswerForm(n=2, dim=2, json=True), lambda text: parse_plan_json(text, 2, 2)),
+        ("step", AnswerForm(n=3, dim=2), lambda text: parse_step(text, 2)),
     ]
 
     async def go():
-        berths = Berths()
-        model = LocalModel(STOCK, berths, CallSettings(temperature=1.5, seed=1))
+        leases = EngineLeases()
+        model = LocalModel(STOCK, leases, CallSettings(temperature=1.5, seed=1))
         calls = [question(kind, form, f"Robot {i}, where to?", i) for i, (kind, form, _) in enumerate(forms)]
         try:
             return await asyncio.gather(*map(model.ask, calls))
         finally:
-            await berths.aclose()
+            await leases.aclose()
 
     replies = asyncio.run(go())
     for (kind, form, reader), reply in zip(forms, replies, strict=True):
@@ -146,7 +146,7 @@ def test_a_run_records_which_files_it_used_and_is_not_simulated(tmp_path):
     result = run(**MISSION, model=STOCK, rounds=1, max_retries=0, out=str(tmp_path))
     summary = result.summary
     assert list(summary.models) == [STOCK]
-    assert not summary.simulated and summary.cost_usd == 0.0 and summary.model_calls == 3 and summary.tokens > 100
+    assert not summary.simulated and summary.cost_usd == 0.0 and summary.model_calls == 2 and summary.tokens > 100
     record = read_record(tmp_path / "run.mcap")
     files = find_weights(STOCK.partition(":")[2]).versions()
     assert len(files) == 2 and files.items() <= record.run.versions.items() and not record.run.simulated
@@ -187,7 +187,7 @@ seen = []
 def look(now):
     seen.append(ENGINES.running)
     assert not foreign_sockets(), foreign_sockets()
-result = run(shape="triangle", n_robots=3, center=[10, 10], arena=[[0, 0], [20, 20]], spacing=6, rounds=1,
+result = run(shape="line", n_robots=2, center=[10, 10], arena=[[0, 0], [20, 20]], spacing=6, rounds=1,
              model=MODEL, max_retries=0, on_round=look)
 assert seen == [1], seen
 print("calls", result.summary.model_calls, "failed", result.summary.calls_failed, "alone", alone)

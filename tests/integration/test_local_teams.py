@@ -10,7 +10,8 @@ from swarms import swarm_config
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments import tables, trials
+from llm_flock.experiments import executors, tables
+from llm_flock.experiments.compare import build_cells, compare
 from llm_flock.experiments.sweep import fly_sweep
 from llm_flock.experiments.sweep_expect import expect_cells
 from llm_flock.experiments.sweep_file import load_sweep
@@ -19,7 +20,7 @@ from llm_flock.llm.local.engine import ENGINES
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.network.swarm import run_swarm
-from llm_flock.runtime.team import Thinkers
+from llm_flock.runtime.planners import TeamPlanners
 
 pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -76,10 +77,10 @@ def test_processes_of_a_comparison_would_take_each_others_cores(monkeypatch: pyt
         jobs.append(count)
         raise Refused
 
-    monkeypatch.setattr(trials, "ProcessPoolExecutor", pool)
+    monkeypatch.setattr(executors, "ProcessPoolExecutor", pool)
     for model, expected in ((STOCK, 1), ("0=local:smollm2,1-9=simulated:ideal", 1), ("simulated:ideal", 3)):
         with pytest.raises(Refused):
-            trials.run_trials([build_config(model=model, seed=seed) for seed in range(4)], jobs=3)
+            compare(build_cells([("circle", 10)], ["flock"], model=model), trials=4, jobs=3)
         assert jobs.pop() == expected
 
 
@@ -91,8 +92,8 @@ def test_a_swarm_on_one_machine_has_one_robot_on_board_at_most() -> None:
 
 def test_files_are_looked_into_before_anything_is_asked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a file that is there"):
-        Thinkers(build_config(model=f"local:{tmp_path}/none.gguf"))
-    thinkers = Thinkers(build_config(model="0=local:smollm2+none,1-9=simulated:ideal"))
-    assert not ENGINES.running and thinkers.simulated
-    assert thinkers.weights == find_weights("smollm2+none").versions()
-    asyncio.run(thinkers.close())
+        TeamPlanners(build_config(model=f"local:{tmp_path}/none.gguf"))
+    planners = TeamPlanners(build_config(model="0=local:smollm2+none,1-9=simulated:ideal"))
+    assert not ENGINES.running and planners.simulated
+    assert planners.weights == find_weights("smollm2+none").versions()
+    asyncio.run(planners.close())

@@ -1,4 +1,4 @@
-"""Drones with real dynamics; skipped without crazyflow, or without SCIPY_ARRAY_API=1 (docs/physics.md)."""
+"""Drones with real dynamics; skipped without crazyflow, or without SCIPY_ARRAY_API=1 (docs/explanation/physics.md)."""
 
 from __future__ import annotations
 

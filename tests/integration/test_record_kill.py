@@ -22,12 +22,14 @@ WRITER = """
 import sys
 from pathlib import Path
 from sample_records import FakeRun
+from llm_flock.record.schema import RoundEnd
 from llm_flock.record.writer import RecordWriter
 
 class Telling(RecordWriter):
-    def end_round(self, number):
-        super().end_round(number)
-        print(number, flush=True)
+    def write(self, entry):
+        super().write(entry)
+        if isinstance(entry, RoundEnd):
+            print(entry.round, flush=True)
 
 with Telling(Path(sys.argv[1])) as writer:
     fake = FakeRun(n=10, rounds=10_000)

@@ -16,7 +16,7 @@ import time
 
 import pytest
 
-from llm_flock.robots.base import Limits
+from llm_flock.robots.base import MotionLimits
 from llm_flock.robots.crazyflie import CrazyflieRobot
 from llm_flock.testing import check_emergency_stop, check_robot
 from llm_flock.testing.robots import distance, wait_until
@@ -26,7 +26,7 @@ pytestmark = [
     pytest.mark.skipif(not URIS, reason="LLM_FLOCK_SITL_URIS is not set"),
     pytest.mark.filterwarnings("default"),
 ]
-LIMITS = Limits(low=(-50.0, -50.0, -1.0), high=(50.0, 50.0, 3.0), max_speed_m_s=1.0)
+LIMITS = MotionLimits(low=(-50.0, -50.0, -1.0), high=(50.0, 50.0, 3.0), max_speed_m_s=1.0)
 
 
 def robots() -> list[CrazyflieRobot]:

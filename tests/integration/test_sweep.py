@@ -12,9 +12,10 @@ from sweeps import results, small, small_file
 
 from llm_flock.errors import InputError
 from llm_flock.experiments import tables
-from llm_flock.experiments.store import StoredTrial, trial_files
+from llm_flock.experiments.store import trial_files
 from llm_flock.experiments.sweep import fly_sweep
 from llm_flock.experiments.sweep_expect import expect_cells
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.record.reader import read_record
 
 
@@ -55,8 +56,8 @@ def test_what_is_finished_is_never_flown_again_and_more_seeds_may_come(tmp_path:
     out = tmp_path / "out"
     fly_sweep(small(tmp_path, seeds=1), out, executor="one")
     before = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
-    standing = fly_sweep(small(tmp_path, seeds=2), out, executor="one")
-    assert (standing.trials, standing.finished) == (4, 4)
+    status = fly_sweep(small(tmp_path, seeds=2), out, executor="one")
+    assert (status.trials, status.finished) == (4, 4)
     after = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
     assert len(after) == 4 and {name: after[name] for name in before} == before
     with pytest.raises(InputError, match="2 of its 4 trials are not in what was given"):
@@ -68,8 +69,8 @@ def test_what_is_finished_is_never_flown_again_and_more_seeds_may_come(tmp_path:
 
 def test_trials_that_break_off_are_counted_and_flown_again_only_when_told(tmp_path: Path) -> None:
     sweep = small(tmp_path, seeds=1, consensus="rules_that_fail:Raising", start="uniform")
-    standing = fly_sweep(sweep, tmp_path / "out", executor="pool")
-    assert (standing.finished, standing.broken, standing.formed, standing.complete) == (2, 2, 0, True)
+    status = fly_sweep(sweep, tmp_path / "out", executor="pool")
+    assert (status.finished, status.broken, status.formed, status.complete) == (2, 2, 0, True)
     found = tables.read_trials(tmp_path / "out")
     assert found["error"].to_list() == ["Unpicklable: no choice"] * 2
     assert found["stopped"].to_list() == ["failed"] * 2 and found["earlier_tries"].to_list() == [0, 0]
@@ -82,14 +83,14 @@ def test_trials_that_break_off_are_counted_and_flown_again_only_when_told(tmp_pa
 
 def test_a_budget_ends_a_sweep_and_a_larger_one_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    standing = fly_sweep(small(tmp_path, budget={"max_calls": 60}), out, jobs=2)
-    assert not standing.complete and standing.cut == 1
-    assert standing.reason == "max_calls = 60 of the sweep is used up"
+    status = fly_sweep(small(tmp_path, budget={"max_calls": 60}), out, jobs=2)
+    assert not status.complete and status.cut == 1
+    assert status.reason == "max_calls = 60 of the sweep is used up"
     cut = tables.read_trials(out).filter(tables.read_trials(out)["cut"])
     assert cut["stopped"].to_list() == ["budget"] and not cut["formed"].any()
     assert sum(tables.read_trials(out)["model_calls"].to_list()) == 60
     again = fly_sweep(small(tmp_path, budget={"max_calls": 60}), out)
-    assert again.finished == standing.finished and tables.read_trials(out)["earlier_tries"].sum() == 0
+    assert again.finished == status.finished and tables.read_trials(out)["earlier_tries"].sum() == 0
     assert fly_sweep(small(tmp_path), out, executor="one").complete
     whole = tables.read_trials(out)
     assert whole.height == 4 and not whole["cut"].any() and whole["earlier_tries"].sum() == 1
@@ -153,7 +154,7 @@ def test_cells_with_flown_trials_are_expected_to_go_on_like_that(tmp_path: Path)
     fly_sweep(sweep, tmp_path / "out", executor="one")
     flown: dict[str, list[Any]] = {}
     for path in trial_files(tmp_path / "out"):
-        trial = msgspec.json.decode(path.read_bytes(), type=StoredTrial)
+        trial = msgspec.json.decode(path.read_bytes(), type=TrialResult)
         flown.setdefault(trial.cell, []).append(trial)
     found = tables.read_trials(tmp_path / "out")
     for cell, expected in expect_cells(sweep, flown=flown).items():

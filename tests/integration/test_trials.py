@@ -1,31 +1,39 @@
-"""Trials in a pool of processes: the same as in one, in order, and none of them lost."""
+"""Comparisons in a pool of processes: the same as single runs, in order, and no trial lost."""
 
+import json
 import multiprocessing
-from dataclasses import replace
+from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 import llm_flock
+from llm_flock.cli import app
 from llm_flock.errors import FlockError, InputError
 from llm_flock.experiments.compare import build_cells, compare
-from llm_flock.experiments.trials import Outcome, run_trials
+from llm_flock.experiments.grid import Cell
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.runtime.config import build_config
-from llm_flock.runtime.result import Summary
 
 
-def timeless(summary: Summary | None) -> Summary:
+def timeless(summary: dict[str, Any] | None) -> dict[str, Any]:
     """Without what the clock decides."""
     assert summary is not None
-    return replace(summary, wall_s=0.0, latency_mean_s=0.0)
+    return {**summary, "wall_s": 0.0, "latency_mean_s": 0.0}
 
 
-def test_a_pool_gives_what_single_runs_give_in_the_order_of_seeds() -> None:
-    configs = [build_config(shape="triangle", n_robots=3, seed=seed, loss=0.2) for seed in (5, 3, 4)]
-    told: list[Outcome] = []
-    outcomes = run_trials(configs, jobs=2, on_outcome=told.append)
-    assert [o.seed for o in outcomes] == [5, 3, 4] and told == outcomes
-    alone = [llm_flock.run(config=config).summary for config in configs]
-    assert [timeless(o.summary) for o in outcomes] == [timeless(summary) for summary in alone]
+def test_a_pool_gives_what_single_runs_give_in_the_order_of_cells_and_seeds() -> None:
+    cells = build_cells([("square", 8), ("triangle", 3)], ["flock"], loss=0.2)
+    told: list[tuple[str, int, TrialResult]] = []
+    rows = compare(
+        cells, trials=2, first_seed=3, jobs=2, on_result=lambda cell, *rest: told.append((cell.shape, *rest))
+    )
+    order = [("square", 8, 3), ("square", 8, 4), ("triangle", 3, 3), ("triangle", 3, 4)]
+    assert [(shape, seed) for shape, seed, _ in told] == [(shape, seed) for shape, _, seed in order]
+    for (_, _, result), (shape, n, seed) in zip(told, order, strict=True):
+        alone = llm_flock.run(config=build_config(shape=shape, n_robots=n, seed=seed, loss=0.2)).summary
+        assert timeless(result.summary) == timeless(alone.to_dict())
+    assert [(row.shape, row.trials) for row in rows] == [("square", 2), ("triangle", 2)]
     assert multiprocessing.active_children() == []
 
 
@@ -38,12 +46,21 @@ def test_trials_that_break_off_are_counted_with_their_reason() -> None:
 
 
 def test_a_refused_trial_ends_it_all_with_the_reason() -> None:
-    with pytest.raises(InputError, match="model = 'nobody:x'"):
-        run_trials([build_config(model="nobody:x")] * 3, jobs=1)
+    with pytest.raises(InputError, match="model = 'nobody:x'") as refused:
+        compare([Cell(config=build_config(model="nobody:x"))], trials=3)
+    assert refused.value.field == "model"
     assert multiprocessing.active_children() == []
 
 
 def test_a_killed_worker_is_told() -> None:
     with pytest.raises(FlockError, match="killed after 0 trials"):
-        run_trials([build_config(consensus="rules_that_fail:Killing")] * 3, jobs=1)
+        compare([Cell(config=build_config(consensus="rules_that_fail:Killing"))], trials=3)
     assert multiprocessing.active_children() == []
+
+
+def test_the_same_shape_may_be_compared_twice_on_the_command_line() -> None:
+    given = ["--cells", "triangle/3,triangle/3", "--protocols", "flock", "--trials", "1", "--jobs", "1", "--json"]
+    done = CliRunner().invoke(app, ["compare", *given])
+    assert done.exit_code == 0, done.output
+    first, second = json.loads(done.stdout)
+    assert first == second and first["formed"]["value"] == 1.0

@@ -5,18 +5,13 @@ from __future__ import annotations
 import json
 import math
 
+from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.errors import AnswerError
 from llm_flock.llm.answers import (
     MAX_COORDINATE,
-    parse_path,
-    parse_path_json,
-    parse_plan,
-    parse_plan_json,
-    parse_step,
-    parse_step_json,
 )
 from llm_flock.protocol.plan import DECIMALS
 

@@ -31,7 +31,7 @@ def circle(n: int, **fields: Any) -> Mission:
 
 
 def slots(team: StillTeam) -> list[int]:
-    return sorted(agent.claim.slot for agent in team.living if agent.claim.slot is not None)
+    return sorted(agent.claim.slot for agent in team.active if agent.claim.slot is not None)
 
 
 @cases(6)
@@ -45,7 +45,7 @@ def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults:
     team.rounds(40)
     assert_at_rest(team)
     assert slots(team) == list(range(n))
-    assert all(agent.mission == given for agent in team.living)
+    assert all(agent.mission == given for agent in team.active)
 
 
 @cases(6)
@@ -96,7 +96,7 @@ def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     team.silent.add(lost)  # it does not count among those that are awake
     assert_at_rest(team)
     assert len(slots(team)) == n - 1
-    table = team.living[0].claim.table
+    table = team.active[0].claim.table
     assert table is not None and not any(owner == lost for _, _, owner in table)
     team.silent.discard(lost)
     team.cut_off.discard(lost)
@@ -131,7 +131,7 @@ def test_a_late_joiner_finds_the_free_place_of_the_mission_in_force(
     team.rounds(CALM)
     assert_at_rest(team)
     assert slots(team) == list(range(n))
-    assert {agent.mission.shape for agent in team.living} == {"line" if changes else "circle"}
+    assert {agent.mission.shape for agent in team.active} == {"line" if changes else "circle"}
 
 
 @cases(6)
@@ -159,7 +159,7 @@ def test_a_team_replans_for_the_robots_that_are_left_and_again_for_all(seed: int
     team.rounds(8)
     team.set_faults(PERFECT)
     team.rounds(2 * CALM)
-    table = team.living[0].claim.table
+    table = team.active[0].claim.table
     assert table is not None
     if not any(owner == BLOCKED for _, _, owner in table):  # the team's stand-in plans do not keep off bodies
         assert_at_rest(team)
@@ -206,7 +206,7 @@ def test_no_mission_over_the_radio_changes_a_robots_limits(
     for _ in range(12):
         team.round(junk=[encode(attack), encode(hidden)])
     higher = stamp > MissionStamp(0, team.mission.digest)
-    for agent in team.living:
+    for agent in team.active:
         assert agent.mission == team.mission
     reason = "malformed" if spelled else "other_mission"
     assert_at_rest(team, rejected={reason: 60} if higher else {})

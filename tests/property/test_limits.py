@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError
-from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import per_robot
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 
@@ -58,7 +58,7 @@ def test_limits_hold_and_counters_add_up(
         await asyncio.sleep(0)
 
     async def scenario() -> list[Reply | BaseException]:
-        limits = Limits(
+        limits = CallLimits(
             max_concurrent=at_once,
             retry=RetryPolicy(max_tries=max_tries),
             meter=meter,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from answer_readers import parse_step
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from llm_flock.llm.answers import parse_step
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.simulated import Responder
+from llm_flock.llm.simulated.model import Responder
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepQuestion

@@ -1,4 +1,4 @@
-"""What docs/theory.md proves, on random cases: max-consensus, the lattice of tables, and the bound of the auction."""
+"""What docs/explanation/theory.md proves, on random cases: max-consensus, lattice of tables, bound of the auction."""
 
 import math
 from itertools import permutations
@@ -14,8 +14,8 @@ from llm_flock.arrays import Mask, Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import SWAP_GAIN, merge, rank
 from llm_flock.protocol.agreement.consensus import PlanKey, plan_key
-from llm_flock.protocol.agreement.path_length import path_lengths
 from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, BidTable
+from llm_flock.protocol.path_length import path_lengths
 
 SEEDS = st.integers(0, 2**32)
 

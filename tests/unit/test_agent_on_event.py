@@ -33,7 +33,7 @@ from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.motion.progress import PATIENCE
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
-from llm_flock.protocol.verification.steps import mended
+from llm_flock.protocol.verification.steps import clip_waypoint
 from llm_flock.protocol.verification.validator import Validator
 
 MISSION = Mission(shape="triangle", n_robots=3)
@@ -175,7 +175,7 @@ def test_no_step_is_flown_unverified_or_unshielded(
                 plan=PLAN,
                 slot=0,
             )
-            assert mended(MISSION, question, step.proposed, shield_on=True) == step.waypoint
+            assert clip_waypoint(MISSION, question, step.proposed, shield_on=True) == step.waypoint
         here = step.waypoint
 
 

@@ -61,9 +61,9 @@ def reports_of(n: int, stamp: int = 0, mark: Point = ()) -> dict[int, PositionRe
 
 
 def report(
-    all_to_all: AllToAll, where: Point, *, greeting: bool = True, plan: Plan = ROW, claim: Claim = NO_CLAIM
+    all_to_all: AllToAll, where: Point, *, greeting: bool = True, plan: Plan = ROW, settled: bool = False
 ) -> dict[int, PositionReport] | None:
-    return all_to_all.report(MISSION, plan, claim, where, greeting=greeting)
+    return all_to_all.report(MISSION, plan, where, settled=settled, greeting=greeting)
 
 
 def on_circle(arc: float) -> Point:
@@ -129,9 +129,8 @@ def test_small_teams_and_teams_with_keys_collect_nothing(all_to_all: AllToAll) -
 def test_in_the_second_collection_a_robot_reports_where_it_waits_and_again_when_it_has_moved() -> None:
     all_to_all = later()
     assert report(all_to_all, on_circle(0.0)) is None, "there is no circle to wait on"
-    claimed = Claim(slot=0, table=((VERSION, 0.0, 0),))
-    assert report(all_to_all, on_circle(0.0), plan=CIRCLE, claim=claimed) is None, "it has a slot already"
-    assert all_to_all.report(MISSION, None, NO_CLAIM, on_circle(0.0), greeting=True) is None, "it has no plan"
+    assert report(all_to_all, on_circle(0.0), plan=CIRCLE, settled=True) is None, "it has a slot already"
+    assert all_to_all.report(MISSION, None, on_circle(0.0), settled=False, greeting=True) is None, "it has no plan"
     first = {0: (ROUNDS + 1, on_circle(0.0), on_circle(0.0))}
     assert ROUNDS + 1 > SECOND * N
     assert report(all_to_all, on_circle(0.0), plan=CIRCLE) == first
@@ -279,7 +278,7 @@ def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
     message = Message(sender=1, sequence=0, neighbors=1, mission=MissionStamp(0, mission.digest), positions=heard)
     agent.handle(Received(encode(message)))
-    assert {robot: agent._exchange._all_to_all.known[robot] for robot in heard} == heard
+    assert {robot: agent._messaging._all_to_all.known[robot] for robot in heard} == heard
     elsewhere = msgspec.structs.replace(message, mission=MissionStamp(0, "0" * 16), positions={3: (0, (9.0, 9.0), ())})
     agent.handle(Received(encode(elsewhere)))
-    assert 3 not in agent._exchange._all_to_all.known
+    assert 3 not in agent._messaging._all_to_all.known

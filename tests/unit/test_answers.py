@@ -7,19 +7,15 @@ import re
 import time
 
 import pytest
+from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError
+from llm_flock.llm.answer_forms import answer_schema
 from llm_flock.llm.answers import (
     MAX_CHARS,
-    parse_path,
-    parse_path_json,
-    parse_plan,
-    parse_plan_json,
-    parse_step,
-    parse_step_json,
 )
-from llm_flock.llm.schemas import path_schema, plan_schema, step_schema
+from llm_flock.llm.port import AnswerForm
 from llm_flock.protocol.plan import Plan
 
 POINTS = [[55.77, 50.0], [47.11, 55.0], [47.11, 45.0]]
@@ -187,12 +183,14 @@ def test_json_that_will_not_do(value: dict[str, object], reason: str) -> None:
 
 
 def test_schemas_fix_every_length() -> None:
-    plan = plan_schema(3, 2)["properties"]
+    plan = answer_schema("plan", AnswerForm(n=3, dim=2))["properties"]
     assert (plan["plan"]["minItems"], plan["plan"]["maxItems"]) == (3, 3)
     assert plan["my_plan"] == {"type": "integer", "minimum": 0, "maximum": 2}
-    position = step_schema(3)["properties"]["position"]
+    position = answer_schema("step", AnswerForm(n=3, dim=3))["properties"]["position"]
     assert (position["minItems"], position["maxItems"]) == (3, 3)
-    for schema in (plan_schema(3, 2), step_schema(3), path_schema(4, 2)):
+    path = answer_schema("step", AnswerForm(n=3, dim=2, horizon=4))
+    assert path["properties"]["path"]["maxItems"] == 4
+    for schema in (path, answer_schema("plan", AnswerForm(n=3, dim=2)), answer_schema("step", AnswerForm(n=3, dim=2))):
         assert schema["required"] == list(schema["properties"]) and schema["additionalProperties"] is False
 
 
@@ -235,7 +233,7 @@ HOSTILE = [
 
 def all_readings_s(text: str) -> float:
     """Time for all six ways of reading a text that holds no answer [s]."""
-    began = time.perf_counter()
+    began = time.process_time()
     for read in (parse_plan, parse_plan_json):
         with pytest.raises(AnswerError) as caught:
             read(text, 3, 2)
@@ -246,7 +244,7 @@ def all_readings_s(text: str) -> float:
     for read in (parse_path, parse_path_json):
         with pytest.raises(AnswerError):
             read(text, 20, 2)
-    return time.perf_counter() - began
+    return time.process_time() - began
 
 
 @pytest.mark.parametrize("unit", HOSTILE, ids=lambda unit: ascii(unit[:12]))

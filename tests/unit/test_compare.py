@@ -9,10 +9,10 @@ import pytest
 
 from llm_flock import formations
 from llm_flock.errors import InputError
-from llm_flock.experiments.arena import fitted_arena
-from llm_flock.experiments.compare import Cell, build_cells, compare, parse_teams, row
-from llm_flock.experiments.comparison_table import SHOWN_SEEDS, TrialFile, markdown
-from llm_flock.experiments.trials import Outcome, run_trials
+from llm_flock.experiments.compare import build_cells, compare, row
+from llm_flock.experiments.comparison_table import SHOWN_SEEDS, markdown, trial_file
+from llm_flock.experiments.grid import Cell, fitted_arena, parse_teams
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.mission import Mission
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.result import Summary
@@ -62,8 +62,22 @@ SUMMARY = Summary(
 CELL = Cell(config=build_config(shape="circle", n_robots=10))
 
 
-def good(seed: int, **changes: object) -> Outcome:
-    return Outcome(seed=seed, summary=replace(SUMMARY, seed=seed, **changes))
+def result(summary: dict[str, object] | None, error: str | None = None) -> TrialResult:
+    plain = {"id": "0", "cell": "", "axes": {}, "config": {}, "rounds": {}, "cut": False, "code": ""}
+    return TrialResult(**plain, summary=summary, error=error, simulated=True)
+
+
+def good(**changes: object) -> TrialResult:
+    return result(replace(SUMMARY, **changes).to_dict())
+
+
+def broken(error: str = "ValueError: bad") -> TrialResult:
+    """A trial that broke off after it had come to some figures."""
+    return result(SUMMARY.to_dict(), error)
+
+
+def from_zero(*results: TrialResult) -> dict[int, TrialResult]:
+    return dict(enumerate(results))
 
 
 def test_teams_are_read() -> None:
@@ -143,13 +157,13 @@ def test_an_arena_for_points_of_a_file(tmp_path: Path) -> None:
 
 
 def test_a_row_says_what_its_trials_did() -> None:
-    outcomes = [
-        good(5),
-        good(6, rounds_to_formed=16, min_separation=2.9, model_calls=150),
-        good(7, formed=False, rounds_to_formed=None, lower_bound_rounds=None, waypoints={"hold": 3}),
-        Outcome(seed=8, summary=None, error="ValueError: bad"),
-    ]
-    found = row(CELL, outcomes)
+    results = {
+        5: good(),
+        6: good(rounds_to_formed=16, min_separation=2.9, model_calls=150),
+        7: good(formed=False, rounds_to_formed=None, lower_bound_rounds=None, waypoints={"hold": 3}),
+        8: broken(),
+    }
+    found = row(CELL, results)
     assert (found.trials, found.formed.value, found.broken) == (4, 0.5, 1)
     assert (found.rounds, found.ratio) == (13.0, pytest.approx((10 / 8 + 2) / 2))
     assert (found.min_separation, found.violations) == (2.9, 1)
@@ -161,36 +175,35 @@ def test_a_row_says_what_its_trials_did() -> None:
 
 
 def test_a_separation_that_rounding_made_too_small_is_no_violation() -> None:
-    assert row(CELL, [good(0, min_separation=3 - 1e-7)]).violations == 0
-    assert row(CELL, [good(0, min_separation=3 - 2e-6)]).violations == 1
+    assert row(CELL, from_zero(good(min_separation=3 - 1e-7))).violations == 0
+    assert row(CELL, from_zero(good(min_separation=3 - 2e-6))).violations == 1
 
 
 def test_robots_that_begin_too_near_are_told_apart_from_what_the_protocol_did() -> None:
     near = {"start_violations": 2, "min_separation": 0.5}
-    found = row(
-        CELL, [good(0), good(1, **near, min_separation_after_start=3.1), good(2, min_separation_after_start=3.2)]
-    )
+    later = good(**near, min_separation_after_start=3.1), good(min_separation_after_start=3.2)
+    found = row(CELL, from_zero(good(), *later))
     assert (found.min_separation, found.violations) == (0.5, 1)
     assert (found.unsafe_starts, found.min_separation_after_start) == (1, 3.1)
     assert "1 of 3 began with two robots too near each other; smallest separation once they had come apart: 3.1" in (
         markdown([found])
     )
-    assert "too near" not in markdown([row(CELL, [good(0)])])
+    assert "too near" not in markdown([row(CELL, from_zero(good()))])
 
 
 def test_a_team_in_place_from_the_start_has_a_ratio() -> None:
-    assert row(CELL, [good(0, rounds_to_formed=1, lower_bound_rounds=0)]).ratio == 1.0
+    assert row(CELL, from_zero(good(rounds_to_formed=1, lower_bound_rounds=0))).ratio == 1.0
 
 
 def test_a_row_of_broken_trials_has_no_figures() -> None:
-    found = row(CELL, [Outcome(seed=0, summary=None, error="ValueError: bad")])
+    found = row(CELL, from_zero(broken()))
     assert (found.formed.value, found.rounds, found.ratio, found.min_separation, found.calls) == (0.0, *[None] * 4)
     assert "| -  " in markdown([found])
 
 
 def test_the_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
-    bad = [good(seed, formed=False) for seed in range(SHOWN_SEEDS + 5)]
-    text = markdown([row(CELL, [good(99)]), row(CELL, [*bad, Outcome(seed=77, summary=None, error="Oops: x")])])
+    bad = {seed: good(formed=False) for seed in range(SHOWN_SEEDS + 5)}
+    text = markdown([row(CELL, {99: good()}), row(CELL, {**bad, 77: broken("Oops: x")})])
     lines = text.splitlines()
     assert len({len(line) for line in lines[:4]}) == 1 and lines[1].startswith("|---")
     assert "100.0 [20.7, 100.0]" in lines[2] and "| 13.00 " in lines[2]
@@ -201,10 +214,10 @@ def test_the_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
 
 def test_a_line_for_each_trial(tmp_path: Path) -> None:
     path = tmp_path / "new" / "trials.csv"
-    with TrialFile(path) as file:
-        file.add(CELL, good(3))
+    with trial_file(path) as add:
+        add(CELL, 3, good())
         assert len(path.read_text().splitlines()) == 2, "an interrupted comparison keeps what was ready"
-        file.add(CELL, Outcome(seed=4, summary=None, error="ValueError: bad"))
+        add(CELL, 4, broken())
     with path.open() as lines:
         first, second = csv.DictReader(lines)
     assert (first["protocol"], first["shape"], first["n_robots"], first["seed"]) == ("flock", "circle", "10", "3")
@@ -215,17 +228,16 @@ def test_a_line_for_each_trial(tmp_path: Path) -> None:
 def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "trials.csv"
     path.write_text("precious")
-    with pytest.raises(InputError, match="overwritten"):
-        TrialFile(path)
-    with pytest.raises(InputError, match="written to"):
-        TrialFile(path / "below.csv")
+    for wrong, reason in ((path, "overwritten"), (path / "below.csv", "written to")):
+        with pytest.raises(InputError, match=reason), trial_file(wrong):
+            pass
     assert path.read_text() == "precious"
 
 
-def test_nothing_to_fly_and_nobody_to_fly_it() -> None:
-    assert run_trials([], jobs=1) == []
+def test_nothing_to_fly_and_no_process_to_fly_it() -> None:
+    assert compare([], trials=1) == []
     with pytest.raises(InputError, match="jobs"):
-        run_trials([CELL.config], jobs=0)
+        compare([CELL], trials=1, jobs=0)
     with pytest.raises(InputError, match="trials"):
         compare([CELL], trials=0)
 

@@ -1,4 +1,4 @@
-"""Where the paper's rule does not settle, and the same situations under the default rules (docs/theory.md, section 4).
+"""Where the paper's rule does not settle, and the same under the default rules (docs/explanation/theory.md, section 4).
 
 Both teams are made of the real agents, from the same positions and with the same proposals, by the presets of the
 command line.

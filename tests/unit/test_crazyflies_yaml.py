@@ -52,7 +52,7 @@ def content(text=TEXT):
 
 def test_a_robot_goes_before_its_type_and_its_type_before_all():
     one, two = parse_crazyflies(content())
-    assert (one.name, one.uri, one.home, one.kind) == ("cf1", "radio://0/80/2M/E7E7E7E701", (0.0, 0.5, 0.0), "small")
+    assert (one.name, one.uri, one.home) == ("cf1", "radio://0/80/2M/E7E7E7E701", (0.0, 0.5, 0.0))
     assert one.parameters == {
         "stabilizer.estimator": 2.0,
         "stabilizer.controller": 2.0,
@@ -60,9 +60,7 @@ def test_a_robot_goes_before_its_type_and_its_type_before_all():
         "kalman.pNAcc_xy": 1.0,
         "kalman.pNAcc_z": 0.9,
     }
-    assert (one.battery_warning_v, one.battery_critical_v) == (3.8, 3.7)
     assert two.parameters["stabilizer.controller"] == 1.0
-    assert (two.battery_warning_v, two.battery_critical_v) == (7.6, 3.0)
 
 
 def test_numbers_that_yaml_takes_for_text_are_numbers():
@@ -81,7 +79,6 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
         ("[0.0, 0.5, 0]", "[0.0, .nan, 0]", "robots.cf1.initial_position"),
         ("pNAcc_xy: 1.0", "pNAcc_xy: much", "robots.cf1.firmware_params.kalman.pNAcc_xy"),
         ("enabled: true", "enabled: false", "robots"),
-        ("voltage_warning: 3.8", "voltage_warning: [3.8]", "robots.cf1.battery.voltage_warning"),
         ("      kalman: {pNAcc_xy: 0.7, pNAcc_z: 0.9}", "      locSrv: 3", "robots.cf1.firmware_params.locSrv"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 from still_team import StillTeam, connected_places
 
-from llm_flock.mission import SAFETY_FIELDS, Mission
+from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.dissemination import SMALL, Dissemination
@@ -81,7 +81,8 @@ class Sender:
         self.dissemination.begin_round(self.around, len(self.around) if neighbors is None else neighbors)
 
     def send(self, whole: Message) -> Message:
-        payload = self.dissemination.compose(whole, self.mission, self.liveness)
+        beats = self.liveness.beats if self.dissemination.greets else None
+        payload = self.dissemination.compose(replace(whole, beats=beats), self.mission)
         return decode(payload, self.mission.n_robots, self.mission.dim)
 
 
@@ -208,7 +209,8 @@ def test_a_mission_is_spelled_out_only_for_neighbours_with_an_older_one() -> Non
 
 def test_a_spelled_out_mission_leaves_out_a_robots_own_limits() -> None:
     assert set(json.loads(mission_text(MISSION))) == MISSION_FIELDS
-    assert set(Mission.model_fields) - set(SAFETY_FIELDS) == MISSION_FIELDS
+    own = {"n_robots", "safe_distance", "max_step", "comm_range", "sense_range", "arena", "obstacles"}
+    assert set(Mission.model_fields) - MISSION_FIELDS == own
 
 
 @pytest.mark.parametrize(("mission", "whole"), [(MISSION, True), (LARGE, False)])

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from answer_readers import parse_path, parse_plan, parse_step
 
 from llm_flock.distill.adapter import Adapter, turned_rows, write_gguf
-from llm_flock.distill.evaluation import Examiner, best_waypoint, motion_figures, validator
+from llm_flock.distill.batches import Lesson, make_batch, plan_epoch, shared_prefix
+from llm_flock.distill.evaluation import Evaluator, best_waypoint, motion_figures, score
+from llm_flock.distill.example_files import read_examples, write_examples
 from llm_flock.distill.examples import (
     HELD_OUT_TEAMS,
     REACH,
@@ -21,10 +24,8 @@ from llm_flock.distill.examples import (
     plan_examples,
     step_example,
 )
-from llm_flock.distill.lessons import Row, make_batch, plan_epoch, read_examples, shared_prefix, write_examples
 from llm_flock.errors import InputError
-from llm_flock.llm.answers import parse_path, parse_plan, parse_step
-from llm_flock.llm.frame import ask_step
+from llm_flock.llm.frame import frame_step
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
@@ -91,19 +92,19 @@ def test_examples_are_kept_as_json_lines(tmp_path: Path) -> None:
 
 
 def test_a_batch_computes_the_common_beginning_once_and_learns_answers_only() -> None:
-    rows = [Row((1, 2, 3, 4), (7, 8)), Row((1, 2, 5), (9,))]
+    rows = [Lesson((1, 2, 3, 4), (7, 8)), Lesson((1, 2, 5), (9,))]
     assert shared_prefix(rows) == 2
     batch = make_batch(rows)
     assert batch.prefix == (1, 2)
     assert batch.tokens.tolist() == [[3, 4, 7], [5, 0, 0]]
     assert batch.labels.tolist() == [[-1, 7, 8], [9, -1, -1]]
-    alone = make_batch([Row((1, 2), (3,))])
+    alone = make_batch([Lesson((1, 2), (3,))])
     assert alone.prefix == (1,) and alone.tokens.tolist() == [[2]] and alone.labels.tolist() == [[3]]
 
 
 def test_an_epoch_has_every_row_once_and_keeps_to_the_budget() -> None:
     rng = np.random.default_rng(0)
-    rows = [Row((1, 2, int(rng.integers(3)), *range(int(rng.integers(1, 9)))), (5, 6)) for _ in range(300)]
+    rows = [Lesson((1, 2, int(rng.integers(3)), *range(int(rng.integers(1, 9)))), (5, 6)) for _ in range(300)]
     steps = plan_epoch(rows, 60, np.random.default_rng(1))
     assert all(len(step) == 1 for step in steps)
     batches = [batch for step in steps for batch in step]
@@ -118,7 +119,7 @@ def test_an_epoch_has_every_row_once_and_keeps_to_the_budget() -> None:
 
 def test_a_step_has_batches_of_different_kinds() -> None:
     kinds = [0] * 150 + [9] * 150
-    rows = [Row((1, kind, i), (5, 6)) for i, kind in enumerate(kinds)]
+    rows = [Lesson((1, kind, i), (5, 6)) for i, kind in enumerate(kinds)]
     steps = plan_epoch(rows, 60, np.random.default_rng(1), together=2)
     assert sorted(i for step in steps for batch in step for i in batch) == list(range(300))
     assert {len(step) for step in steps} <= {1, 2}
@@ -141,13 +142,13 @@ STEP = StepQuestion(
 def test_answers_are_judged_raw_and_as_they_would_be_flown() -> None:
     assert STEP.goal == (45.0, 50.0) and best_waypoint(STEP) == (36.0, 50.0)
     assert best_waypoint(replace(STEP, position=STEP.goal)) == STEP.goal
-    right = validator(STEP, StepAnswer(waypoint=(35.9, 50.0)))
+    right = score(STEP, StepAnswer(waypoint=(35.9, 50.0)))
     assert right.parsed and right.within and right.passed and right.error == pytest.approx(0.1)
-    far = validator(STEP, StepAnswer(waypoint=(39.0, 50.0)))
+    far = score(STEP, StepAnswer(waypoint=(39.0, 50.0)))
     assert not far.within and not far.passed and far.error == 3.0 and far.shielded_error < 1e-9
-    back = validator(STEP, StepAnswer(waypoint=(28.0, 50.0)))
+    back = score(STEP, StepAnswer(waypoint=(28.0, 50.0)))
     assert back.within and not back.passed and back.error == 8.0 and back.shielded_error == 6.0
-    none = validator(STEP, NoAnswer(cause="answer", reason="nothing"))
+    none = score(STEP, NoAnswer(cause="answer", reason="nothing"))
     assert not none.parsed and not none.within and none.error == none.shielded_error == 6.0
     figures = motion_figures([right, far, back, none])
     assert (figures.asked, figures.parsed, figures.within, figures.passed) == (4, 0.75, 0.5, 0.25)
@@ -155,11 +156,11 @@ def test_answers_are_judged_raw_and_as_they_would_be_flown() -> None:
 
 
 def test_an_ideal_stand_in_passes_every_bar() -> None:
-    examiner = Examiner("simulated:ideal", frame="own")
-    steps, paths = examiner.steps(20, 1), examiner.steps(5, 20)
+    evaluator = Evaluator("simulated:ideal", frame="own")
+    steps, paths = evaluator.steps(20, 1), evaluator.steps(5, 20)
     assert steps.asked == 20 and steps.parsed == steps.within == steps.passed == 1.0 and steps.error < 0.1
     assert paths.passed == 1.0 and paths.shielded_error < 0.1
-    plans = examiner.plans(2)
+    plans = evaluator.plans(2)
     assert [p.team for p in plans] == ["triangle 3", "square 4", "cross 5", "circle 5", "circle 10"]
     assert all(p.passed == 1.0 and p.asked == 2 for p in plans)
 
@@ -213,7 +214,7 @@ def test_what_is_told_in_an_example_is_what_a_run_asks() -> None:
     assert example == Example(
         kind="step",
         system=BRIEF.system(MISSION),
-        user=BRIEF.step(ask_step(question, "own").told),
+        user=BRIEF.step(frame_step(question, "own").framed),
         answer="Position: [0.92, 0.0]",
         team="line 2",
     )

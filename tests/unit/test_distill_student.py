@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from llm_flock.distill.lessons import Row, make_batch
+from llm_flock.distill.batches import Lesson, make_batch
 from llm_flock.distill.student import LAYERS, Student
-from llm_flock.distill.training import Course, Progress, train
+from llm_flock.distill.training import TrainingOptions, TrainingProgress, train
 from llm_flock.errors import InputError
 
 torch: Any = pytest.importorskip("torch")
@@ -35,7 +35,7 @@ def student(rank: int = 4) -> Student:
     return made
 
 
-ROWS = [Row((1, 2, 3, 4), (7, 8)), Row((1, 2, 5), (9,)), Row((1, 2, 6, 6, 4), (7, 7))]
+ROWS = [Lesson((1, 2, 3, 4), (7, 8)), Lesson((1, 2, 5), (9,)), Lesson((1, 2, 6, 6, 4), (7, 7))]
 
 
 def test_a_common_beginning_changes_the_cost_and_not_the_loss() -> None:
@@ -65,8 +65,8 @@ def test_fresh_factors_change_nothing_and_training_does(tmp_path: Path) -> None:
     one, plain = student(), student()
     ids = torch.tensor([[1, 2, 3]])
     assert torch.equal(one.model(input_ids=ids).logits, plain.model(input_ids=ids).logits)
-    told: list[Progress] = []
-    end = train(one, ROWS, Course(steps=90, rate=0.05, tokens=40), tmp_path, on_progress=told.append)
+    told: list[TrainingProgress] = []
+    end = train(one, ROWS, TrainingOptions(steps=90, rate=0.05, tokens=40), tmp_path, on_progress=told.append)
     assert [p.step for p in told] == list(range(1, 91)) and told[-1] == end and end.examples >= 90
     assert end.loss < 0.8 * told[0].loss and end.left_s == 0.0
     kept = one.adapter()
@@ -76,16 +76,16 @@ def test_fresh_factors_change_nothing_and_training_does(tmp_path: Path) -> None:
 
 
 def test_a_training_goes_on_where_it_was_kept(tmp_path: Path) -> None:
-    train(student(), ROWS, Course(steps=10, rate=0.01, tokens=40), tmp_path)
-    again, told = student(), list[Progress]()
-    train(again, ROWS, Course(steps=20, rate=0.01, tokens=40), tmp_path, resume=True, on_progress=told.append)
+    train(student(), ROWS, TrainingOptions(steps=10, rate=0.01, tokens=40), tmp_path)
+    again, told = student(), list[TrainingProgress]()
+    train(again, ROWS, TrainingOptions(steps=20, rate=0.01, tokens=40), tmp_path, resume=True, on_progress=told.append)
     assert [p.step for p in told] == list(range(11, 21))
     with pytest.raises(InputError, match="resume"):
-        train(student(rank=2), ROWS, Course(steps=20), tmp_path, resume=True)
+        train(student(rank=2), ROWS, TrainingOptions(steps=20), tmp_path, resume=True)
     with pytest.raises(InputError, match="resume"):
-        train(student(), ROWS, Course(steps=20), tmp_path / "other", resume=True)
+        train(student(), ROWS, TrainingOptions(steps=20), tmp_path / "other", resume=True)
 
 
 def test_the_rate_rises_stays_and_falls() -> None:
-    course = Course(steps=100, rate=1.0, warm_up=10, descent=0.5)
-    assert [course.rate_at(step) for step in (0, 9, 30, 49, 75, 99)] == pytest.approx([0.1, 1.0, 1.0, 1.0, 0.5, 0.02])
+    options = TrainingOptions(steps=100, rate=1.0, warm_up=10, descent=0.5)
+    assert [options.rate_at(step) for step in (0, 9, 30, 49, 75, 99)] == pytest.approx([0.1, 1.0, 1.0, 1.0, 0.5, 0.02])

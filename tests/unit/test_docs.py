@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
 import re
 import shlex
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -19,10 +22,13 @@ from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.result import Summary
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+from_code: Any = importlib.import_module("from_code")
+
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 IDS = [str(page.relative_to(ROOT)) for page in PAGES]
 
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`([^`\n]+)`")
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
@@ -45,6 +51,7 @@ def mentioned_targets(line: str) -> list[str]:
     return [] if match is None else [word for word in match[1].split() if "=" not in word]
 
 
+@functools.cache
 def commands() -> dict[str, set[str]]:
     """Every command of the command line, with the options that it takes."""
 
@@ -145,3 +152,70 @@ def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
 def test_every_key_of_the_summary_is_documented() -> None:
     documented = re.findall(r"^        (\w+): ", Summary.__doc__ or "", re.MULTILINE)
     assert documented == list(Summary.__dataclass_fields__)
+
+
+GLOSSARY = (ROOT / "docs" / "reference" / "glossary.md").read_text(encoding="utf-8")
+GLOSSARY_NAMES = sorted(
+    {
+        name
+        for line in GLOSSARY.partition("## Old words")[0].splitlines()
+        if line.startswith("| ")
+        for name in SPAN.findall(line.rstrip("| ").rpartition("|")[2])
+    }
+)
+
+
+def found(name: str) -> bool:
+    """Whether a dotted name below the package is a module, or an attribute of one."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            thing: Any = importlib.import_module(".".join(["llm_flock", *parts[:k]]))
+        except ImportError:
+            continue
+        try:
+            functools.reduce(getattr, parts[k:], thing)
+        except AttributeError:
+            return False
+        return True
+    return False
+
+
+def test_the_glossary_gives_code_for_every_term() -> None:
+    rows = [line for line in GLOSSARY.partition("## Old words")[0].splitlines() if line.startswith("| ")]
+    terms = [line.split("|") for line in rows if not line.startswith("| Term ")]
+    assert terms and all(len(SPAN.findall(cells[-2])) for cells in terms)
+
+
+@pytest.mark.parametrize("name", GLOSSARY_NAMES)
+def test_the_code_that_the_glossary_names_exists(name: str) -> None:
+    assert found(name)
+
+
+def test_a_name_that_does_not_exist_is_noticed() -> None:
+    assert not found("protocol.agent.Mind") and not found("protocol.talks") and found("protocol.agent.Agent.goal")
+
+
+def test_every_package_and_module_says_what_it_is_for() -> None:
+    files = [*from_code.SOURCE.rglob("*.py")]
+    assert [path.name for path in files if not from_code.first_line(path)] == []
+    assert {"trust", "obstacles", "protocol.agreement"} <= {name for name, _ in from_code.packages()}
+
+
+def test_the_layers_are_those_of_the_import_contract() -> None:
+    named = {name for _, name in from_code.by_layer()}
+    top = {path.stem for path in from_code.SOURCE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert named == top - {"__init__"}
+
+
+def test_constants_are_read_with_value_and_meaning(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    module.write_text('A = 3\n"""Rounds\nto wait."""\nB = 4\n_C = 5\n"""Private."""\nD, E = 1, 2\n"""Two."""\n')
+    assert from_code.constants(module) == [("A", "3", "Rounds to wait."), ("D, E", "(1, 2)", "Two.")]
+
+
+def test_events_that_every_phase_takes_are_drawn_once() -> None:
+    edges = [("a", "Go", ["b"]), ("b", "Go", ["a"]), ("a", "Hear", ["a"]), ("b", "Hear", ["a", "b"])]
+    assert from_code.everywhere(edges) == ["Hear"]
+    edges += [("a", "Stop", ["end"]), ("b", "Stop", ["end"])]
+    assert from_code.final(edges, "Stop") == "end" and not from_code.final(edges, "Go")

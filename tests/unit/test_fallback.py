@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from llm_flock.llm.fallback import FallbackPlanner
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion

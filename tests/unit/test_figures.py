@@ -19,7 +19,7 @@ from llm_flock.record.scene import PALETTE
 from llm_flock.viz import figures
 from llm_flock.viz.animation import frames
 from llm_flock.viz.panel import Panel, short, view
-from llm_flock.viz.style import heading, ink_on, letters, line_colour, luminance, plan_looks, thinkers
+from llm_flock.viz.style import heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record
     assert "circle · 5 robots" in said and "simulated:ideal" in said and "simulated language models" in said
     real = replace(record, run=record.run.model_copy(update={"simulated": False}))
     assert "simulated language models" not in words(figures.snapshots(real))
-    assert "simulated language models" in thinkers([real, record])
+    assert "simulated language models" in model_names([real, record])
     rules = {"protocol": {"consensus": "provenance", "assignment": "auction"}}
     ruled = replace(record, run=record.run.model_copy(update={"config": rules}))
     assert heading(ruled, 10).startswith("circle · 5 robots · provenance + auction · simulated:ideal")
@@ -65,9 +65,9 @@ def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record
 
 
 def test_without_calls_the_configured_model_is_named(record: RunRecord) -> None:
-    assert thinkers([replace(record, llm=())]) == "simulated:ideal · simulated language models"
+    assert model_names([replace(record, llm=())]) == "simulated:ideal · simulated language models"
     run = record.run.model_copy(update={"config": {}, "simulated": False})
-    assert thinkers([replace(record, llm=(), run=run)]) == ""
+    assert model_names([replace(record, llm=(), run=run)]) == ""
 
 
 @pytest.mark.parametrize("rounds", [[], [-1], [0, 11]])

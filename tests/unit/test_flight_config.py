@@ -13,10 +13,9 @@ from pydantic import BaseModel
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED
-from llm_flock.runtime.config import load_config_of
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.frame import Frame
+from llm_flock.runtime.flight.frame import MissionFrame
 from llm_flock.runtime.flight.setpoints import SetPointCheck, moving, resting
 
 SPACE: dict[str, Any] = {
@@ -94,7 +93,7 @@ def test_the_speed_limit_is_that_of_the_middle_of_a_step() -> None:
 def test_there_and_back(dim: int) -> None:
     rng = random.Random(dim)
     for _ in range(100):
-        frame = Frame(
+        frame = MissionFrame(
             anchor=tuple(rng.uniform(-50, 50) for _ in range(dim)),
             scale_m=rng.uniform(0.01, 2),
             stretch=rng.uniform(1, 5),
@@ -108,7 +107,7 @@ def test_there_and_back(dim: int) -> None:
             frame.scale_m * math.dist(one[:2], two[:2])
         )
         assert frame.to_world(frame.anchor) == pytest.approx((*frame.origin, frame.altitude_m))
-    quarter = Frame(anchor=(0, 0), scale_m=0.1, stretch=1, yaw=math.pi / 2, origin=(1, 2), altitude_m=1)
+    quarter = MissionFrame(anchor=(0, 0), scale_m=0.1, stretch=1, yaw=math.pi / 2, origin=(1, 2), altitude_m=1)
     assert quarter.to_world((10, 0)) == pytest.approx((1, 3, 1))
 
 
@@ -182,5 +181,5 @@ def test_a_crazyflie_needs_an_address_and_a_simulated_drone_a_start() -> None:
 
 def test_the_example_is_a_flight() -> None:
     example = Path(__file__).parents[2] / "examples" / "flight.toml"
-    settings = load_config_of(FlightConfig, example)
+    settings = FlightConfig.load(example)
     assert len(settings.fleet.drones) == settings.mission.n_robots == 4

@@ -1,4 +1,4 @@
-"""docs/flying.md says what the code promises."""
+"""docs/how-to/flying.md says what the code promises."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from benchmarks.flight import CASES, case_config
 
 from llm_flock.cli.fly import WORD
 from llm_flock.cli.keyboard import CUT_KEYS, LAND_KEYS
-from llm_flock.runtime.flight.monitors import Kind
-from llm_flock.runtime.flight.promises import promises
+from llm_flock.runtime.flight.monitors import TroubleKind
+from llm_flock.runtime.flight.reaction_times import reaction_times
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "flying.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "flying.md").read_text(encoding="utf-8")
 
 
 def rows(first: str) -> list[list[str]]:
@@ -24,7 +24,7 @@ def rows(first: str) -> list[list[str]]:
 
 
 def test_every_case_is_in_the_table_with_its_stated_time_and_was_measured_within_it() -> None:
-    promised = promises(case_config("square", 4, 3)[0])
+    promised = reaction_times(case_config("square", 4, 3)[0])
     assert set(promised) == {*CASES, "model_silent", "killed", "hangs"}
     found = {row[0]: row for row in rows("Case")}
     assert set(found) == {promise.case for promise in promised.values()}
@@ -42,7 +42,7 @@ def test_the_paper_s_flights_are_in_the_table() -> None:
 
 
 def test_what_ends_a_flight_is_listed() -> None:
-    assert {row[0].strip("`") for row in rows("Kind")} == {kind.value for kind in Kind}
+    assert {row[0].strip("`") for row in rows("Kind")} == {kind.value for kind in TroubleKind}
 
 
 def test_keys_and_word_are_those_of_the_command() -> None:

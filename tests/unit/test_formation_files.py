@@ -42,7 +42,7 @@ def test_three_dimensions(tmp_path: Path) -> None:
         ("a.csv", "1,2,3,4\n", "line 1", "2 or 3 finite numbers"),
         ("a.csv", "1,nan\n", "line 1", "2 or 3 finite numbers"),
         ("a.csv", "1,2\n1,inf\n", "line 2", "2 or 3 finite numbers"),
-        ("a.csv", "1,2\n1,2,3\n", "line 2", "2 numbers, as in the rows before"),
+        ("a.csv", "1,2\n1,2,3\n", "line 2", "2 numbers, as in the first row"),
         ("a.csv", "1,2\n" + "9" * 200_000, "line 2", "comma-separated values"),
         ("a.csv", "1;2\n3;4\n", "line 2: ['3;4']", "2 or 3 finite numbers"),
         ("a.csv", "1;2\n", "a.csv", "at least one point"),

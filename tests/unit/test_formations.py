@@ -284,6 +284,6 @@ def test_what_has_no_rotational_symmetry() -> None:
 
 
 def test_the_page_lists_every_shape_as_the_code_does() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "formations.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "formations.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     assert rows == [f"| `{info.name}` | {info.legal} | {info.description} |" for info in formations.shapes()]

@@ -10,8 +10,8 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError
-from llm_flock.llm.frame import ask_plan, ask_step, trained_for
-from llm_flock.llm.planner import History, LanguagePlanner
+from llm_flock.llm.frame import frame_plan, frame_step, trained_for
+from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, Reply
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
@@ -65,7 +65,7 @@ def close(a: Sequence[float], b: Sequence[float], tolerance: float = 1e-9) -> bo
 
 
 def test_a_mission_in_an_own_frame_is_the_mission_moved_and_scaled() -> None:
-    told = ask_plan(ASK, "own").told.mission
+    told = frame_plan(ASK, "own").framed.mission
     assert told.center == (0.0, 0.0) and told.spacing == 1.0
     assert (told.safe_distance, told.max_step, told.comm_range) == (0.3, 0.6, 1.5)
     assert told.velocity == (0.1, -0.05) and told.arena == ((-4.0, -5.5), (6.0, 4.5))
@@ -80,46 +80,46 @@ def test_a_mission_in_an_own_frame_is_the_mission_moved_and_scaled() -> None:
 
 def test_points_of_a_custom_shape_and_the_sensors_range_are_scaled() -> None:
     mission = build_mission(points=[[0.0, 0.0], [8.0, 0.0], [0.0, 6.0]], sense_range=30.0, max_step=4.0)
-    told = ask_plan(replace(ASK, mission=mission, still=()), "own").told.mission
+    told = frame_plan(replace(ASK, mission=mission, still=()), "own").framed.mission
     assert told.points == ((0.0, 0.0), (0.8, 0.0), (0.0, 0.6)) and told.sense_range == 3.0
     assert told.ideal is not None and mission.ideal is not None
     assert math.dist(*told.ideal[:2]) == pytest.approx(math.dist(*mission.ideal[:2]) / 10)
 
 
 def test_a_step_is_asked_for_from_the_origin_in_step_limits() -> None:
-    told = ask_step(STEP, "own").told
+    told = frame_step(STEP, "own").framed
     goal = STEP.goal
     assert told.position == (0.0, 0.0) and told.mission.max_step == 1.0
     assert told.neighbors == ((0.29, 0.16),)
     assert told.goal == (round((goal[0] - 31.237) / 6, 2), round((goal[1] - 60.018) / 6, 2))
     away = replace(STEP, target=(1.0, 2.0), slot=None)
-    assert ask_step(away, "own").told.goal == (round((1 - 31.237) / 6, 2), round((2 - 60.018) / 6, 2))
+    assert frame_step(away, "own").framed.goal == (round((1 - 31.237) / 6, 2), round((2 - 60.018) / 6, 2))
     prompts = PromptSet.named("brief")
-    told = ask_step(replace(STEP, mission=build_mission(shape="circle", n_robots=5)), "own").told
+    told = frame_step(replace(STEP, mission=build_mission(shape="circle", n_robots=5)), "own").framed
     assert prompts.step(told).endswith(f"1 a step from [0, 0].\nKeep 0.5 from [0.29, 0.16].\nGoal: {list(told.goal)}")
 
 
 def test_coarse_numbers_beside_the_safe_distance_get_more_decimals() -> None:
     fine = build_mission(shape="circle", n_robots=5, spacing=10.0, safe_distance=0.1, max_step=6.0)
-    assert ask_step(replace(STEP, mission=fine), "own").told.neighbors == ((0.294, 0.164),)
+    assert frame_step(replace(STEP, mission=fine), "own").framed.neighbors == ((0.294, 0.164),)
 
 
 def test_the_worlds_frame_changes_nothing() -> None:
     answer = StepAnswer(waypoint=(32.0, 61.0), path=((33.0, 62.0),))
-    asked = ask_step(STEP, "world")
-    assert asked.told is STEP and asked.meant(answer) is answer
-    assert ask_plan(ASK, "world").told is ASK
+    asked = frame_step(STEP, "world")
+    assert asked.framed is STEP and asked.to_world(answer) is answer
+    assert frame_plan(ASK, "world").framed is ASK
 
 
 def test_a_shape_in_words_is_planned_in_the_world() -> None:
     words = build_mission(shape="text:a line 40 units long", n_robots=3)
-    assert ask_plan(replace(ASK, mission=words), "own").frame is None
-    assert ask_step(replace(STEP, mission=words), "own").frame is not None
+    assert frame_plan(replace(ASK, mission=words), "own").frame is None
+    assert frame_step(replace(STEP, mission=words), "own").frame is not None
 
 
 def test_a_repeated_goal_is_the_goal_to_the_last_digit() -> None:
     near = replace(STEP, position=(PLAN.points[2][0] + 1.2345, PLAN.points[2][1] - 2.3456), neighbors=())
-    told = ask_step(near, "own").told
+    told = frame_step(near, "own").framed
     made, _ = planner(f"Position: {list(told.goal)}")
     answer = asyncio.run(made.step(near))
     assert isinstance(answer, StepAnswer) and answer.waypoint == near.goal
@@ -128,7 +128,7 @@ def test_a_repeated_goal_is_the_goal_to_the_last_digit() -> None:
 def test_answers_are_judged_and_kept_in_the_world_and_recorded_as_they_were_given() -> None:
     heard: list[Attempt] = []
     far = replace(STEP, position=(23.456, 63.21), neighbors=())
-    g = ask_step(far, "own").told.goal
+    g = frame_step(far, "own").framed.goal
     way = [round(0.99 * x / math.hypot(*g), 2) for x in g]
     made, _ = planner(f"Path: [{way}, {list(g)}]", heard=heard)
     answer = asyncio.run(made.step(replace(far, horizon=2)))
@@ -172,7 +172,7 @@ def test_a_plan_comes_back_to_its_place() -> None:
 
 def test_history_and_an_own_frame_do_not_go_together() -> None:
     with pytest.raises(InputError, match="frame"):
-        planner(history=History(exchanges=1))
+        planner(history=1)
 
 
 def test_models_that_are_trained_for_it() -> None:

@@ -1,4 +1,4 @@
-"""What is put together for a record, and for whom."""
+"""Which entries a journal builds, and for which sinks."""
 
 from __future__ import annotations
 
@@ -7,25 +7,22 @@ import pytest
 from llm_flock.llm.port import Attempt, Call
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
-from llm_flock.record.schema import LlmEntry, ProtocolEvent
+from llm_flock.record.schema import Entry, LlmEntry, ProtocolEvent
 from llm_flock.record.writer import NullWriter, RecordSink
-from llm_flock.runtime import journal as books
+from llm_flock.runtime import journal as journals
 from llm_flock.runtime.journal import Journal
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=())
 
 
-class Book(NullWriter):
-    """Reads events and calls, and nothing else."""
+class Entries:
+    """Keeps what it is given."""
 
     def __init__(self) -> None:
-        self.read: list[ProtocolEvent | LlmEntry] = []
+        self.kept: list[Entry] = []
 
-    def event(self, event: ProtocolEvent) -> None:
-        self.read.append(event)
-
-    def llm(self, entry: LlmEntry) -> None:
-        self.read.append(entry)
+    def write(self, entry: Entry) -> None:
+        self.kept.append(entry)
 
 
 def kept(sink: RecordSink) -> Journal:
@@ -36,14 +33,14 @@ def kept(sink: RecordSink) -> Journal:
     return journal
 
 
-def test_a_sink_that_is_derived_from_one_that_ignores_everything_is_told() -> None:
-    book = Book()
-    kept(book)
-    assert [entry.kind for entry in book.read] == ["proposed", "step"]
+def test_notes_and_calls_are_written_to_the_sink() -> None:
+    sink = Entries()
+    kept(sink)
+    assert [entry.kind for entry in sink.kept if isinstance(entry, ProtocolEvent | LlmEntry)] == ["proposed", "step"]
 
 
 def test_without_a_reader_calls_are_counted_and_not_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(books, "ProtocolEvent", None)
-    monkeypatch.setattr(books, "LlmEntry", None)
+    monkeypatch.setattr(journals, "ProtocolEvent", None)
+    monkeypatch.setattr(journals, "llm_entry", None)
     journal = kept(NullWriter())
     assert (journal.calls, journal.calls_failed, journal.faults["timeout"]) == (1, 1, 1)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError
-from llm_flock.llm.limits import Budget, BudgetMeter, Limited, Limits, Metered, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 
 QUESTION = Call(robot=0, round=0, kind="step", attempt=0, messages=(ChatMessage("user", "?"),))
@@ -60,12 +60,12 @@ class FakeTime:
         await asyncio.sleep(0)
 
 
-def limits(time: FakeTime | None = None, **options: Any) -> Limits:
+def limits(time: FakeTime | None = None, **options: Any) -> CallLimits:
     time = time or FakeTime()
-    return Limits(rng=np.random.default_rng(1), clock=time.clock, sleep=time.sleep, **options)
+    return CallLimits(rng=np.random.default_rng(1), clock=time.clock, sleep=time.sleep, **options)
 
 
-def outcomes(model: Scripted, shared: Limits, calls: int = 1) -> list[Reply | BaseException]:
+def outcomes(model: Scripted, shared: CallLimits, calls: int = 1) -> list[Reply | BaseException]:
     async def scenario() -> Sequence[Reply | BaseException]:
         limited = Limited(model, shared)
         return await asyncio.gather(*(limited.ask(QUESTION) for _ in range(calls)), return_exceptions=True)
@@ -165,7 +165,7 @@ def test_a_slot_is_free_while_somebody_waits_to_retry() -> None:
 
     async def scenario() -> None:
         model = Ordered(*faults("server"))
-        shared = Limits(max_concurrent=1, retry=RetryPolicy(first_wait_s=0.02), rng=np.random.default_rng(0))
+        shared = CallLimits(max_concurrent=1, retry=RetryPolicy(first_wait_s=0.02), rng=np.random.default_rng(0))
         limited = Limited(model, shared)
         other = Call(robot=1, round=0, kind="step", attempt=0, messages=QUESTION.messages)
         await asyncio.gather(limited.ask(QUESTION), limited.ask(other))
@@ -176,7 +176,9 @@ def test_a_slot_is_free_while_somebody_waits_to_retry() -> None:
 
 def test_a_try_times_out_but_standing_in_the_queue_does_not_count() -> None:
     async def scenario(delay_s: float, calls: int) -> list[Reply | BaseException]:
-        shared = Limits(max_concurrent=1, timeout_s=0.2, retry=RetryPolicy(max_tries=1), rng=np.random.default_rng(0))
+        shared = CallLimits(
+            max_concurrent=1, timeout_s=0.2, retry=RetryPolicy(max_tries=1), rng=np.random.default_rng(0)
+        )
         limited = Limited(Scripted(delay_s=delay_s), shared)
         return list(await asyncio.gather(*(limited.ask(QUESTION) for _ in range(calls)), return_exceptions=True))
 
@@ -188,8 +190,8 @@ def test_a_try_times_out_but_standing_in_the_queue_does_not_count() -> None:
 
 
 def test_cancelling_is_not_a_fault() -> None:
-    async def scenario() -> Limits:
-        shared = Limits(rng=np.random.default_rng(0))
+    async def scenario() -> CallLimits:
+        shared = CallLimits(rng=np.random.default_rng(0))
         task = asyncio.create_task(Limited(Scripted(delay_s=5), shared).ask(QUESTION))
         await asyncio.sleep(0)
         task.cancel()

@@ -14,8 +14,8 @@ from gguf_files import write_model
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local import engine, weights
-from llm_flock.llm.local.engine import Engines, Told, check_memory, slot_count, thread_count
-from llm_flock.llm.local.model import LEAST_CONTEXT, Berths, LocalModel, context_for
+from llm_flock.llm.local.engine import Completion, Engines, check_memory, slot_count, thread_count
+from llm_flock.llm.local.model import LEAST_CONTEXT, EngineLeases, LocalModel, context_for
 from llm_flock.llm.local.weights import Weights
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import AnswerForm, Call, ChatMessage, Usage
@@ -29,9 +29,9 @@ class StandIn:
         self.weights, self.context = files, context
         self.bodies: list[dict] = []
         self.stops: list[threading.Event] = []
-        self.answer: Future[Told] = Future()
+        self.answer: Future[Completion] = Future()
         self.closed = 0
-        self.answer.set_result(Told("Position: [1, 2]", Usage(input=9, output=5, cached=4)))
+        self.answer.set_result(Completion("Position: [1, 2]", Usage(input=9, output=5, cached=4)))
 
     def submit(self, body, stop):
         self.bodies.append(dict(body))
@@ -70,11 +70,11 @@ def test_a_call_is_asked_in_its_form_and_costs_nothing(file):
     form = AnswerForm(n=3, dim=2)
 
     async def go():
-        berths = Berths(engines)
-        model = LocalModel(f"local:{file}", berths)
+        leases = EngineLeases(engines)
+        model = LocalModel(f"local:{file}", leases)
         reply = await model.ask(question(form))
         leased = the_engine(engines)
-        await berths.aclose()
+        await leases.aclose()
         return model, reply, leased
 
     model, reply, leased = asyncio.run(go())
@@ -91,8 +91,8 @@ def test_a_call_is_asked_in_its_form_and_costs_nothing(file):
 def test_without_a_form_a_schema_holds_the_answer(file):
     async def go(call):
         engines = Engines()
-        berths = Berths(engines)
-        await LocalModel(f"local:{file}", berths, CallSettings(temperature=0.7, seed=3)).ask(call)
+        leases = EngineLeases(engines)
+        await LocalModel(f"local:{file}", leases, CallSettings(temperature=0.7, seed=3)).ask(call)
         leased = the_engine(engines)
         return leased.bodies[0]
 
@@ -106,8 +106,8 @@ def test_robots_and_runs_share_one_engine_until_nobody_needs_it(file):
     engines = Engines()
 
     async def go():
-        first, second = Berths(engines), Berths(engines)
-        models = [LocalModel(f"local:{file}", berths) for berths in (first, first, second)]
+        first, second = EngineLeases(engines), EngineLeases(engines)
+        models = [LocalModel(f"local:{file}", leases) for leases in (first, first, second)]
         await asyncio.gather(*(model.ask(question()) for model in models))
         leased = the_engine(engines)
         assert len(leased.bodies) == 3
@@ -136,7 +136,7 @@ def test_the_context_follows_the_question_up_to_what_the_model_was_trained_for(f
 
     async def go():
         engines = Engines()
-        await LocalModel(f"local:{file}", Berths(engines)).ask(question())
+        await LocalModel(f"local:{file}", EngineLeases(engines)).ask(question())
         return next(iter(engines._users)).context
 
     assert asyncio.run(go()) == 512  # as the file says
@@ -145,7 +145,7 @@ def test_the_context_follows_the_question_up_to_what_the_model_was_trained_for(f
 def test_whoever_stops_waiting_stops_the_answer(file):
     async def go():
         engines = Engines()
-        model = LocalModel(f"local:{file}", Berths(engines))
+        model = LocalModel(f"local:{file}", EngineLeases(engines))
         await model.ask(question())
         leased = the_engine(engines)
         leased.answer = Future()
@@ -160,7 +160,7 @@ def test_whoever_stops_waiting_stops_the_answer(file):
 def test_faults_of_the_engine_are_model_errors(file):
     async def go():
         engines = Engines()
-        model = LocalModel(f"local:{file}", Berths(engines))
+        model = LocalModel(f"local:{file}", EngineLeases(engines))
         await model.ask(question())
         leased = the_engine(engines)
         leased.answer = Future()
@@ -173,7 +173,7 @@ def test_faults_of_the_engine_are_model_errors(file):
 
 def test_a_reasoning_effort_is_refused(file):
     with pytest.raises(InputError, match="reasoning_effort"):
-        LocalModel(f"local:{file}", Berths(), CallSettings(reasoning="low"))
+        LocalModel(f"local:{file}", EngineLeases(), CallSettings(reasoning="low"))
 
 
 def test_the_pool_builds_models_on_board_without_loading_them(file):
@@ -218,11 +218,11 @@ def test_an_engine_that_is_still_loading_is_stopped_with_the_pool(file, monkeypa
     monkeypatch.setattr(engine, "Engine", Slow)
 
     async def go():
-        berths = Berths(engines)
-        asked = asyncio.create_task(LocalModel(f"local:{file}", berths).ask(question()))
+        leases = EngineLeases(engines)
+        asked = asyncio.create_task(LocalModel(f"local:{file}", leases).ask(question()))
         await asyncio.sleep(0.01)
         asked.cancel()
-        closing = asyncio.create_task(berths.aclose())
+        closing = asyncio.create_task(leases.aclose())
         await asyncio.sleep(0.01)
         loading.set()
         await closing
@@ -239,10 +239,10 @@ def test_an_engine_that_cannot_be_loaded_says_so_to_everybody(file, monkeypatch)
     monkeypatch.setattr(engine, "Engine", fail)
 
     async def go():
-        berths = Berths(Engines())
-        models = [LocalModel(f"local:{file}", berths) for _ in range(3)]
+        leases = EngineLeases(Engines())
+        models = [LocalModel(f"local:{file}", leases) for _ in range(3)]
         told = await asyncio.gather(*(model.ask(question()) for model in models), return_exceptions=True)
-        await berths.aclose()
+        await leases.aclose()
         return told
 
     assert all(isinstance(error, InputError) for error in asyncio.run(go()))

@@ -16,7 +16,7 @@ from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd, price_known
 from llm_flock.llm.providers import known_providers, parse_base_urls, parse_model
 from llm_flock.llm.replay import CassetteLine
-from llm_flock.llm.simulated import SimulatedModel
+from llm_flock.llm.simulated.model import SimulatedModel
 
 RNG = np.random.default_rng(0)
 
@@ -197,7 +197,7 @@ def test_per_robot_names_the_field_it_was_asked_about() -> None:
     assert caught.value.field == "temperature"
 
 
-DOCS = Path(__file__).parents[2] / "docs" / "models.md"
+DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "models.md"
 
 
 def rows_of(page: str, first_header: str) -> list[list[str]]:

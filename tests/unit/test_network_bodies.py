@@ -10,16 +10,16 @@ import pytest
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.motion.shield_async import Sighting
-from llm_flock.runtime.network.bodies import Bodies
-from llm_flock.runtime.network.body import Pilotage
+from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.wire import Body, Command
+from llm_flock.runtime.network.world import WorldBodies
 
 SPEED, PERIOD, LAG = 12.0, 0.1, 0.05
 MISSION = Mission(shape="circle", n_robots=4)
 
 
-def bodies(*start: Point) -> Bodies:
-    return Bodies(np.array(start), speed=SPEED, period_s=PERIOD, lag_s=LAG, now=0.0)
+def bodies(*start: Point) -> WorldBodies:
+    return WorldBodies(np.array(start), speed=SPEED, period_s=PERIOD, lag_s=LAG, now=0.0)
 
 
 def order(number: int, stamp: float, origin: Point, target: Point) -> Command:
@@ -31,7 +31,7 @@ def test_a_command_is_flown_at_the_speed_and_answered() -> None:
     assert world.command(0, order(1, 0.0, (0.0, 0.0), (1.2, 0.0)), 0.0)
     world.advance(0.05)
     assert world.positions[0] == pytest.approx([0.6, 0.0])
-    assert world.frame()[0].end == (1.2, 0.0) and world.frame()[0].command == 1
+    assert world.states()[0].end == (1.2, 0.0) and world.states()[0].command == 1
     world.advance(0.2)
     assert world.positions[0] == pytest.approx([1.2, 0.0])
 
@@ -61,14 +61,14 @@ def test_commands_that_come_late_or_begin_elsewhere_are_not_flown(
     world = bodies((0.0, 0.0), (50.0, 0.0))
     assert not world.command(0, order(1, stamp, origin, target), 0.0)
     world.advance(1.0)
-    assert world.positions[0].tolist() == [0.0, 0.0] and world.late == late and world.frame()[0].command == 1
+    assert world.positions[0].tolist() == [0.0, 0.0] and world.late == late and world.states()[0].command == 1
 
 
 def test_an_old_number_is_not_even_answered() -> None:
     world = bodies((0.0, 0.0), (50.0, 0.0))
     world.command(0, order(3, 0.0, (0.0, 0.0), (1.0, 0.0)), 0.0)
     assert not world.command(0, order(3, 0.0, (1.0, 0.0), (2.0, 0.0)), 0.0)
-    assert world.frame()[0].end == (1.0, 0.0)
+    assert world.states()[0].end == (1.0, 0.0)
 
 
 def test_a_body_stops_at_its_deadline_wherever_it_is() -> None:
@@ -76,7 +76,7 @@ def test_a_body_stops_at_its_deadline_wherever_it_is() -> None:
     world.command(0, order(1, 0.0, (0.0, 0.0), (30.0, 0.0)), 0.0)
     world.advance(5.0)
     assert world.positions[0][0] == pytest.approx(SPEED * (PERIOD + LAG))
-    assert world.frame()[0].end == tuple(world.positions[0].tolist())
+    assert world.states()[0].end == tuple(world.positions[0].tolist())
 
 
 def test_separation_is_measured_on_the_way_and_not_only_at_frames() -> None:
@@ -88,9 +88,9 @@ def test_separation_is_measured_on_the_way_and_not_only_at_frames() -> None:
     assert world.closest() == pytest.approx(1.2)
 
 
-def pilotage(*, shield_on: bool = True) -> Pilotage:
-    own = Pilotage(MISSION, speed=SPEED, period_s=PERIOD, lag_s=LAG, shield_on=shield_on)
-    own.felt(Body(position=(50.0, 50.0), end=(50.0, 50.0), command=7))
+def pilotage(*, shield_on: bool = True) -> BodyControl:
+    own = BodyControl(MISSION, speed=SPEED, period_s=PERIOD, lag_s=LAG, shield_on=shield_on)
+    own.update(Body(position=(50.0, 50.0), end=(50.0, 50.0), command=7))
     own.waypoint = (56.0, 50.0)
     return own
 
@@ -105,7 +105,7 @@ def test_the_next_command_waits_for_the_answer_to_the_last() -> None:
     own = pilotage()
     assert own.control(0.0, [], 0.0) is not None
     assert own.control(0.1, [], 0.0) is None
-    own.felt(Body(position=(50.5, 50.0), end=(51.2, 50.0), command=8))
+    own.update(Body(position=(50.5, 50.0), end=(51.2, 50.0), command=8))
     second = own.control(0.1, [], 0.0)
     assert second is not None and second.origin == (51.2, 50.0)
     lost = own.control(0.5, [], 0.0)
@@ -118,7 +118,7 @@ def test_nothing_to_fly_is_no_command() -> None:
     assert own.control(0.0, [], 0.0) is None and not own.arrived
     own.waypoint = (50.0, 50.0)
     assert own.control(0.0, [], 0.0) is None and own.arrived
-    blank = Pilotage(MISSION, speed=SPEED, period_s=PERIOD, lag_s=LAG, shield_on=True)
+    blank = BodyControl(MISSION, speed=SPEED, period_s=PERIOD, lag_s=LAG, shield_on=True)
     assert blank.control(0.0, [], 0.0) is None and blank.position is None and blank.end is None
 
 

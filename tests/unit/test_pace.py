@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from llm_flock.runtime.network.pace import Beat, phase_s
+from llm_flock.runtime.network.process import PeriodClock, phase_s
 
 
 @dataclass
@@ -33,28 +33,28 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def after_next(beat: Beat, clock: Clock) -> float:
+def after_next(beat: PeriodClock, clock: Clock) -> float:
     with pytest.raises(StopIteration):
         beat.next().send(None)
     return clock.now
 
 
 def test_beats_come_at_their_phase(clock: Clock) -> None:
-    beat = Beat(0.5, 0.2)
+    beat = PeriodClock(0.5, 0.2)
     assert after_next(beat, clock) == pytest.approx(100.2)
     clock.now += 0.3
     assert after_next(beat, clock) == pytest.approx(100.7)
 
 
 def test_who_is_late_waits_for_the_next_beat(clock: Clock) -> None:
-    beat = Beat(0.5, 0.2)
+    beat = PeriodClock(0.5, 0.2)
     after_next(beat, clock)
     clock.now += 1.2
     assert after_next(beat, clock) == pytest.approx(101.7)
 
 
 def test_a_timer_that_is_early_does_not_beat_twice(clock: Clock) -> None:
-    beat = Beat(0.5, 0.2)
+    beat = PeriodClock(0.5, 0.2)
     clock.early = 1e-6
     assert after_next(beat, clock) == pytest.approx(100.2)
     assert after_next(beat, clock) == pytest.approx(100.7)

@@ -5,7 +5,7 @@ from itertools import permutations
 
 import pytest
 
-from llm_flock.protocol.agreement.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths
+from llm_flock.protocol.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths
 from llm_flock.protocol.plan import Plan
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, ReplayDrift
-from llm_flock.llm.planner import MAX_QUOTED, NO_TEXT, History, LanguagePlanner, parse_history
+from llm_flock.llm.planner import MAX_QUOTED, NO_TEXT, LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, Call, Reply
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter, ReplayModel
@@ -156,7 +156,7 @@ def test_history_keeps_accepted_exchanges_only(history: str, seen: Sequence[int]
 
 @pytest.mark.parametrize(("text", "exchanges"), [("none", 0), ("full", None), ("last:1", 1), ("last:30", 30)])
 def test_history_options(text: str, exchanges: int | None) -> None:
-    assert parse_history(text) == History(exchanges=exchanges)
+    assert parse_history(text) == exchanges
 
 
 @pytest.mark.parametrize("text", ["", "last", "last:", "last:0", "last:-1", "last:x", "last:\u0661", "all", "none:1"])
@@ -224,7 +224,7 @@ def test_robots_share_no_memory() -> None:
     """Two robots of one team, the same prompts object, all the history there is, questions interleaved."""
     secrets = ("ALPHA", "OMEGA")
     models = [Scripted(*[f"{secret} {k}\nPosition: [{k}, {k}]" for k in range(5)]) for secret in secrets]
-    thinkers = [planner(model, robot, history=History(exchanges=None))[0] for robot, model in enumerate(models)]
+    thinkers = [planner(model, robot, history=None)[0] for robot, model in enumerate(models)]
 
     async def talk() -> None:
         for round_ in range(5):
@@ -275,7 +275,7 @@ def test_another_mission_begins_another_conversation_and_a_centre_that_travels_d
     moving = MISSION.change(velocity=(1, 0))
     missions = [MISSION, MISSION, moving, moving.at(3), moving.at(4), moving.change(velocity=(1, 1)), MISSION]
     model = Scripted(*["Position: [1, 2]"] * len(missions))
-    thinker, _ = planner(model, history=History(exchanges=None))
+    thinker, _ = planner(model, history=None)
 
     async def talk() -> None:
         for mission in missions:

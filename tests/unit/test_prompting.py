@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import InputError
+from llm_flock.llm.prompt_values import nearest_text, number_text, position_decimals, short_text
 from llm_flock.llm.prompting import VARIABLES, PromptSet
-from llm_flock.llm.wording import nearest_text, number_text, position_decimals, short_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
@@ -216,7 +216,7 @@ def test_a_folder_without_templates_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_documentation_lists_exactly_the_variables() -> None:
-    text = (ROOT / "docs" / "prompts.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "prompts.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", text, re.MULTILINE)
     told = {
         name: {row for row, files in rows if name.removesuffix(".j2") in re.split(r",\s*", files)} for name in VARIABLES

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from llm_flock.errors import MessageError
+from llm_flock.members import OPERATOR
 from llm_flock.mission import Mission
-from llm_flock.runtime.network.wire import Beacon, Frame, Saying, pack, unpack
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.transport.radio import Radio, Seen
-from llm_flock.transport.seal import OPERATOR, PlainSeal
+from llm_flock.transport.seal import PlainSeal
 from llm_flock.transport.zenoh import settings
 
 MISSION = Mission(shape="circle", n_robots=4, comm_range=15.0)
@@ -90,10 +91,12 @@ def test_loss_duplicates_and_delays_are_injected() -> None:
 def test_what_comes_over_the_wire_is_checked() -> None:
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0), end=(3.0, 4.0))
     assert unpack(Beacon, pack(beacon)) == beacon
-    assert unpack(Saying, pack(Saying(beacon=beacon, message=b"abc"))) == Saying(beacon=beacon, message=b"abc")
+    assert unpack(BeaconedMessage, pack(BeaconedMessage(beacon=beacon, message=b"abc"))) == BeaconedMessage(
+        beacon=beacon, message=b"abc"
+    )
     for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x01abc", "malformed")):
         with pytest.raises(MessageError) as caught:
-            unpack(Frame, payload)
+            unpack(WorldState, payload)
         assert caught.value.reason == reason
 
 

@@ -1,4 +1,4 @@
-"""docs/record.md says what is in the file: every channel, every field, nothing else."""
+"""docs/reference/record.md says what is in the file: every channel, every field, nothing else."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from llm_flock.record.schema import (
     volatile_fields,
 )
 from llm_flock.runtime import trial
-from llm_flock.viewer import flight
+from llm_flock.viewer import steered_run
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "record.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "record.md").read_text(encoding="utf-8")
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in PAGE.split("\n### ")[1:]}
 
 
@@ -72,7 +72,7 @@ def test_volatile_results_and_version_are_named() -> None:
 
 def test_every_kind_of_event_is_explained() -> None:
     core = Path(agent.__file__).parent
-    files = [*sorted(core.rglob("*.py")), Path(trial.__file__), Path(flight.__file__)]
+    files = [*sorted(core.rglob("*.py")), Path(trial.__file__), Path(steered_run.__file__)]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     kinds = dict(re.findall(r'Note\(\s*"(\w+)",\s*\{([^}]*)\}', source))
     rows = table("/protocol", 1)

@@ -13,7 +13,7 @@ from sample_records import FakeRun, llm_entry, make_record, run_info
 
 from llm_flock.errors import RecordError
 from llm_flock.record.reader import iter_messages, read_record
-from llm_flock.record.schema import RunInfo
+from llm_flock.record.schema import RunInfo, SummaryMessage
 from llm_flock.record.writer import RecordWriter
 
 
@@ -70,8 +70,8 @@ def test_calls_of_a_round_that_was_interrupted_are_kept_when_the_run_ended_clean
     path = tmp_path / "run.mcap"
     with RecordWriter(path) as writer:
         FakeRun(n=2, rounds=1).write(writer, finish=False)
-        writer.llm(llm_entry(2, 0))
-        writer.summary({"stopped": "interrupted"})
+        writer.write(llm_entry(2, 0))
+        writer.write(SummaryMessage(result={"stopped": "interrupted"}))
     record = read_record(path)
     assert record.rounds == 1 and record.llm[-1].round == 2
 

@@ -22,6 +22,8 @@ from llm_flock.record.schema import (
     MetricsRow,
     MissionInfo,
     PlanInfo,
+    RoundEnd,
+    SummaryMessage,
     channel_schema,
     volatile_fields,
     without_volatile,
@@ -70,12 +72,12 @@ def test_every_message_is_valid_against_the_schema_beside_it(tmp_path: Path) -> 
     row = [[0.0, 0.5, 1.0]]
     with RecordWriter(tmp_path / "run.mcap") as writer:
         FakeRun(n=5, rounds=3).write(writer, finish=False)
-        writer.body(
+        writer.write(
             BodySample(round=3, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[None], link=[1.0])
         )
-        writer.flight(FlightEvent(round=3, time_s=1.0, kind="landing", robot=0, detail={"spot": [0.0, 0.5]}))
-        writer.flight(FlightEvent(round=3, time_s=1.0, kind="abort", robot=None, detail={}))
-        writer.summary({"formed": True})
+        writer.write(FlightEvent(round=3, time_s=1.0, kind="landing", robot=0, detail={"spot": [0.0, 0.5]}))
+        writer.write(FlightEvent(round=3, time_s=1.0, kind="abort", robot=None, detail={}))
+        writer.write(SummaryMessage(result={"formed": True}))
     for schema, channel, message in read_with_mcap(tmp_path / "run.mcap"):
         assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
         check(json.loads(message.data), json.loads(schema.data))
@@ -87,7 +89,7 @@ def test_schemas_of_the_channels_are_those_of_the_models(tmp_path: Path) -> None
     written = {c.topic: (s.name, json.loads(s.data)) for s, c, _ in read_with_mcap(make_record(tmp_path / "r.mcap"))}
     assert written.pop("/scene") == ("foxglove.SceneUpdate", scene_schema())
     for topic, (name, schema) in written.items():
-        assert name == f"llm_flock.{CHANNELS[topic].__name__}"
+        assert name == f"llm_flock.{schema['title']}"
         assert list(schema["properties"]) == list(CHANNELS[topic].model_fields)
 
 
@@ -193,9 +195,9 @@ def test_a_full_disk_is_reported_with_its_reason(tmp_path: Path) -> None:
     writer._file.close()
     writer._file = open("/dev/full", "wb", buffering=1 << 20)  # noqa: SIM115, PTH123
     writer._mcap._Writer__stream = writer._file  # pyright: ignore[reportAttributeAccessIssue]
-    writer.run(run_info())
+    writer.write(run_info())
     with pytest.raises(RecordError, match="cannot be written"):
-        writer.end_round(0)
+        writer.write(RoundEnd(round=0))
     with pytest.raises(RecordError, match="cannot be written"):
         writer.close()
     writer.close()
@@ -218,7 +220,7 @@ def test_a_run_that_fails_still_leaves_a_file_that_ends_well(tmp_path: Path) -> 
 def test_a_state_needs_a_mission_before_it(tmp_path: Path) -> None:
     source = read_record(make_record(tmp_path / "a.mcap", n=2, rounds=0))
     with RecordWriter(tmp_path / "b.mcap") as writer, pytest.raises(RecordError, match="before the mission"):
-        writer.state(source.states[0])
+        writer.write(source.states[0])
 
 
 def test_null_writer_takes_everything_and_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -283,12 +285,12 @@ def test_plans_keep_their_colours_when_the_mission_changes(tmp_path: Path) -> No
     run = FakeRun(n=4, rounds=6)
     with RecordWriter(tmp_path / "run.mcap") as writer:
         mission = MissionInfo(version=0, round=0, mission=run.mission.model_dump(mode="json"), ideal=None)
-        writer.run(run_info())
-        writer.mission(mission)
-        writer.plan(PlanInfo(round=0, plan_id="f" * 16, proposer=3, points=[]))
+        writer.write(run_info())
+        writer.write(mission)
+        writer.write(PlanInfo(round=0, plan_id="f" * 16, proposer=3, points=[]))
         for number in range(4):
             run.write_round(writer, number)
-        writer.mission(mission.model_copy(update={"version": 1, "round": 4}))
+        writer.write(mission.model_copy(update={"version": 1, "round": 4}))
         for number in range(4, 7):
             run.write_round(writer, number)
     scenes = [m.decoded() for m in iter_messages(tmp_path / "run.mcap") if m.topic == "/scene"]

@@ -17,16 +17,16 @@ from llm_flock.experiments import tables
 from llm_flock.experiments.store import Store
 from llm_flock.record.reader import read_record
 from llm_flock.record.writer import RecordWriter
-from llm_flock.report.along import along_axes
+from llm_flock.report.axes import along_axes
+from llm_flock.report.diagnosis import find_causes
+from llm_flock.report.drawing import inline_svg
 from llm_flock.report.drawings import draw_all, success
 from llm_flock.report.export import export_csv
 from llm_flock.report.findings import ERROR, cell_lines, pair_lines, usual_reference
 from llm_flock.report.gallery import gallery, worst
-from llm_flock.report.guilt import guilty
 from llm_flock.report.page import write_report
 from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import interval, success_sheet
-from llm_flock.report.svg import inline_svg
 
 
 @pytest.fixture(scope="module")
@@ -158,12 +158,12 @@ def test_the_gallery_begins_with_one_of_each_protocol_and_way_to_end(results: Re
     assert len(worst(results, 100)) == 24 and worst(results, 0) == []
 
 
-def test_a_failure_with_a_record_has_pictures_and_the_guilty_conversation(results: Results) -> None:
+def test_a_failure_with_a_record_has_snapshots_and_a_conversation(results: Results) -> None:
     shown = {failure.trial.id: failure for failure in gallery(results, 100)}
     failure = shown["circle10paper1"]
     assert failure.figure is not None and "records/circle10paper1.mcap" in failure.source
     assert any("plans were in use among 10 robots" in story.sentence for story in failure.stories)
-    talk = next(story.talk for story in failure.stories if story.talk)
+    talk = next(story.conversation for story in failure.stories if story.conversation)
     assert [line.role for line in talk] == ["system", "user", "assistant", "verdict"]
     assert talk[-1].text == "The answer was taken."
     without = shown["circle10paper2"]
@@ -198,7 +198,7 @@ def test_a_crash_names_the_pair_and_the_round(tmp_path: Path) -> None:
     run.start[1] = run.start[0] + [0.5, 0.0]
     with RecordWriter(tmp_path / "run.mcap") as writer:
         run.write(writer)
-    first, *_ = guilty(read_record(tmp_path / "run.mcap"))
+    first, *_ = find_causes(read_record(tmp_path / "run.mcap"))
     assert first.sentence == "At the start, robots 0 and 1 came within 0.50 units of each other." and first.round == 0
 
 

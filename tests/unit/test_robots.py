@@ -11,15 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.errors import InputError
-from llm_flock.robots.base import PEAK_SPEED, Limits, RobotError
+from llm_flock.robots.base import PEAK_SPEED, MotionLimits, RobotError
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.segment import Segment, stopping_point
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.testing import check_emergency_stop, check_robot
 
+pytestmark = pytest.mark.usefixtures("skipped_waits")
+
 COORDINATE = st.floats(-3.0, 3.0).map(lambda x: round(x, 3))
 POINT = st.tuples(COORDINATE, COORDINATE, COORDINATE)
-BOX = Limits(low=(-2.0, -2.0, 0.0), high=(2.0, 2.0, 2.0), max_speed_m_s=1.0)
+BOX = MotionLimits(low=(-2.0, -2.0, 0.0), high=(2.0, 2.0, 2.0), max_speed_m_s=1.0)
 
 
 def norm(a, b=(0.0, 0.0, 0.0)):
@@ -44,9 +46,9 @@ def test_from_outside_the_box_a_robot_comes_back_in():
 
 def test_limits_refuse_what_makes_no_sense():
     with pytest.raises(InputError):
-        Limits(low=(1.0, 0.0, 0.0), high=(0.0, 1.0, 1.0))
+        MotionLimits(low=(1.0, 0.0, 0.0), high=(0.0, 1.0, 1.0))
     with pytest.raises(InputError):
-        Limits(max_speed_m_s=0.0)
+        MotionLimits(max_speed_m_s=0.0)
     with pytest.raises(InputError):
         BOX.clip((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0)
 

@@ -11,9 +11,9 @@ from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle, segment_clearance
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.motion.limits import Limits
-from llm_flock.protocol.motion.progress import LAP, PATIENCE, GoalProgress, detour, watch
+from llm_flock.protocol.motion.progress import PATIENCE, SIDE_ROUNDS, GoalProgress, detour, update_progress
 from llm_flock.protocol.motion.safety import Safety
-from llm_flock.protocol.motion.shield import told_apart
+from llm_flock.protocol.motion.shield import spread_coincident
 
 SAFE = 3.0
 
@@ -160,14 +160,14 @@ def test_any_crowd_separates_within_eight_rounds_and_no_pair_gets_worse(first: i
 
 def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
     here = (10.0, 10.0)
-    views = [told_apart(i, here, {j: here for j in range(4) if j != i} | {9: (15.0, 10.0)}) for i in range(4)]
+    views = [spread_coincident(i, here, {j: here for j in range(4) if j != i} | {9: (15.0, 10.0)}) for i in range(4)]
     for i, view in enumerate(views):
         assert view[9] == (15.0, 10.0)
         for j in range(4):
             if j != i:
                 seen, back = np.array(view[j]) - here, np.array(views[j][i]) - here
                 assert np.linalg.norm(seen) > 0 and seen == pytest.approx(-back)
-    assert told_apart(0, here, {1: (12.0, 10.0)}) == {1: (12.0, 10.0)}
+    assert spread_coincident(0, here, {1: (12.0, 10.0)}) == {1: (12.0, 10.0)}
 
 
 def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
@@ -196,7 +196,7 @@ def test_noise_that_could_explain_it_is_no_crowd() -> None:
 
 def test_progress_is_counted_for_each_goal() -> None:
     def seen(last: GoalProgress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> GoalProgress:
-        return watch(last, (x, 0.0), goal, gain=0.3, within=0.5, lap=LAP)
+        return update_progress(last, (x, 0.0), goal, gain=0.3, within=0.5, side_rounds=SIDE_ROUNDS)
 
     state = seen(None, 0.0)
     for _ in range(PATIENCE - 1):
@@ -212,8 +212,8 @@ def test_progress_is_counted_for_each_goal() -> None:
     assert not at_goal.blocked
 
 
-def test_a_lap_without_success_changes_the_side_and_gives_it_longer() -> None:
-    state = GoalProgress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE, lap=2)
+def test_a_side_without_success_is_changed_and_the_next_gets_longer() -> None:
+    state = GoalProgress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE, side_rounds=2)
     sides: list[int] = []
     for _ in range(7):
         _, state = detour(state, (0.0, 0.0), lambda _: (0.0, 0.0), length=6.0, follow=False)

@@ -13,6 +13,12 @@ from llm_flock.errors import InputError
 from llm_flock.runtime.config import build_config, load_config
 from llm_flock.runtime.schedule import RANDOM_ROUNDS, Schedule
 
+SPACE = {
+    "points": [[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]],
+    "center": [50, 50, 50],
+    "arena": [[0, 0, 0], [100, 100, 100]],
+}
+
 
 def schedule(**fields: Any) -> Schedule:
     return build_config(**{"n_robots": 6, **fields}).schedule()
@@ -111,7 +117,14 @@ def test_points_of_a_changed_mission_come_from_a_file(tmp_path: Path) -> None:
         ({"round": 5, "robot": 0, "set": {"shape": "square"}}, "divisible by 4"),
         ({"round": 5, "robot": 0, "set": {"colour": "red"}}, "colour"),
         ({"round": 5, "robot": 0, "set": {"since": 3}}, "since"),
-        ({"round": 5, "robot": 0, "set": {"max_step": 4}}, "not up to a mission"),
+        ({"round": 5, "robot": 0, "set": {"n_robots": 7}}, "by radio .*not n_robots"),
+        ({"round": 5, "robot": 0, "set": {"safe_distance": 2}}, "by radio .*not safe_distance"),
+        ({"round": 5, "robot": 0, "set": {"max_step": 4}}, "by radio .*not max_step"),
+        ({"round": 5, "robot": 0, "set": {"comm_range": 20}}, "by radio .*not comm_range"),
+        ({"round": 5, "robot": 0, "set": {"sense_range": 20}}, "by radio .*not sense_range"),
+        ({"round": 5, "robot": 0, "set": {"arena": [[0, 0], [200, 200]]}}, "by radio .*not arena"),
+        ({"round": 5, "robot": 0, "set": {"obstacles": [{"center": [0, 0], "radius": 1}]}}, "not obstacles"),
+        ({"round": 5, "robot": 0, "set": SPACE}, "by radio .*not arena"),
         ({"round": 5, "robot": 0, "set": {"center": [99, 50]}}, "arena"),
     ],
 )

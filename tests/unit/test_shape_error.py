@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.metrics import ShapeTarget, procrustes
-from llm_flock.metrics.space import cube_rotations, proper_rotation
+from llm_flock.metrics.space import proper_rotation
 
 
 def ideal(spec: str, n: int) -> np.ndarray:
@@ -135,14 +135,6 @@ def test_a_team_in_one_spot_of_space() -> None:
     target = np.random.default_rng(1).uniform(0, 30, (5, 3))
     error = procrustes(np.zeros((5, 3)), target)
     assert error.mean == pytest.approx(np.linalg.norm(target - target.mean(axis=0), axis=1).mean())
-
-
-def test_cube_rotations_are_24_different_proper_rotations() -> None:
-    matrices = cube_rotations()
-    assert len({tuple(m.ravel().tolist()) for m in matrices}) == 24
-    for m in matrices:
-        np.testing.assert_allclose(m @ m.T, np.eye(3))
-        assert np.linalg.det(m) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import time
 import pytest
 
 from llm_flock.errors import BudgetExceeded, InputError
-from llm_flock.llm.limits import Budget, Limited, Limits
+from llm_flock.llm.limits import Budget, CallLimits, Limited, Spent
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
-from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
+from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
 from llm_flock.runtime.seeds import Stream, stream
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=(ChatMessage("user", "x" * 400),))
@@ -100,7 +100,7 @@ def test_a_list_price_holds_calls_back_from_the_first_one_on() -> None:
 def test_what_others_have_spent_counts() -> None:
     gate = SharedGate(Budget(max_tokens=100))
     assert not gate.exhausted
-    gate.told_of(Spent(tokens=100))
+    gate.set_elsewhere(Spent(tokens=100))
     assert gate.exhausted and gate.reason is not None and "of the sweep" in gate.reason
 
 
@@ -123,7 +123,7 @@ def test_the_wait_for_a_turn_is_no_time_out_and_no_latency() -> None:
 
     async def go() -> list[Reply]:
         gate = SharedGate(rates={"simulated": Rate(calls_per_minute=1)}, window_s=0.2)
-        limits = Limits(timeout_s=0.1, gate=Lane(gate), rng=stream(0, Stream.BACKOFF))
+        limits = CallLimits(timeout_s=0.1, gate=CallLane(gate), rng=stream(0, Stream.BACKOFF))
         model = Limited(Quick(), limits)
         return list(await asyncio.gather(*(model.ask(CALL) for _ in range(3))))
 
@@ -132,16 +132,16 @@ def test_the_wait_for_a_turn_is_no_time_out_and_no_latency() -> None:
 
 
 def test_a_lane_knows_that_it_was_cut() -> None:
-    async def go() -> Lane:
+    async def go() -> CallLane:
         gate = SharedGate(Budget(max_calls=1))
         await once(gate)
-        lane = Lane(gate)
+        lane = CallLane(gate)
         with pytest.raises(BudgetExceeded, match="of the sweep"):
             await lane.enter("simulated:ideal", CALL, again=False)
         return lane
 
     assert asyncio.run(go()).cut
-    assert not Lane().cut
+    assert not CallLane().cut
 
 
 def test_connections_are_shared_by_those_who_go_to_the_same_place() -> None:

@@ -11,7 +11,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer, StepQuestion
-from llm_flock.protocol.verification.steps import Fault, blocked, check_answer, check_step, mended, step_faults
+from llm_flock.protocol.verification.steps import Fault, blocked, check_answer, check_step, clip_waypoint, step_faults
 
 MISSION = Mission(shape="triangle", n_robots=3)
 
@@ -102,7 +102,7 @@ def test_a_blocked_robot_may_wait_or_go_round() -> None:
     ],
 )
 def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, expected: Point | None) -> None:
-    made = mended(MISSION, question, waypoint, shield_on=False)
+    made = clip_waypoint(MISSION, question, waypoint, shield_on=False)
     assert made == (None if expected is None else pytest.approx(expected))
     if made is not None:
         assert step_faults(MISSION, question, made) == ()
@@ -110,8 +110,8 @@ def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, 
 
 def test_a_want_of_separation_is_left_to_the_shield_if_there_is_one() -> None:
     question = ask((50.0, 50.0), (80.0, 50.0), (58.0, 50.5))
-    assert mended(MISSION, question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
-    assert mended(MISSION, question, (56.0, 50.0), shield_on=False) is None
+    assert clip_waypoint(MISSION, question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
+    assert clip_waypoint(MISSION, question, (56.0, 50.0), shield_on=False) is None
 
 
 def path_fault(question: StepQuestion, *way: Point, shield_on: bool = True) -> str | None:

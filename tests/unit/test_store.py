@@ -11,15 +11,16 @@ import pytest
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments import tables
-from llm_flock.experiments.store import Earlier, Ledger, Store, StoredTrial, read_trial, trial_files, write_whole
-from llm_flock.llm.sharing import Spent
+from llm_flock.experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
+from llm_flock.experiments.trial import Earlier, TrialResult
+from llm_flock.llm.limits import Spent
 from llm_flock.runtime.config import build_config
 from llm_flock.runtime.result import Summary
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def stored(name: str, *, seed: int = 0, cell: str = "triangle/3 flock", **fields: Any) -> StoredTrial:
+def stored(name: str, *, seed: int = 0, cell: str = "triangle/3 flock", **fields: Any) -> TrialResult:
     plain: dict[str, Any] = {
         "id": name,
         "cell": cell,
@@ -32,7 +33,7 @@ def stored(name: str, *, seed: int = 0, cell: str = "triangle/3 flock", **fields
         "simulated": True,
         "code": "0",
     }
-    return StoredTrial(**{**plain, **fields})
+    return TrialResult(**{**plain, **fields})
 
 
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
@@ -79,32 +80,27 @@ def test_damaged_and_newer_files_are_named(tmp_path: Path, text: str | None, rea
 
 def test_a_trial_has_one_flyer_at_a_time(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    claim = store.claim("a")
-    assert claim is not None
-    assert store.claim("a") is None
-    other = store.claim("b")
-    assert other is not None
-    other.release()
-    claim.release()
-    claim.release()
-    with store.wait_for("a"):
-        assert store.claim("a") is None
+    with store.lease("a") as first, store.lease("a") as second, store.lease("b") as other:
+        assert (first, second, other) == (True, False, True)
+    with store.wait_for("a"), store.lease("a") as late:
+        assert not late
     assert list((tmp_path / "claims").iterdir()) == []
 
 
-def test_a_claim_that_its_owner_did_not_live_to_release_is_free(tmp_path: Path) -> None:
+def test_a_lease_whose_owner_was_killed_is_free(tmp_path: Path) -> None:
     (tmp_path / "claims").mkdir()
     (tmp_path / "claims" / "a").touch()
-    assert Store(tmp_path).claim("a") is not None
+    with Store(tmp_path).lease("a") as mine:
+        assert mine
 
 
 def test_processes_see_what_others_have_spent(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    one, two = Ledger(store), Ledger(store)
+    one, two = SpendingLog(store), SpendingLog(store)
     one.write(Spent(calls=2, tokens=10, cost_usd=0.5))
     two.write(Spent(calls=1, tokens=1))
     assert one.others() == Spent(calls=1, tokens=1)
-    assert Ledger(store).others() == Spent(calls=3, tokens=11, cost_usd=0.5)
+    assert SpendingLog(store).others() == Spent(calls=3, tokens=11, cost_usd=0.5)
 
 
 def test_tables_hold_every_trial_in_the_order_of_cells_and_seeds(tmp_path: Path) -> None:
@@ -117,6 +113,13 @@ def test_tables_hold_every_trial_in_the_order_of_cells_and_seeds(tmp_path: Path)
     assert found["axis_fault"].to_list() == ["loss"] * 3
     assert found.schema == pl.Schema({c.name: c.dtype() for c in tables.TRIALS} | {"axis_fault": pl.String()})
     assert not (tmp_path / "trials.parquet").exists()
+
+
+def test_trials_of_an_earlier_version_appear_under_present_names(tmp_path: Path) -> None:
+    config = build_config(shape="triangle", n_robots=3).model_dump(mode="json")
+    config["protocol"]["consensus"] = "pedigree"
+    Store(tmp_path).save(stored("a", config=config))
+    assert tables.read_trials(tmp_path)["consensus"].to_list() == ["provenance"]
 
 
 def test_the_files_are_used_while_they_are_as_new_as_the_trials(tmp_path: Path) -> None:
@@ -136,7 +139,7 @@ def test_tables_are_out_of_date_if_a_trial_comes_while_they_are_built(
     store.save(stored("a"))
     load_all = tables.load_all
 
-    def load_then_save(folder: Path) -> list[StoredTrial]:
+    def load_then_save(folder: Path) -> list[TrialResult]:
         found = load_all(folder)
         time.sleep(0.05)  # clocks of file systems are coarse
         store.save(stored("b", seed=1))
@@ -160,7 +163,7 @@ def test_every_figure_of_a_summary_has_its_column() -> None:
 
 
 def test_the_data_dictionary_is_drawn_from_the_columns() -> None:
-    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference" / "results.md").read_text(encoding="utf-8")
     assert re.findall(r"^```\{result-columns\} (\w+)$", text, re.MULTILINE) == ["trials", "rounds"]
     for column in (*tables.TRIALS, *tables.ROUNDS):
         assert column.meaning and column.kind

@@ -7,7 +7,8 @@ import pytest
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.sweep_file import load_sweep, trial_id
+from llm_flock.experiments.grid import trial_id
+from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.runtime.config import build_config
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -69,6 +70,13 @@ def test_the_address_is_the_content_wherever_files_are_put(tmp_path: Path) -> No
     before = trial_id(build_config(prompts=str(prompts)))
     (prompts / "step.j2").write_text("two")
     assert trial_id(build_config(prompts=str(prompts))) != before
+
+
+def test_the_address_outlives_renamed_settings() -> None:
+    """Ids of the version before `provenance`, `comm_rounds` and `replan`."""
+    assert trial_id(build_config(seed=1)) == "e0c219a2358b961bd896"
+    assert trial_id(build_config(seed=1, protocol="paper")) == "f889a47b04dd9d24050c"
+    assert trial_id(build_config(gaps="replan", comm_rounds=3)) == "e62d33fe7e454ad72411"
 
 
 @pytest.mark.parametrize(

@@ -6,16 +6,20 @@ import pytest
 from sweeps import small
 
 from llm_flock.cli.sweep_display import duration, progress_text, short
-from llm_flock.experiments.executors import Flight, Landed
+from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_progress import Tally
-from llm_flock.llm.sharing import Spent
+from llm_flock.experiments.trial import TrialResult
+from llm_flock.llm.limits import Spent
 from llm_flock.runtime.trial import TrialProgress
 
 
-def landed(calls: int, *, formed: bool = True, error: str | None = None, cut: bool = False) -> Landed:
-    spent = Spent(calls=calls, tokens=10 * calls, cost_usd=calls / 100)
-    return Landed(fresh=True, formed=formed, cut=cut, error=error, spent=spent, wall_s=1.0)
+def finish(
+    tally: Tally, spec: TrialSpec, calls: int, *, formed: bool = True, error: str | None = None, cut: bool = False
+) -> None:
+    summary = {"formed": formed, "model_calls": calls, "tokens": 10 * calls, "cost_usd": calls / 100}
+    plain = {"id": spec.id, "cell": spec.cell, "axes": {}, "config": {}, "rounds": {}, "code": ""}
+    tally.finished(spec, TrialResult(**plain, summary=summary, error=error, cut=cut, simulated=True), fresh=True)
 
 
 def progress(round_number: int, calls: int) -> TrialProgress:
@@ -28,42 +32,42 @@ def progress(round_number: int, calls: int) -> TrialProgress:
 def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
     now = [0.0]
     tally = Tally(clock=lambda: now[0])
-    flights = [Flight(spec=spec) for spec in small(tmp_path, seeds=2).trials]
-    tally.begin({}, flights)
+    specs = small(tmp_path, seeds=2).trials
+    tally.begin({}, specs)
     assert tally.eta_s is None and tally.trials == 4
     now[0] = 40.0
-    tally.landed(flights[0], landed(100))
-    tally.landed(flights[1], landed(300, formed=False))
+    finish(tally, specs[0], 100)
+    finish(tally, specs[1], 300, formed=False)
     assert tally.eta_s == pytest.approx(40.0)
     assert tally.forecast == Spent(calls=800, tokens=8000, cost_usd=8.0)
-    tally.landed(flights[2], landed(100))
+    finish(tally, specs[2], 100)
     assert tally.eta_s == pytest.approx(40.0 * 300 / 500)
-    tally.landed(flights[3], landed(300, formed=False, error="x", cut=True))
+    finish(tally, specs[3], 300, formed=False, error="x", cut=True)
     assert tally.eta_s == 0 and (tally.over, tally.formed, tally.broken, tally.cut) == (4, 2, 1, 1)
 
 
 def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
     now = [0.0]
-    flights = [Flight(spec=spec) for spec in small(tmp_path, seeds=1).trials]
+    specs = small(tmp_path, seeds=1).trials
     one = Expected(calls=100, tokens_input=900, tokens_output=100, cost_usd=0.5)
-    tally = Tally({flight.spec.cell: one for flight in flights}, clock=lambda: now[0])
-    tally.begin({}, flights)
+    tally = Tally({spec.cell: one for spec in specs}, clock=lambda: now[0])
+    tally.begin({}, specs)
     assert tally.forecast == Spent(calls=200, tokens=2000, cost_usd=1.0)
     now[0] = 10.0
-    for flight in flights:
-        tally.progress(flight, progress(1, 25))
+    for spec in specs:
+        tally.progress(spec, progress(1, 25))
     assert tally.eta_s == pytest.approx(30.0)
-    tally.progress(flights[0], progress(15, 1000))
+    tally.progress(specs[0], progress(15, 1000))
     assert tally.eta_s == pytest.approx(10.0 * 80 / 120), "never more than nearly done before it has landed"
 
 
 def test_the_line_says_what_is_spent_and_what_is_expected(tmp_path: Path) -> None:
-    flights = [Flight(spec=spec) for spec in small(tmp_path, seeds=1).trials]
+    specs = small(tmp_path, seeds=1).trials
     tally = Tally()
-    tally.begin({}, flights)
+    tally.begin({}, specs)
     assert progress_text(tally).startswith("0/2 trials · 0 formed · ETA ?")
-    tally.landed(flights[0], landed(100, error="x", formed=False))
-    tally.account(Spent(calls=120, tokens=1200, cost_usd=1.2), None)
+    finish(tally, specs[0], 100, error="x", formed=False)
+    tally.spent(Spent(calls=120, tokens=1200, cost_usd=1.2), None)
     text = progress_text(tally)
     assert "1 broken off" in text and "calls 120 of ~200" in text and "1.20 of ~2.00 USD" in text
 

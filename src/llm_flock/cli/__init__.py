@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import shutil
 import sys
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +13,23 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from llm_flock.cli.comparison import compare
 from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.distill import distill
 from llm_flock.cli.fly import fly
 from llm_flock.cli.keys import keys
-from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.options import (
+    EXIT_FAILED,
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    ConfigPath,
+    JsonOutput,
+    Quiet,
+    Record,
+    parse_flags,
+    with_config_flags,
+    with_output_folder,
+)
 from llm_flock.cli.report import export, report
 from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
@@ -27,10 +37,6 @@ from llm_flock.cli.sweep import sweep
 from llm_flock.cli.view import view
 from llm_flock.errors import FlockError, InputError
 from llm_flock.renamed import current_flag
-
-EXIT_FAILED = 1
-EXIT_INPUT = 2
-EXIT_INTERRUPTED = 130
 
 app = typer.Typer(
     name="llm-flock",
@@ -46,10 +52,10 @@ RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or
 @app.command()
 @with_config_flags()
 def run(
-    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table")] = False,
-    record: Annotated[bool, typer.Option("--record/--no-record", help="Write a record of the run")] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No live progress")] = False,
+    config: ConfigPath = None,
+    json_output: JsonOutput = False,
+    record: Record = True,
+    quiet: Quiet = False,
     **flags: Any,
 ) -> None:
     """Fly one mission and record it. Every field of the configuration is a flag.
@@ -57,15 +63,9 @@ def run(
     Without --out, the record goes to a new folder under runs/.
     """
     from llm_flock.runtime.api import run as run_trial
-    from llm_flock.runtime.config import load_config
+    from llm_flock.runtime.config import RunConfig
 
-    settings = load_config(config, **parse_flags(flags))
-    if not record:
-        settings = settings.model_copy(update={"trial": settings.trial.model_copy(update={"out": None})})
-    elif settings.trial.out is None:
-        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        folder = f"runs/{stamp}-{settings.mission.shape.split(':')[0]}-{settings.mission.n_robots}"
-        settings = settings.model_copy(update={"trial": settings.trial.model_copy(update={"out": folder})})
+    settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record)
     live = not quiet and not json_output
     try:
         with LiveLine(settings.mission.shape, enabled=live) as line:
@@ -83,51 +83,7 @@ def run(
         raise typer.Exit(EXIT_FAILED)
 
 
-@app.command()
-@with_config_flags(without=SET_BY_COMPARE)
-def compare(
-    cells: Annotated[
-        str, typer.Option(help="Shapes and team sizes: SHAPE/N with commas between them", metavar="SHAPE/N,...")
-    ] = "triangle/3,triangle/6,square/8,cross/5,circle/10,circle/20",
-    protocols: Annotated[str, typer.Option(help="Presets with commas between them")] = "flock,paper,baseline",
-    trials: Annotated[int, typer.Option(min=1, help="Trials of each row")] = 100,
-    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others follow it")] = 0,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes [one for each core]", show_default=False)] = None,
-    fit_arena: Annotated[
-        bool, typer.Option("--fit-arena", help="Grow the arena of a team until its formation and its starts fit")
-    ] = False,
-    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
-    out: Annotated[Path | None, typer.Option(help="CSV file to write, one line a trial")] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list of rows instead of a table")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
-    **flags: Any,
-) -> None:
-    """Fly many seeded trials of several protocols and shapes; print a table of what they did (Markdown).
-
-    Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
-    """
-    from llm_flock.cli.comparison import show_comparison
-    from llm_flock.experiments.compare import build_cells, parse_teams
-
-    built = build_cells(
-        parse_teams(cells),
-        [name.strip() for name in protocols.split(",")],
-        file=config,
-        fit_arena=fit_arena,
-        **parse_flags(flags),
-    )
-    jobs = jobs or os.cpu_count() or 1
-    try:
-        complete = show_comparison(
-            built, trials=trials, first_seed=first_seed, jobs=jobs, out=out, as_json=json_output, quiet=quiet
-        )
-    except KeyboardInterrupt:
-        print(f"interrupted{f'; finished trials are in {out}' if out else ''}", file=sys.stderr)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
-    if not complete:
-        raise typer.Exit(EXIT_FAILED)
-
-
+app.command()(compare)
 app.command()(sweep)
 app.command()(fly)
 for command in (swarm, robot, world, mission, watch):
@@ -137,12 +93,12 @@ for command in (swarm, robot, world, mission, watch):
 @app.command()
 def figure(
     records: Annotated[list[Path], typer.Argument(help="One or more records (run.mcap), or folders that hold one")],
-    out: Annotated[Path | None, typer.Option(help="File to write; its ending decides the format")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; its suffix sets the format")] = None,
     kind: Annotated[
         str, typer.Option(help="snapshots, error or comparison [snapshots of one record, comparison of several]")
     ] = "",
     rounds: Annotated[str | None, typer.Option(help="Rounds of the snapshots, such as 0,4,7,12")] = None,
-    label: Annotated[list[str] | None, typer.Option(help="Label of a record, in their order; may repeat")] = None,
+    label: Annotated[list[str] | None, typer.Option(help="Label of a record, in order; repeat for more")] = None,
 ) -> None:
     """Draw records: snapshots of one run, the error over time of many, or runs side by side."""
     from llm_flock.record.reader import read_record
@@ -189,10 +145,10 @@ def animate(
 @app.command()
 def inspect(
     record: RecordPath,
-    robot: Annotated[int | None, typer.Option(min=0, help="Only this robot's conversation")] = None,
-    round_number: Annotated[int | None, typer.Option("--round", min=0, help="Only this round")] = None,
+    robot: Annotated[int | None, typer.Option(min=0, help="Show only this robot's conversation")] = None,
+    round_number: Annotated[int | None, typer.Option("--round", min=0, help="Show only this round")] = None,
 ) -> None:
-    """Show what is in a record: its summary, or what a robot asked and what its model answered."""
+    """Show a record: its summary, or the conversation of a robot with its model."""
     from llm_flock.cli.conversation import show_conversation, show_overview
     from llm_flock.record.reader import read_record
 
@@ -213,10 +169,10 @@ app.command()(stand_ins)
 
 @app.command()
 def shapes() -> None:
-    """List the formations and the team sizes they take."""
+    """List the formations and their possible team sizes."""
     from llm_flock import formations
 
-    table = Table("shape", "robots", "what it is")
+    table = Table("shape", "robots", "description")
     for shape in formations.shapes():
         table.add_row(shape.name, shape.legal, shape.description)
     Console().print(table)
@@ -235,7 +191,7 @@ def models() -> None:
 
 
 def _record_file(path: Path) -> Path:
-    """The record itself, where a folder is given."""
+    """The record, also if its folder is given."""
     return path / "run.mcap" if path.is_dir() else path
 
 
@@ -247,7 +203,7 @@ def _rounds(text: str) -> list[int]:
 
 
 def _labels(runs: list[Any]) -> list[str]:
-    """What tells runs apart: their rules."""
+    """Labels of runs: their rules."""
     return [f"{r.run.config['protocol']['consensus']} + {r.run.config['protocol']['assignment']}" for r in runs]
 
 

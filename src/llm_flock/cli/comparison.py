@@ -1,42 +1,75 @@
-"""What the terminal shows of a comparison: a line for each finished row, and the table in the end."""
+"""`llm-flock compare`: many seeded trials of several protocols and shapes."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from llm_flock.experiments.compare import Cell, compare
-from llm_flock.experiments.comparison_table import TrialFile, markdown
-from llm_flock.experiments.trials import Outcome
+import typer
+
+from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+
+if TYPE_CHECKING:
+    from llm_flock.experiments.grid import Cell
+    from llm_flock.experiments.trial import TrialResult
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
 
 
-def show_comparison(
-    cells: Sequence[Cell], *, trials: int, first_seed: int, jobs: int, out: Path | None, as_json: bool, quiet: bool
-) -> bool:
-    """Fly a comparison and print it; returns whether no trial broke off.
+@with_config_flags(without=SET_BY_COMPARE)
+def compare(
+    cells: Annotated[
+        str, typer.Option(help="Shapes and team sizes: SHAPE/N with commas between them", metavar="SHAPE/N,...")
+    ] = "triangle/3,triangle/6,square/8,cross/5,circle/10,circle/20",
+    protocols: Annotated[str, typer.Option(help="Presets with commas between them")] = "flock,paper,baseline",
+    trials: Annotated[int, typer.Option(min=1, help="Trials of each row")] = 100,
+    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others follow it")] = 0,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes [one for each core]", show_default=False)] = None,
+    fit_arena: Annotated[
+        bool, typer.Option("--fit-arena", help="Grow the arena of a team until its formation and its starts fit")
+    ] = False,
+    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
+    out: Annotated[Path | None, typer.Option(help="CSV file to write, with a line for each trial")] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list of rows instead of a table")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
+    **flags: Any,
+) -> None:
+    """Fly many seeded trials of several protocols and shapes, and print a table of the results (Markdown).
 
-    Raises:
-        InputError: a value is not allowed; nothing has been flown then.
-        FlockError: a worker was killed.
-        KeyboardInterrupt: after all workers were stopped; the file holds the trials that were ready.
+    Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
     """
-    seen = formed = 0
-    with ExitStack() as stack:
-        file = None if out is None else stack.enter_context(TrialFile(out))
+    from llm_flock.experiments import compare as comparison
+    from llm_flock.experiments.comparison_table import markdown, trial_file
+    from llm_flock.experiments.grid import parse_teams
 
-        def note(cell: Cell, outcome: Outcome) -> None:
-            nonlocal seen, formed
-            if file is not None:
-                file.add(cell, outcome)
-            seen, formed = seen + 1, formed + outcome.formed
-            if seen == trials:
-                if not quiet:
-                    print(f"{cell.protocol} {cell.shape} {cell.n_robots}: {formed} of {trials} formed", file=sys.stderr)
-                seen = formed = 0
+    presets = [name.strip() for name in protocols.split(",")]
+    found = comparison.build_cells(parse_teams(cells), presets, file=config, fit_arena=fit_arena, **parse_flags(flags))
+    finished = formed = 0
+    try:
+        with ExitStack() as stack:
+            add = None if out is None else stack.enter_context(trial_file(out))
 
-        rows = compare(cells, trials=trials, first_seed=first_seed, jobs=jobs, on_outcome=note)
-    print(json.dumps([row.to_dict() for row in rows], allow_nan=False) if as_json else markdown(rows))
-    return not any(row.broken for row in rows)
+            def note(cell: Cell, seed: int, result: TrialResult) -> None:
+                nonlocal finished, formed
+                if add is not None:
+                    add(cell, seed, result)
+                finished, formed = finished + 1, formed + result.formed
+                if finished == trials:
+                    if not quiet:
+                        text = f"{cell.protocol} {cell.shape} {cell.n_robots}: {formed} of {trials} formed"
+                        print(text, file=sys.stderr)
+                    finished = formed = 0
+
+            jobs = jobs or os.cpu_count() or 1
+            rows = comparison.compare(found, trials=trials, first_seed=first_seed, jobs=jobs, on_result=note)
+    except KeyboardInterrupt:
+        print(f"interrupted{f'; finished trials are in {out}' if out else ''}", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    print(json.dumps([row.to_dict() for row in rows], allow_nan=False) if json_output else markdown(rows))
+    if any(row.broken for row in rows):
+        raise typer.Exit(EXIT_FAILED)

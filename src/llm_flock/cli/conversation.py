@@ -1,4 +1,4 @@
-"""Shows a record in the terminal: its overview, or what a robot asked and what its model answered."""
+"""Shows a record in the terminal: its overview, or the conversation of a robot with its model."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from llm_flock.record.words import verdict
 
 
 def show_overview(record: RunRecord) -> None:
-    """What was flown, and how it went, round by round."""
+    """Print the mission, and its progress round by round."""
     console = Console()
     mission = record.mission.mission
     simulated = " · simulated language models" if record.run.simulated else ""
     state = "complete" if record.complete else "ends early (the run was stopped)"
-    # Text(...) keeps the terminal from reading brackets of the operator, a model or a template as markup.
+    # Text(...) keeps brackets in names, answers and templates from being read as markup.
     console.print(
         Text(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
     )
@@ -39,7 +39,7 @@ def show_overview(record: RunRecord) -> None:
 
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
-    """Every call of one robot, of one round, or both.
+    """Print every call of one robot, of one round, or both.
 
     Raises:
         InputError: the record holds no such call.

@@ -1,4 +1,4 @@
-"""What the terminal shows of a run: a line that grows while it flies, a table when it is over."""
+"""Shows a run in the terminal: a live line while it flies, a table when it is over."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class LiveLine:
     """Round, formed robots, plans, calls, tokens and cost, on stderr so that stdout stays clean.
 
-    On a terminal one line is redrawn; elsewhere (a log, a pipe) each round is a line of its own.
+    A terminal redraws one line; a log or a pipe gets a line per round.
     """
 
     def __init__(self, label: str, *, enabled: bool) -> None:
@@ -28,7 +28,7 @@ class LiveLine:
         self._plain = enabled and not self._redraw
         self._bar = Bar(
             SpinnerColumn(),
-            # A field, and no markup: the label is the operator's, with whatever brackets and braces it holds.
+            # A field without markup: the user's label may hold brackets and braces.
             TextColumn("{task.fields[label]}", style="bold", markup=False),
             BarColumn(bar_width=20),
             TextColumn("{task.description}"),
@@ -61,7 +61,7 @@ class LiveLine:
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
-    """The end of a run in words and numbers."""
+    """The result of a run, in words and numbers."""
     simulated = " (simulated language models)" if summary.simulated else ""
     title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
@@ -94,7 +94,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
 
 
 def _in_flight(summary: Summary) -> list[tuple[str, str]]:
-    """What happened to robots and mission on the way, and who or what was left over."""
+    """Events in flight, and places or robots left over."""
     given = [
         f"{m.shape} {'not formed' if m.formed is None else f'formed in round {m.formed}'}"
         + (f" (given in round {m.round})" if m.round else "")

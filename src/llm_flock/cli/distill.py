@@ -1,4 +1,4 @@
-"""`llm-flock distill`: teach a small model on board."""
+"""`llm-flock distill`: teach a small model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from llm_flock.errors import InputError
 
 distill = typer.Typer(
     name="distill",
-    help="Teach a small model the two questions: examples, training, evaluation, a file.",
+    help="Teach a small model to plan and to step: examples, training, evaluation, export.",
     no_args_is_help=True,
 )
 
@@ -25,19 +25,18 @@ distill = typer.Typer(
 @distill.command()
 def data(
     out: Annotated[Path, typer.Argument(help="File of examples to write (JSON lines)")],
-    count: Annotated[int, typer.Option(min=1, help="Examples of motion")] = 12_000,
-    plans: Annotated[int, typer.Option(min=0, help="How often every plan is in it")] = 5,
+    count: Annotated[int, typer.Option(min=1, help="Examples of steps and paths")] = 12_000,
+    plans: Annotated[int, typer.Option(min=0, help="Sets of examples of plans, each at other centres")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
     cassette: Annotated[
         list[Path] | None,
-        typer.Option(help="Recording of --record-llm whose accepted answers are added; may be repeated"),
+        typer.Option(help="Add the accepted answers of a recording of --record-llm; may be repeated"),
     ] = None,
-    held_out: Annotated[bool, typer.Option("--held-out", help="Other shapes, sizes, centres and spacings")] = False,
+    held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, centres and spacings")] = False,
 ) -> None:
-    """Write examples that our own planners make over random missions, and accepted answers of recorded runs."""
+    """Write examples from our own planner over random missions, and from recorded runs."""
+    from llm_flock.distill.example_files import recorded_examples, write_examples
     from llm_flock.distill.examples import Split, motion_examples, plan_examples
-    from llm_flock.distill.lessons import write_examples
-    from llm_flock.distill.recorded import recorded_examples
 
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
@@ -53,16 +52,16 @@ def train(
     steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all")] = 3000,
     rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
     rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
-    tokens: Annotated[int, typer.Option(min=1, help="Tokens of a batch, about")] = 600,
-    threads: Annotated[int | None, typer.Option(min=1, help="Threads of the processor [as torch has it]")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the first factors")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in the folder")] = False,
+    tokens: Annotated[int, typer.Option(min=1, help="Size of a step's batches [tokens], about")] = 600,
+    threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
 ) -> None:
-    """Train low-rank factors beside a base; on a GPU where there is one."""
+    """Train low-rank factors beside a base model, on a GPU if there is one."""
+    from llm_flock.distill.example_files import read_examples
     from llm_flock.distill.extra import need
-    from llm_flock.distill.lessons import read_examples
     from llm_flock.distill.student import Student, base_weights
-    from llm_flock.distill.training import Course, Progress
+    from llm_flock.distill.training import TrainingOptions, TrainingProgress
     from llm_flock.distill.training import train as teach
 
     found = read_examples(examples)
@@ -70,11 +69,11 @@ def train(
     if threads is not None:
         torch.set_num_threads(threads)
     student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed)
-    rows = [student.row(example) for example in found]
+    lessons = [student.lesson(example) for example in found]
     console = Console(stderr=True)
-    console.print(f"{len(rows)} examples, on {student.device}")
+    console.print(f"{len(lessons)} examples, on {student.device}")
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: TrainingProgress) -> None:
         if console.is_terminal or progress.step % 10 == 0:
             line = (
                 f"step {progress.step} of {progress.steps}  loss {progress.loss:.4f}  examples {progress.examples}  "
@@ -82,33 +81,33 @@ def train(
             )
             console.print(line, end="\r" if console.is_terminal else "\n")
 
-    course = Course(steps=steps, rate=rate, tokens=tokens, seed=seed)
-    end = teach(student, rows, course, out, resume=resume, on_progress=tell)
-    sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, kept in {out}\n")
+    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed)
+    end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
+    sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 
 
 @distill.command("eval")
 def evaluate(
-    model: Annotated[str, typer.Argument(help="Any model, as run --model names it")],
+    model: Annotated[str, typer.Argument(help="Any model, as for run --model")],
     count: Annotated[int, typer.Option(min=1, help="Questions for a step")] = 200,
     paths: Annotated[int, typer.Option(min=0, help="Questions for a path")] = 50,
-    plans: Annotated[int, typer.Option(min=0, help="Questions for a plan, of each shape and size")] = 10,
+    plans: Annotated[int, typer.Option(min=0, help="Questions for a plan, for each shape and size")] = 10,
     prompts: Annotated[str | None, typer.Option(help="full, brief or a folder [the model's]")] = None,
     frame: Annotated[str | None, typer.Option(help="world or own [the model's]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the questions")] = 0,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
 ) -> None:
-    """Ask a model held-out questions, each once: its answers as they are, and as they would be flown."""
-    from llm_flock.distill.evaluation import Examiner
+    """Ask a model held-out questions and measure its answers, raw and as they would be flown."""
+    from llm_flock.distill.evaluation import Evaluator
     from llm_flock.llm.frame import FrameName
 
     if frame is not None and frame not in get_args(FrameName):
         raise InputError("frame", frame, "world or own")
-    examiner = Examiner(model, prompts=prompts, frame=cast("FrameName | None", frame), seed=seed)
-    motion = {"step": examiner.steps(count, 1)}
+    evaluator = Evaluator(model, prompts=prompts, frame=cast("FrameName | None", frame), seed=seed)
+    motion = {"step": evaluator.steps(count, 1)}
     if paths:
-        motion["path"] = examiner.steps(paths, 20)
-    formations = examiner.plans(plans) if plans else []
+        motion["path"] = evaluator.steps(paths, 20)
+    formations = evaluator.plans(plans) if plans else []
     if json_output:
         plain = {
             "model": model,
@@ -133,10 +132,10 @@ def export(
     training: Annotated[Path, typer.Argument(help="Folder of a training")],
     out: Annotated[Path, typer.Argument(help="GGUF file to write")],
 ) -> None:
-    """Write what was trained as an adapter for llama.cpp: --model local:smollm2+FILE."""
+    """Write the trained adapter for llama.cpp: --model local:smollm2+FILE."""
     from llm_flock.distill.adapter import MAX_BYTES, Adapter, write_gguf
     from llm_flock.distill.training import FACTORS
 
     size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
-    note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB of one that comes with the package"
+    note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
     sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")

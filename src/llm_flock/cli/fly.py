@@ -1,4 +1,4 @@
-"""Fly a mission with real drones, after a preflight and a confirmation; or on paper."""
+"""`llm-flock fly`: fly a mission with real drones, after a preflight and a confirmation; or as a dry run."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import json
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
-from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,59 +16,61 @@ from rich.table import Table
 
 from llm_flock.cli.display import LiveLine, summary_table
 from llm_flock.cli.keyboard import Keyboard, ask
-from llm_flock.cli.options import SET_BY_FLY, parse_flags, with_config_flags
-from llm_flock.runtime.config import load_config_of
+from llm_flock.cli.options import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    SET_BY_FLY,
+    ConfigPath,
+    JsonOutput,
+    Quiet,
+    Record,
+    parse_flags,
+    with_config_flags,
+    with_output_folder,
+)
 from llm_flock.runtime.flight.config import FlightConfig
 
 if TYPE_CHECKING:
+    from llm_flock.runtime.flight.dry_run import DryRun
     from llm_flock.runtime.flight.flight import FlightResult
-    from llm_flock.runtime.flight.preflight import Check, Report
-    from llm_flock.runtime.flight.rehearsal import Rehearsal
+    from llm_flock.runtime.flight.preflight import Check, PreflightReport
+    from llm_flock.runtime.result import FlightFigures
 
-EXIT_FAILED = 1
-EXIT_INTERRUPTED = 130
 WORD = "fly"
-"""What an operator types to confirm."""
+"""The word that confirms a flight."""
 
 
 @with_config_flags(without=SET_BY_FLY, kind=FlightConfig)
 def fly(
-    config: Annotated[Path | None, typer.Option(help="Flight file (TOML); flags override it")] = None,
+    config: ConfigPath = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the whole plan with every set-point checked; no drone is called")
+        bool, typer.Option("--dry-run", help="Print the whole flight with every set-point checked; call no drone")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Take off without asking, once the preflight is passed")] = False,
-    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables")] = False,
-    record: Annotated[bool, typer.Option("--record/--no-record", help="Write a record of the flight")] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No live progress")] = False,
+    json_output: JsonOutput = False,
+    record: Record = True,
+    quiet: Quiet = False,
     **flags: Any,
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
-    In flight, l (or Ctrl-C) lands everybody, and x (or Ctrl-C twice) cuts all motors.
+    In flight, l (or Ctrl-C) lands all drones, and x (or Ctrl-C twice) cuts all motors.
     """
     from llm_flock.runtime.flight.fleet import with_drones
 
-    settings = with_drones(load_config_of(FlightConfig, config, **parse_flags(flags)))
+    settings = with_drones(FlightConfig.load(config, **parse_flags(flags)))
     if dry_run:
-        _rehearse(settings, json_output)
+        _dry_run(settings, json_output)
         return
-    folder = settings.trial.out
-    if folder is None:
-        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        folder = f"runs/{stamp}-flight-{settings.mission.shape.split(':')[0]}-{settings.mission.n_robots}"
-    trial = settings.trial.model_copy(update={"out": folder if record else None})
-    settings = settings.model_copy(update={"trial": trial})
+    settings = with_output_folder(settings, "flight-", record=record)
     result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet))
-    safe = result.result is not None and result.result.summary.flight is not None and result.result.summary.flight.safe
+    summary = None if result.result is None else result.result.summary
     if json_output:
         print(json.dumps(_plain(result), allow_nan=False))
-    elif result.result is not None:
-        Console().print(summary_table(result.result.summary, settings.mission.safe_distance))
-        Console().print(_flight_table(result))
-    if not safe or result.result is None or result.result.summary.flight is None:
-        raise typer.Exit(EXIT_FAILED)
-    if result.result.summary.flight.ended != "mission":
+    elif summary is not None and summary.flight is not None:
+        Console().print(summary_table(summary, settings.mission.safe_distance))
+        Console().print(_flight_table(summary.flight))
+    if summary is None or summary.flight is None or not summary.flight.safe or summary.flight.ended != "mission":
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -78,7 +78,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
     from llm_flock.runtime.flight.fleet import build_fleet
     from llm_flock.runtime.flight.flight import TAKING_OFF, Flight
 
-    async def confirm(report: Report) -> bool:
+    async def confirm(report: PreflightReport) -> bool:
         if not as_json:
             Console().print(_preflight_table(report.checks))
         if yes:
@@ -88,7 +88,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
 
     live = not quiet and not as_json
 
-    def tell(stage: str) -> None:
+    def on_stage(stage: str) -> None:
         if live:
             print(stage, file=sys.stderr)
         if stage == TAKING_OFF:  # until then the terminal belongs to the question
@@ -101,7 +101,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
             settings,
             build_fleet(settings),
             on_round=line.update,
-            on_stage=lambda stage: tell(stage),
+            on_stage=on_stage,
         )
         with Keyboard(flight) as keyboard:
             try:
@@ -120,10 +120,10 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
     return result
 
 
-def _rehearse(settings: FlightConfig, as_json: bool) -> None:
-    from llm_flock.runtime.flight.rehearsal import rehearse
+def _dry_run(settings: FlightConfig, as_json: bool) -> None:
+    from llm_flock.runtime.flight.dry_run import dry_run
 
-    plan = asyncio.run(rehearse(settings))
+    plan = asyncio.run(dry_run(settings))
     if as_json:
         print(json.dumps(_plan(plan), allow_nan=False))
     else:
@@ -152,10 +152,7 @@ def _cell(check: Check | None) -> str:
     return f"[green]{escape(check.found)}[/]" if check.passed else f"[bold red]{escape(check.found)}: FAILED[/]"
 
 
-def _flight_table(result: FlightResult) -> Table:
-    assert result.result is not None
-    found = result.result.summary.flight
-    assert found is not None
+def _flight_table(found: FlightFigures) -> Table:
     table = Table(title="flight", show_header=False, title_justify="left")
 
     def length(value: float | None) -> str:
@@ -170,7 +167,7 @@ def _flight_table(result: FlightResult) -> Table:
     return table
 
 
-def _plan_tables(settings: FlightConfig, plan: Rehearsal) -> list[Table]:
+def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
     names = [drone.name for drone in plan.drones]
     group = settings.fleet.take_off_group
     rising = Table("group", "drone", "from x, y [m]", "to z [m]", title="take-off", title_justify="left")
@@ -194,7 +191,7 @@ def _plan_tables(settings: FlightConfig, plan: Rehearsal) -> list[Table]:
     return [rising, way, down]
 
 
-def _plan(plan: Rehearsal) -> dict[str, Any]:
+def _plan(plan: DryRun) -> dict[str, Any]:
     """Plain values for JSON."""
     return {
         "drones": [drone.model_dump() for drone in plan.drones],

@@ -1,4 +1,4 @@
-"""The operator's keys in flight: one lands everybody, one cuts all motors."""
+"""The operator's keys in flight: one lands all drones, one cuts all motors."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 LAND_KEYS = frozenset("lL ")
-"""Keys that land everybody: l, or the space bar."""
+"""Keys that land all drones: l, or the space bar."""
 
 CUT_KEYS = frozenset("xX")
 """Keys that cut all motors."""
 
 
 async def ask(question: str) -> str:
-    """Ask the operator; a line of standard input, or what there is of one.
+    """Ask the operator; returns a line of standard input.
 
-    The thread that waits for it holds no lock and ends with the program: whoever interrupts need not press Enter.
+    The thread that waits for it holds no lock and ends with the program, so Ctrl-C works without Enter.
     """
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[str] = loop.create_future()
@@ -32,7 +32,7 @@ async def ask(question: str) -> str:
 
     def wait() -> None:
         text = os.read(sys.stdin.fileno(), 4096).decode(errors="ignore")
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed, the answer is not needed
             loop.call_soon_threadsafe(settle, text)
 
     sys.stderr.write(question)
@@ -42,30 +42,30 @@ async def ask(question: str) -> str:
 
 
 class Controllable(Protocol):
-    """What the keys act on."""
+    """The flight that the keys control."""
 
     def abort(self) -> bool:
-        """Land everybody; whether there was a flight to end."""
+        """Land all drones; returns False if the flight has not begun."""
         ...
 
     def emergency(self) -> bool:
-        """Cut all motors; whether there was a flight to end."""
+        """Cut all motors; returns False if the flight has not begun."""
         ...
 
 
 class Keyboard:
-    """Listens to a terminal's keys and to signals while the event loop runs; leaves the terminal as it was.
+    """Handles a terminal's keys and signals while the event loop runs; leaves the terminal as it was.
 
-    Ctrl-C and SIGTERM land everybody, a second one cuts all motors. Before a flight begins they end the program.
-    Keys are listened to once the flight has begun: until then, what is typed is the answer to a question.
+    Ctrl-C and SIGTERM land all drones, a second one cuts all motors. Before a flight begins they end the program. Call
+    `listen` once the flight has begun: until then, typing answers a question.
 
     Args:
-        flight: what they act on.
+        flight: to control.
     """
 
     def __init__(self, flight: Controllable) -> None:
         self._flight = flight
-        self._told = 0
+        self._signals = 0
         self._terminal: list[Any] | None = None
 
     def __enter__(self) -> Self:
@@ -78,7 +78,7 @@ class Keyboard:
         return self
 
     def listen(self) -> None:
-        """From now on keys are orders; nothing without a terminal."""
+        """Treat keys as commands from now on; does nothing without a terminal."""
         if not sys.stdin.isatty() or self._terminal is not None:
             return
         import termios
@@ -97,8 +97,8 @@ class Keyboard:
                 self._flight.abort()
 
     def _signalled(self) -> None:
-        self._told += 1
-        if self._told > 1:
+        self._signals += 1
+        if self._signals > 1:
             self._flight.emergency()
         elif not self._flight.abort():
             self._task.cancel()

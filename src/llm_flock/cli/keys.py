@@ -1,4 +1,4 @@
-"""`llm-flock keys`: what a team's processes need to trust each other."""
+"""`llm-flock keys`: make the keys by which a team's processes trust each other."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from llm_flock.errors import InputError
 
 def keys(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder", show_default=False)],
-    robots: Annotated[int, typer.Option(min=1, help="Robots of the team", show_default=False)],
-    days: Annotated[int, typer.Option(min=1, help="For how long the certificates are valid [days]")] = 365,
+    robots: Annotated[int, typer.Option(min=1, help="Number of robots", show_default=False)],
+    days: Annotated[int, typer.Option(min=1, help="Validity of the certificates [days]")] = 365,
 ) -> None:
-    """Make the keys and certificates of a team whose robots are processes of their own.
+    """Make the keys and certificates of a team whose robots are separate processes.
 
-    Nothing is ever written over. Each robot gets a folder: its machine needs that one, team.json and ca.pem.
+    No file is overwritten. Each robot gets a folder: its machine needs that folder, team.json and ca.pem.
     """
     try:
         from llm_flock.trust.keys import make_keys

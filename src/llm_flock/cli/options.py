@@ -1,4 +1,4 @@
-"""Command-line flags made from the configuration: one flag a field, with the field's own words as its help."""
+"""Options that commands share, and flags made from the configuration: one per field, with its description as help."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import inspect
 import json
 import types
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
@@ -17,14 +18,25 @@ from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.runtime.config import RunConfig
 
+Config = TypeVar("Config", bound=RunConfig)
+
+EXIT_FAILED = 1
+EXIT_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+ConfigPath = Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")]
+JsonOutput = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables")]
+Record = Annotated[bool, typer.Option("--record/--no-record", help="Write a record")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no live progress")]
+
 SHORT = {"n_robots": "--robots"}
-"""Flags that are shorter than their field's name."""
+"""Flags that are shorter than the name of their field."""
 
 JSON_LISTS = frozenset({"obstacles", "changes", "drones"})
-"""Fields that are lists of tables: a flag takes them as JSON, or as the name of a file with it."""
+"""Fields that are lists of tables: their flags take JSON, or the name of a JSON file."""
 
 NOT_FLAGS = frozenset({"points"})
-"""Fields that are given another way: `--shape points:FILE`."""
+"""Fields without a flag: `--shape points:FILE` sets them."""
 
 SET_BY_COMPARE = frozenset({"protocol", "shape", "n_robots", "seed", "out", "record_llm"})
 """Fields that `compare` sets itself: they differ between its cells or trials, or are files of a single run."""
@@ -33,10 +45,10 @@ SET_BY_SWEEP = SET_BY_COMPARE
 """Fields that a sweep sets itself: axes of its grid, and the directory of its results."""
 
 SET_BY_SWARM = frozenset({"kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds"})
-"""Fields that mean nothing in a swarm of processes, where real things happen to real processes."""
+"""Fields of runs that swarms of processes do not support."""
 
 SET_BY_FLY = frozenset({"kill", "join", "kill_random", "join_random", "noise", "start_positions"})
-"""Fields that mean nothing in a flight, where real things happen to real bodies."""
+"""Fields of runs that flights do not support."""
 
 PANELS = {
     "mission": "Mission",
@@ -60,7 +72,7 @@ def flag(field: str) -> str:
 def config_parameters(
     without: frozenset[str] = frozenset(), kind: type[RunConfig] = RunConfig
 ) -> list[inspect.Parameter]:
-    """One keyword parameter for each field of the configuration but some, None meaning: not given."""
+    """One keyword parameter for each field of the configuration except some; None means not given."""
     found: list[inspect.Parameter] = []
     for name, section_info in kind.model_fields.items():
         section = section_info.annotation
@@ -88,7 +100,7 @@ def _parameter(field: str, info: FieldInfo, panel: str) -> inspect.Parameter:
 
 
 def _shown(value: object) -> str:
-    """A default as it would be typed on the command line."""
+    """A default, as typed on the command line."""
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):
@@ -97,7 +109,7 @@ def _shown(value: object) -> str:
 
 
 def _flag_type(annotation: Any) -> tuple[Any, str | None]:
-    """The type a flag is read as; lists of numbers are read as text and taken apart by `parse_flags`."""
+    """The type that a flag is read as, and its metavar; `parse_flags` splits lists of numbers, read as text."""
     origin = get_origin(annotation)
     if origin is Annotated:
         return _flag_type(get_args(annotation)[0])
@@ -114,7 +126,7 @@ def _flag_type(annotation: Any) -> tuple[Any, str | None]:
 def with_config_flags(
     without: frozenset[str] = frozenset(), kind: type[RunConfig] = RunConfig
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add one flag for each field of the configuration, but some, to a command that takes them as `**flags`."""
+    """Add a flag for each field of the configuration except some to a command that takes them as `**flags`."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD]
@@ -127,7 +139,7 @@ def with_config_flags(
 
 
 def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
-    """Flag values as configuration values.
+    """Flag values as configuration values. Call on the `**flags` of a command.
 
     Raises:
         InputError: a list of numbers cannot be read.
@@ -149,6 +161,16 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
     if "start_positions" in values:
         values["start_positions"] = formations.load_points(Path(values["start_positions"]), "start_positions")
     return values
+
+
+def with_output_folder(settings: Config, kind: str = "", *, record: bool) -> Config:
+    """The configuration with an output folder: its own, or else a new one under runs/; with none if not recorded."""
+    folder = settings.trial.out
+    if folder is None:
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        folder = f"runs/{stamp}-{kind}{settings.mission.shape.split(':')[0]}-{settings.mission.n_robots}"
+    trial = settings.trial.model_copy(update={"out": folder if record else None})
+    return settings.model_copy(update={"trial": trial})
 
 
 def _json_list(field: str, text: str) -> list[Any]:

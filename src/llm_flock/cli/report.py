@@ -1,4 +1,4 @@
-"""`llm-flock report` and `llm-flock export`: what is made of a directory of results."""
+"""`llm-flock report` and `llm-flock export`: turn a directory of results into a report or CSV files."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Annotated, Literal
 import typer
 
 Results = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` makes it", show_default=False)
+    Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it", show_default=False)
 ]
 
 
 def report(
     folder: Results,
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
-    interval: Annotated[Literal["student", "bootstrap"], typer.Option(help="Intervals of means")] = "student",
+    interval: Annotated[Literal["student", "bootstrap"], typer.Option(help="Intervals of means: method")] = "student",
     reference: Annotated[
         str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
     ] = None,
@@ -26,14 +26,14 @@ def report(
         bool,
         typer.Option(
             "--fly-again/--no-fly-again",
-            help="Fly failed trials of simulated models once more where no record was kept, to show what happened",
+            help="Fly failed trials of simulated models again where no record was kept, to show what happened",
         ),
     ] = True,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
 ) -> None:
     """Write the report of a sweep: one HTML page that needs nothing else, the same in Markdown, and all figures.
 
-    A report of a sweep that still runs shows the trials that are finished. An older report is replaced.
+    It can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
     """
     from llm_flock.report.page import write_report
 

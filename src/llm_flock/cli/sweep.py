@@ -1,4 +1,4 @@
-"""`llm-flock sweep`: all trials of a grid, each of them once."""
+"""`llm-flock sweep`: every trial of a grid, each once."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from llm_flock.errors import InputError
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
-PANEL = "Sweep"
 
 
 @with_config_flags(without=SET_BY_SWEEP)
 def sweep(
     file: Annotated[Path, typer.Argument(help="The sweep (TOML)", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="Directory of results; one that exists goes on [runs/NAME]")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Directory of results; an unfinished sweep there goes on [runs/NAME]")
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print trials and expected calls, tokens and cost; ask no model")
     ] = False,
@@ -32,7 +33,7 @@ def sweep(
         typer.Option("--set", help="Value of a variable of the file; repeat it for a list", metavar="NAME=VALUE"),
     ] = None,
     executor: Annotated[
-        str, typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: what fits each")
+        str, typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: chosen for each")
     ] = "auto",
     cluster: Annotated[
         str | None, typer.Option(help="Fly on this Ray cluster: HOST:PORT, auto or ray://HOST:PORT")
@@ -40,11 +41,11 @@ def sweep(
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Processes of the pool, or workers [one for each core]")
     ] = None,
-    at_once: Annotated[int, typer.Option(min=1, help="Trials under way at once that wait for answers")] = 256,
+    at_once: Annotated[int, typer.Option(min=1, help="Trials in flight at once that wait for answers")] = 256,
     keep_records: Annotated[
         str | None, typer.Option(help="Trials whose record is kept: all, failed or none [as the file says]")
     ] = None,
-    again: Annotated[bool, typer.Option("--again", help="Fly trials again that broke off; the table says so")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Fly trials again that broke off; the tables say so")] = False,
     budget_calls: Annotated[int | None, typer.Option(min=1, help="Budget of the sweep: model calls")] = None,
     budget_tokens: Annotated[int | None, typer.Option(min=1, help="Budget of the sweep: tokens in and out")] = None,
     budget_cost: Annotated[float | None, typer.Option(help="Budget of the sweep: cost [US dollars]")] = None,
@@ -52,16 +53,17 @@ def sweep(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
     **flags: Any,
 ) -> None:
-    """Fly all trials of a grid, each of them once, on one machine or a cluster; go on where it was broken off.
+    """Fly all trials of a grid, each once, on one machine or a cluster, and resume where the last run stopped.
 
-    Flags of the configuration hold for all trials and replace an axis of the same name. Press Ctrl-C, or pull the plug:
-    the same command goes on. Exit codes: 0 when all trials are there, 1 when some are left or broke off.
+    Flags of the configuration hold for all trials and replace an axis of the same name. After Ctrl-C or a crash, the
+    same command goes on. Exit codes: 0 when all trials are finished, 1 when some are left or broke off.
     """
-    from llm_flock.cli.sweep_display import SweepLine, show_expected, show_standing
+    from llm_flock.cli.sweep_display import SweepLine, show_expected, show_status
     from llm_flock.experiments.store import Store
     from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
     from llm_flock.experiments.sweep_expect import expect_cells
-    from llm_flock.experiments.sweep_file import KeepRecords, load_sweep
+    from llm_flock.experiments.sweep_file import load_sweep
+    from llm_flock.experiments.trial import KeepRecords
 
     executor = _one_of("executor", executor, ("auto", "one", "pool"))
     keep = None if keep_records is None else _one_of("keep_records", keep_records, ("all", "failed", "none"))
@@ -80,7 +82,7 @@ def sweep(
         if show and console.is_terminal:
             console.print(f"rehearsing {cell} with a stand-in", style="dim", markup=False, highlight=False)
 
-    # Trials that compute tell by themselves, soon enough, what the others will use.
+    # Trials that compute finish soon enough to forecast the others.
     ask = dry_run or any(spec.waits for spec in found.trials)
     expected = expect_cells(found, flown=cells, on_cell=note) if ask else {}
     if dry_run:
@@ -88,7 +90,7 @@ def sweep(
         return
     try:
         with SweepLine(found.file.sweep.name, expected, enabled=show) as line:
-            standing = fly_sweep(
+            status = fly_sweep(
                 found,
                 folder,
                 executor=cast("Executor", executor),
@@ -97,13 +99,13 @@ def sweep(
                 at_once=at_once,
                 keep=cast("KeepRecords | None", keep),
                 again=again,
-                display=line,
+                display=line.tally,
             )
     except KeyboardInterrupt:
         print(f"interrupted; finished trials are in {folder}, and the same command goes on", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED) from None
-    show_standing(standing, folder, as_json=json_output)
-    if standing.broken or not standing.complete:
+    show_status(status, folder, as_json=json_output)
+    if status.broken or not status.complete:
         raise typer.Exit(EXIT_FAILED)
 
 

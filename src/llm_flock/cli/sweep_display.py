@@ -1,11 +1,11 @@
-"""What the terminal shows of a sweep: what it is expected to use, how far it has come, and how it ended."""
+"""Show a sweep in the terminal: its forecast, its progress and its result."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -18,25 +18,21 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from llm_flock.experiments.executors import Flight, Landed
-from llm_flock.experiments.store import StoredTrial
-from llm_flock.experiments.sweep import Standing
+from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.sweep_progress import Tally
-from llm_flock.llm.sharing import Spent
-from llm_flock.runtime.trial import TrialProgress
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
-"""Where the output is no terminal, a line is printed so often [s]."""
+"""Interval of lines where the output is no terminal [s]."""
 
 
 class SweepLine:
-    """One line on stderr: trials, ETA, and calls, tokens and money, spent and expected."""
+    """One line on stderr that shows a tally: trials, ETA, and calls, tokens and money, spent and expected."""
 
     def __init__(self, name: str, expected: Mapping[str, Expected], *, enabled: bool) -> None:
-        self.tally = Tally(expected)
+        self.tally = Tally(expected, on_change=self._show)
         self._console = Console(stderr=True)
         self._redraw = enabled and self._console.is_terminal
         self._plain = enabled and not self._redraw
@@ -58,31 +54,10 @@ class SweepLine:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._show(force=True)
+        self._show(True)
         self._bar.stop()
 
-    def begin(self, flown: Mapping[str, Sequence[StoredTrial]], pending: Sequence[Flight]) -> None:
-        """See `sweep.Display`."""
-        self.tally.begin(flown, pending)
-        self._show(force=True)
-
-    def progress(self, flight: Flight, now: TrialProgress) -> None:
-        """See `executors.Watcher`."""
-        self.tally.progress(flight, now)
-        self._show()
-
-    def landed(self, flight: Flight, landed: Landed | None) -> None:
-        """See `executors.Watcher`."""
-        if landed is not None:
-            self.tally.landed(flight, landed)
-        self._show()
-
-    def spent(self, spent: Spent, reason: str | None) -> None:
-        """See `executors.Watcher`."""
-        self.tally.account(spent, reason)
-        self._show()
-
-    def _show(self, *, force: bool = False) -> None:
+    def _show(self, force: bool) -> None:
         now = time.monotonic()
         if not force and now - self._shown < (REDRAW_S if self._redraw else PLAIN_S):
             return
@@ -95,7 +70,7 @@ class SweepLine:
 
 def progress_text(tally: Tally) -> str:
     """The line, without its bar."""
-    spent, forecast, eta = tally.spent, tally.forecast, tally.eta_s
+    spent, forecast, eta = tally.used, tally.forecast, tally.eta_s
     parts = [f"{tally.over}/{tally.trials} trials", f"{tally.formed} formed"]
     parts += [f"{tally.broken} broken off"] if tally.broken else []
     parts += [f"{tally.cut} cut by the budget"] if tally.cut else []
@@ -117,7 +92,7 @@ def duration(seconds: float) -> str:
 
 
 def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[str, int], *, as_json: bool) -> None:
-    """What the trials that are left are expected to use, cell by cell and together; on stdout."""
+    """Print the expected use of the trials that are left, cell by cell and in total."""
     total = sum((expected[cell].times(count) for cell, count in left.items()), Expected())
     if as_json:
         cells = {cell: {"trials": count, **asdict(expected[cell].times(count))} for cell, count in left.items()}
@@ -161,15 +136,15 @@ def short(number: float) -> str:
     return f"{round(number):,}" if number < 1e6 else f"{number / 1e6:,.2f} M"
 
 
-def show_standing(standing: Standing, folder: Path, *, as_json: bool) -> None:
-    """How a sweep ended."""
+def show_status(status: SweepStatus, folder: Path, *, as_json: bool) -> None:
+    """Print how a sweep ended."""
     if as_json:
-        print(json.dumps({"dir": str(folder), **asdict(standing), "complete": standing.complete}))
+        print(json.dumps({"dir": str(folder), **asdict(status), "complete": status.complete}))
         return
-    left = standing.trials - standing.finished
-    print(f"{standing.finished} of {standing.trials} trials: {standing.formed} formed, {standing.broken} broken off")
+    left = status.trials - status.finished
+    print(f"{status.finished} of {status.trials} trials: {status.formed} formed, {status.broken} broken off")
     print(folder)
-    if standing.other_code:
-        print(f"{standing.other_code} of them were flown by other code (column `code`)", file=sys.stderr)
-    if standing.reason is not None:
-        print(f"{standing.reason}; {left} trials are left ({standing.cut} were cut short)", file=sys.stderr)
+    if status.other_code:
+        print(f"{status.other_code} of them were flown by other code (column `code`)", file=sys.stderr)
+    if status.reason is not None:
+        print(f"{status.reason}; {left} trials are left ({status.cut} were cut short)", file=sys.stderr)

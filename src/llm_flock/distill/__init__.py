@@ -1,1 +1,1 @@
-"""Teaching a small model the two questions: examples, training, evaluation, and an adapter as a file."""
+"""Teach a small model to plan and to step: examples, training, evaluation, and an adapter file."""

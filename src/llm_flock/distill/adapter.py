@@ -15,7 +15,7 @@ from llm_flock.errors import InputError
 Matrix: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 
 MAX_BYTES = 20_000_000
-"""An adapter that comes with the package is no larger."""
+"""Largest adapter that LLM-Flock ships."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,9 +24,9 @@ class Adapter:
 
     Attributes:
         rank: inner dimension.
-        alpha: the product of the factors is multiplied with `alpha / rank`.
+        alpha: the product of the factors is scaled by `alpha / rank`.
         heads: attention heads of the base.
-        kv_heads: of its keys and values.
+        kv_heads: heads of its keys and values.
         factors: A (rank, inputs) and B (outputs, rank) by layer, `blk.0.attn_q`.
     """
 
@@ -37,7 +37,7 @@ class Adapter:
     factors: Mapping[str, tuple[Matrix, Matrix]]
 
     def save(self, path: Path) -> None:
-        """Keep everything in a NumPy file."""
+        """Write a NumPy file."""
         arrays = {
             f"{name}.{part}": x for name, pair in self.factors.items() for part, x in zip("ab", pair, strict=True)
         }
@@ -47,10 +47,10 @@ class Adapter:
 
     @classmethod
     def load(cls, path: Path) -> Adapter:
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Raises:
-            InputError: for field `adapter`: it cannot be read, or holds something else.
+            InputError: for field `adapter`: the file cannot be read, or holds something else.
         """
         try:
             with np.load(path) as file:
@@ -72,7 +72,7 @@ def turned_rows(matrix: Matrix, heads: int) -> Matrix:
 
 
 def write_gguf(adapter: Adapter, path: Path, *, name: str) -> int:
-    """Write an adapter for llama.cpp, in half precision; gives its size [bytes].
+    """Write an adapter for llama.cpp, in half precision, and return its size [bytes].
 
     Raises:
         InputError: gguf is not installed.

@@ -1,6 +1,6 @@
-"""How good a model's answers are: as it gives them, and after the checks have clipped them.
+"""Measure a model's answers: as it gives them, and as they would be flown after the checks.
 
-Questions are held out from training, and go through the same frame, prompts and reader as in a run. Each is asked once.
+Questions are held out from training, and go through the frame, prompts and reader of a run. Each is asked once.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
-from llm_flock.protocol.verification.steps import check_answer, mended
+from llm_flock.protocol.verification.steps import check_answer, clip_waypoint
 
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 T = TypeVar("T")
 
 PLAN_TEAMS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
-"""Shapes and sizes whose plans are asked for."""
+"""Shapes and sizes of the questions for a plan."""
 
 AT_ONCE = 4
-"""Questions under way at once."""
+"""Questions asked at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionFigures:
-    """What came of questions for the next waypoint.
+    """Results of questions for the next waypoint.
 
     Attributes:
-        asked: questions.
-        parsed: share whose answer could be read.
-        within: share whose waypoint is within the step limit, give or take the printed decimals.
+        asked: number of questions.
+        parsed: share of readable answers.
+        within: share of waypoints within the step limit, up to the tolerance of the checks.
         passed: share that passes all checks of a run, other robots aside.
-        error: median distance to the best waypoint, unread answers counted as staying where one is [units].
-        shielded_error: the same after what fails was clipped, and what cannot be clipped was not flown [units].
+        error: median distance to the best waypoint; unreadable answers count as staying [units].
+        shielded_error: the same after clipping; answers that cannot be clipped count as staying [units].
     """
 
     asked: int
@@ -58,7 +58,7 @@ class MotionFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanFigures:
-    """What came of questions for a plan of one shape and size: how many were asked, and the share that passes."""
+    """Results of questions for a plan of one shape and size: number asked, and share that passes."""
 
     team: str
     asked: int
@@ -66,8 +66,8 @@ class PlanFigures:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
-    """One waypoint: what `MotionFigures` counts."""
+class WaypointScore:
+    """One answer, in the terms of `MotionFigures`."""
 
     parsed: bool
     within: bool
@@ -83,16 +83,16 @@ def best_waypoint(question: StepQuestion) -> Point:
     return tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
 
 
-def validator(question: StepQuestion, answer: StepAnswer | NoAnswer) -> Judged:
-    """Compare an answer with the best one. Other robots are left out: they are the shield's part."""
+def score(question: StepQuestion, answer: StepAnswer | NoAnswer) -> WaypointScore:
+    """Compare an answer with the best one. Other robots are left out: the shield takes care of them."""
     alone = replace(question, neighbors=())
     here, best = question.position, best_waypoint(question)
     if isinstance(answer, NoAnswer):
         standing = math.dist(here, best)
-        return Judged(parsed=False, within=False, passed=False, error=standing, shielded_error=standing)
+        return WaypointScore(parsed=False, within=False, passed=False, error=standing, shielded_error=standing)
     said = answer.waypoint
-    flown = mended(question.mission, alone, said, shield_on=True)
-    return Judged(
+    flown = clip_waypoint(question.mission, alone, said, shield_on=True)
+    return WaypointScore(
         parsed=True,
         within=math.dist(here, said) <= question.mission.max_step * (1 + LENGTH_TOLERANCE),
         passed=check_answer(question.mission, alone, answer, shield_on=True) is None,
@@ -101,26 +101,26 @@ def validator(question: StepQuestion, answer: StepAnswer | NoAnswer) -> Judged:
     )
 
 
-def motion_figures(judged: Sequence[Judged]) -> MotionFigures:
-    """Shares and medians of at least one answer."""
-    n = len(judged)
+def motion_figures(scores: Sequence[WaypointScore]) -> MotionFigures:
+    """Shares and medians over at least one answer."""
+    n = len(scores)
     return MotionFigures(
         asked=n,
-        parsed=sum(j.parsed for j in judged) / n,
-        within=sum(j.within for j in judged) / n,
-        passed=sum(j.passed for j in judged) / n,
-        error=median(j.error for j in judged),
-        shielded_error=median(j.shielded_error for j in judged),
+        parsed=sum(s.parsed for s in scores) / n,
+        within=sum(s.within for s in scores) / n,
+        passed=sum(s.passed for s in scores) / n,
+        error=median(s.error for s in scores),
+        shielded_error=median(s.shielded_error for s in scores),
     )
 
 
-class Examiner:
+class Evaluator:
     """Asks one model held-out questions.
 
     Args:
         model: the model as `--model` names it.
-        prompts: a packaged set or a folder; None is the model's own.
-        frame: coordinates; None is the model's own.
+        prompts: a packaged set or a folder; None is the model's default.
+        frame: coordinates; None is the model's default.
         seed: of the questions.
     """
 
@@ -134,7 +134,7 @@ class Examiner:
         self._seed = seed
 
     def steps(self, count: int, horizon: int) -> MotionFigures:
-        """Ask for so many steps, or paths where `horizon` is more than 1."""
+        """Ask for `count` steps, or for paths where `horizon` is more than 1."""
         rng = np.random.default_rng([self._seed, horizon])
         questions: list[StepQuestion] = []
         while len(questions) < count:
@@ -142,13 +142,13 @@ class Examiner:
             if (question.horizon > 1) == (horizon > 1):
                 questions.append(question)
 
-        async def ask(planner: LanguagePlanner, question: StepQuestion) -> Judged:
-            return validator(question, await planner.step(question))
+        async def ask(planner: LanguagePlanner, question: StepQuestion) -> WaypointScore:
+            return score(question, await planner.step(question))
 
         return motion_figures(asyncio.run(self._all(questions, ask)))
 
     def plans(self, count: int) -> list[PlanFigures]:
-        """Ask for so many plans of each of `PLAN_TEAMS`, by robots in turn, at centres and spacings never taught."""
+        """Ask for `count` plans of each of `PLAN_TEAMS`, by robots in turn, at held-out centres and spacings."""
         out: list[PlanFigures] = []
         for shape, n in PLAN_TEAMS:
             rng = np.random.default_rng([self._seed, n])

@@ -1,8 +1,7 @@
-"""Examples of questions and the answers that our own planner gives, in the words and the frame of a small model.
+"""Make examples: questions with the answers of our own planner, in the prompts and the frame of a small model.
 
-Nothing is copied from a run: missions, positions and goals are drawn, the question goes through the same frame and
-prompts as in a run, and the answer is the straight way that `GeometryPlanner` takes. What our own checks would send
-back is not taught.
+Missions, positions and goals are random, the question goes through the frame and the prompts of a run, and the answer
+is the straight step of `GeometryPlanner`. Answers that our own checks would reject are not taught.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from llm_flock.arrays import Point
-from llm_flock.llm.frame import Asked, ask_plan, ask_step
+from llm_flock.llm.frame import FramedQuestion, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.wording import place_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan
@@ -30,16 +29,16 @@ from llm_flock.protocol.verification.steps import check_answer
 Split: TypeAlias = Literal["train", "held-out"]
 
 DECIMALS = 2
-"""Of the numbers in an answer; fewer tokens to learn and to wait for, and exact plans all the same."""
+"""Decimals in an answer: few tokens to learn and to generate, and still exact plans."""
 
 REACH = 0.92
-"""Share of the step limit that an answer goes, so that a last digit that is off by one or two stays inside it."""
+"""Length of a full step in step limits: an error of one or two in the last digit stays within the limit."""
 
 LONGEST_PATH = 1
-"""So many waypoints are taught where a path is asked for: each costs as much time as the first, and has to be added."""
+"""Waypoints of a taught path: each takes as long to generate as the first, and needs addition."""
 
 PATHS = 0.15
-"""Share of the motion questions that ask for a path."""
+"""Share of motion questions that ask for a path."""
 
 TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
     ("triangle", (3,)),
@@ -47,18 +46,18 @@ TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
     ("cross", (5,)),
     ("circle", (5, 10)),
 )
-"""Shapes and numbers of places whose plans are taught."""
+"""Shapes and numbers of places of the taught plans."""
 
 HELD_OUT_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (("star", (10,)), ("wedge", (3, 5, 7, 8)))
-"""Motion towards places of these is never taught: what is held out differs by shape, size, centre and spacing."""
+"""Held-out teams, whose motion is never taught; held-out centres and spacings differ too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """One question as a model is told it, and the answer that it should give.
+    """One question as the model sees it, and the answer to learn.
 
     Attributes:
-        kind: which question.
+        kind: kind of question.
         system: the system message.
         user: the question.
         answer: the answer, nothing else.
@@ -73,7 +72,7 @@ class Example:
 
 
 def draw_mission(rng: np.random.Generator, split: Split, teams: Sequence[tuple[str, tuple[int, ...]]]) -> Mission:
-    """A random mission; centre and spacing of the two splits are from intervals that do not overlap."""
+    """Draw a mission; centres and spacings of the two splits come from disjoint intervals."""
     shape, sizes = teams[int(rng.integers(len(teams)))]
     n = int(rng.choice(sizes))
     if split == "train":
@@ -91,11 +90,11 @@ def draw_mission(rng: np.random.Generator, split: Split, teams: Sequence[tuple[s
 
 
 def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
-    """A robot somewhere on the way to its place, with others around it or not."""
+    """Draw a robot heading for its place, with or without others around it."""
     assert mission.ideal is not None, "only shapes whose points are known are drawn"
     slot = int(rng.integers(mission.n_places))
     goal = mission.ideal[slot]
-    # A third of the questions are the last of their way, as in a run; the rest are from near to far.
+    # A third of the robots can reach their place, as in a run; the others are near or far.
     share = rng.random()
     distance = (
         rng.uniform(0.0, 1.0) if share < 0.3 else rng.uniform(1.0, 3.0) if share < 0.65 else rng.uniform(3.0, 14.0)
@@ -118,48 +117,48 @@ def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
     )
 
 
-def best_way(asked: Asked[StepQuestion]) -> StepAnswer:
-    """The straight way to the goal in the numbers that a model is told, rounded as it should say it."""
-    told = asked.told
-    mission = told.mission.model_copy(update={"max_step": REACH * told.mission.max_step})
-    question = replace(told, mission=mission, horizon=min(told.horizon, LONGEST_PATH))
-    answer = asyncio.run(GeometryPlanner(told.robot).step(question))
-    assert isinstance(answer, StepAnswer), "there is always a straight way"
+def best_step(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
+    """The straight step to the goal in the frame of the prompt, rounded as in an answer."""
+    framed = asked.framed
+    mission = framed.mission.model_copy(update={"max_step": REACH * framed.mission.max_step})
+    question = replace(framed, mission=mission, horizon=min(framed.horizon, LONGEST_PATH))
+    answer = asyncio.run(GeometryPlanner(framed.robot).step(question))
+    assert isinstance(answer, StepAnswer), "there is always a straight step"
     return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
 
 
-def best_plan(asked: Asked[PlanQuestion]) -> PlanAnswer:
-    """The shape in its reference orientation in the numbers that a model is told, rounded as it should say it."""
-    answer = asyncio.run(GeometryPlanner(asked.told.robot).plan(asked.told))
+def best_plan(asked: FramedQuestion[PlanQuestion]) -> PlanAnswer:
+    """The shape in its reference orientation in the frame of the prompt, rounded as in an answer."""
+    answer = asyncio.run(GeometryPlanner(asked.framed.robot).plan(asked.framed))
     assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
     return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
 
 
-def way_text(answer: StepAnswer, horizon: int) -> str:
-    """A waypoint or a path in the form that was asked for."""
+def step_answer_text(answer: StepAnswer, horizon: int) -> str:
+    """A waypoint or a path in the form that the prompt asks for."""
     if horizon == 1:
         return f"Position: {place_text(answer.waypoint)}"
     return "Path: [" + ", ".join(map(place_text, (answer.waypoint, *answer.path))) + "]"
 
 
 def plan_answer_text(answer: PlanAnswer) -> str:
-    """A plan in the form that was asked for."""
+    """A plan in the form that the prompt asks for."""
     return "Plan: [" + ", ".join(map(place_text, answer.plan.points)) + f"]\nmy plan: {answer.slot}"
 
 
 def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
-    """The question as it is put and the best answer; None where our own checks would send that answer back."""
-    asked = ask_step(question, "own")
-    answer = best_way(asked)
-    # Others are left to the shield, which sees them better than a small model does.
+    """A question with the best answer; None where our own checks would reject it."""
+    asked = frame_step(question, "own")
+    answer = best_step(asked)
+    # The shield takes care of the others, better than a small model would.
     alone = replace(question, neighbors=())
-    if check_answer(question.mission, alone, asked.meant(answer), shield_on=True) is not None:
+    if check_answer(question.mission, alone, asked.to_world(answer), shield_on=True) is not None:
         return None
     return Example(
         kind="step" if question.horizon == 1 else "path",
-        system=prompts.system(asked.told.mission),
-        user=prompts.step(asked.told),
-        answer=way_text(answer, question.horizon),
+        system=prompts.system(asked.framed.mission),
+        user=prompts.step(asked.framed),
+        answer=step_answer_text(answer, question.horizon),
         team=f"{question.mission.shape} {question.mission.n_places}",
     )
 
@@ -167,21 +166,21 @@ def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
 def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | None:
     """As `step_example`, for a plan."""
     question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
-    asked = ask_plan(question, "own")
+    asked = frame_plan(question, "own")
     answer = best_plan(asked)
-    if check_plan(mission, asked.meant(answer).plan) is not None:
+    if check_plan(mission, asked.to_world(answer).plan) is not None:
         return None
     return Example(
         kind="plan",
-        system=prompts.system(asked.told.mission),
-        user=prompts.plan(asked.told),
+        system=prompts.system(asked.framed.mission),
+        user=prompts.plan(asked.framed),
         answer=plan_answer_text(answer),
         team=f"{mission.shape} {mission.n_places}",
     )
 
 
 def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
-    """So many examples of steps and paths over random missions."""
+    """Make `count` examples of steps and paths over random missions."""
     rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.named("brief")
     teams = TEAMS if split == "train" else HELD_OUT_TEAMS
     made = 0
@@ -193,7 +192,7 @@ def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
 
 
 def plan_examples(seed: int, split: Split) -> Iterator[Example]:
-    """Every robot's question for a plan of every shape and size that is taught, at a random centre and spacing."""
+    """Make an example of every robot's question for a plan, for every taught team, at random centres and spacings."""
     rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.named("brief")
     for shape, sizes in TEAMS:
         for n in sizes:

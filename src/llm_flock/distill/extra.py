@@ -1,4 +1,4 @@
-"""What only teaching needs: imported when it is used, and asked for by name where it is missing."""
+"""Import the packages of the extra `distill` where they are used."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from llm_flock.errors import InputError
 
 
 def need(module: str) -> Any:
-    """A module of the extra `distill`.
+    """Import a module of the extra `distill`.
 
     Raises:
         InputError: it is not installed.

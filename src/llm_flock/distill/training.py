@@ -1,4 +1,4 @@
-"""The training itself: a constant rate, then a descent; kept often, and gone on with after a break."""
+"""Train a student: constant rate, then decay; with checkpoints to resume from."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from typing import Any
 
 import numpy as np
 
+from llm_flock.distill.batches import Lesson, make_batch, plan_epoch
 from llm_flock.distill.extra import need
-from llm_flock.distill.lessons import Row, make_batch, plan_epoch
 from llm_flock.distill.student import Student
 from llm_flock.errors import InputError
 
 logger = logging.getLogger(__name__)
 
 STATE, FACTORS = "state.pt", "factors.npz"
-"""In the folder of a training: what goes on with it, and the factors as they are."""
+"""Files in the folder of a training: the checkpoint, and the factors for `export`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class TrainingOptions:
     """How to train.
 
     Attributes:
         steps: optimizer steps in all.
-        rate: learning rate of AdamW until the descent.
-        descent: share of the steps, the last ones, over which the rate falls to nothing.
+        rate: learning rate of AdamW before it decays.
+        descent: share of the steps, the last ones, over which the rate falls to zero.
         warm_up: steps over which it rises.
-        tokens: the batches of a step hold about so many.
-        together: batches of a step, of different kinds of questions; each kind counts as much as the others.
+        tokens: size of all batches of a step, about.
+        together: batches of a step, of different kinds of questions; all have the same weight.
         keep_s: time between two checkpoints [s].
-        seed: order of the examples, and the factors at the beginning.
+        seed: of the order of the examples and the initial factors.
     """
 
     steps: int = 3000
@@ -53,72 +53,72 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
-    """Where a training stands.
+class TrainingProgress:
+    """The state of a training.
 
     Attributes:
         step: steps done.
-        steps: of so many.
-        loss: mean of the last ones, per token of an answer [nats].
-        examples: seen in all.
+        steps: steps in all.
+        loss: mean over the last 50 steps, per token of an answer [nats].
+        examples: examples seen in all.
         rate: learning rate.
-        left_s: time still to go at the present speed [s].
+        left_s: remaining time at the present speed [s].
     """
 
     step: int
     steps: int
-    loss: float
     examples: int
-    rate: float
-    left_s: float
+    loss: float = 0.0
+    rate: float = 0.0
+    left_s: float = 0.0
 
 
 def train(
     student: Student,
-    rows: Sequence[Row],
-    course: Course,
+    lessons: Sequence[Lesson],
+    options: TrainingOptions,
     folder: Path,
     *,
     resume: bool = False,
-    on_progress: Callable[[Progress], None] | None = None,
-) -> Progress:
-    """Teach a student, and keep its factors in a folder.
+    on_progress: Callable[[TrainingProgress], None] | None = None,
+) -> TrainingProgress:
+    """Train a student in place, with checkpoints in a folder.
 
     Args:
-        student: learns in place.
-        rows: what it is taught, over and over, each time in another order.
-        course: how.
-        folder: where it is kept; made if need be.
-        resume: go on with what is kept there.
-        on_progress: told of every step.
+        student: the model.
+        lessons: repeated in another order each epoch.
+        options: how to train.
+        folder: for the checkpoints; created if missing.
+        resume: continue from the checkpoint in the folder.
+        on_progress: called after every step.
 
     Raises:
-        InputError: there is nothing to go on with, or it is of another student.
+        InputError: there is no checkpoint to resume from, or one of another student.
     """
     torch = need("torch")
     folder.mkdir(parents=True, exist_ok=True)
-    optimizer = torch.optim.AdamW(student.parameters, lr=course.rate, betas=(0.9, 0.98), weight_decay=0.0)
+    optimizer = torch.optim.AdamW(student.parameters, lr=options.rate, betas=(0.9, 0.98), weight_decay=0.0)
     step = examples = 0
     losses: list[float] = []
     if resume:
-        step, examples = _restore(torch, student, optimizer, folder)
+        step, examples = _load_checkpoint(torch, student, optimizer, folder)
     epoch = 0
     queue: list[list[list[int]]] = []
     began, kept = time.monotonic(), time.monotonic()
-    first, progress = step, Progress(step=step, steps=course.steps, loss=0.0, examples=examples, rate=0.0, left_s=0.0)
-    while step < course.steps:
+    first, progress = step, TrainingProgress(step=step, steps=options.steps, examples=examples)
+    while step < options.steps:
         if not queue:
-            # Which epoch it is follows from the step: a training that is gone on with draws new orders.
-            rng = np.random.default_rng([course.seed, first, epoch])
-            queue = plan_epoch(rows, course.tokens // course.together, rng, course.together)
+            # The seed depends on the first step: a resumed training draws new orders.
+            rng = np.random.default_rng([options.seed, first, epoch])
+            queue = plan_epoch(lessons, options.tokens // options.together, rng, options.together)
             epoch += 1
         chosen = queue.pop()
-        rate = course.rate_at(step)
+        rate = options.rate_at(step)
         for group in optimizer.param_groups:
             group["lr"] = rate
         loss = 0.0
         for batch in chosen:
-            share = student.loss(make_batch([rows[i] for i in batch])) / len(chosen)
+            share = student.loss(make_batch([lessons[i] for i in batch])) / len(chosen)
             share.backward()
             loss += float(share.detach())
         torch.nn.utils.clip_grad_norm_(student.parameters, 1.0)
@@ -127,24 +127,24 @@ def train(
         step, examples = step + 1, examples + sum(map(len, chosen))
         losses = [*losses[-49:], loss]
         now = time.monotonic()
-        progress = Progress(
+        progress = TrainingProgress(
             step=step,
-            steps=course.steps,
+            steps=options.steps,
             loss=float(np.mean(losses)),
             examples=examples,
             rate=rate,
-            left_s=(now - began) / (step - first) * (course.steps - step),
+            left_s=(now - began) / (step - first) * (options.steps - step),
         )
         if on_progress is not None:
             on_progress(progress)
-        if now - kept > course.keep_s or step == course.steps:
-            _keep(torch, student, optimizer, folder, step, examples)
+        if now - kept > options.keep_s or step == options.steps:
+            _save_checkpoint(torch, student, optimizer, folder, step, examples)
             kept = now
     return progress
 
 
-def _keep(torch: Any, student: Student, optimizer: Any, folder: Path, step: int, examples: int) -> None:
-    """Write both files whole or not at all: a training may be ended at any moment."""
+def _save_checkpoint(torch: Any, student: Student, optimizer: Any, folder: Path, step: int, examples: int) -> None:
+    """Write both files, each atomically: a training may be ended at any moment."""
     state = {
         "factors": {name: [a.detach(), b.detach()] for name, (a, b) in student.factors.items()},
         "optimizer": optimizer.state_dict(),
@@ -155,11 +155,11 @@ def _keep(torch: Any, student: Student, optimizer: Any, folder: Path, step: int,
     (folder / (STATE + ".new")).replace(folder / STATE)
     student.adapter().save(folder / (FACTORS + ".new"))
     (folder / (FACTORS + ".new")).replace(folder / FACTORS)
-    logger.info("kept after step %d in %s", step, folder)
+    logger.info("checkpoint after step %d in %s", step, folder)
 
 
-def _restore(torch: Any, student: Student, optimizer: Any, folder: Path) -> tuple[int, int]:
-    """What `_keep` wrote; gives steps and examples."""
+def _load_checkpoint(torch: Any, student: Student, optimizer: Any, folder: Path) -> tuple[int, int]:
+    """Read the files of `_save_checkpoint` and return the numbers of steps and examples."""
     if not (folder / STATE).is_file():
         raise InputError("resume", str(folder), f"a folder in which a training has kept {STATE}")
     state = torch.load(folder / STATE, map_location=student.device, weights_only=True)

@@ -1,1 +1,1 @@
-"""Many seeded trials, and what they say together."""
+"""Experiments: many seeded trials, flown as a sweep or a comparison, and statistics of their results."""

@@ -1,21 +1,20 @@
-"""A comparison on paper: a table in Markdown, and one line a trial in a CSV file."""
+"""Write a comparison: a table in Markdown, and a CSV file with a line for each trial."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.compare import Cell, Row
+from llm_flock.experiments.compare import OnResult, Row
+from llm_flock.experiments.grid import Cell
 from llm_flock.experiments.statistics import Estimate
-from llm_flock.experiments.trials import Outcome
-from llm_flock.runtime.result import Summary
+from llm_flock.experiments.trial import TrialResult
 
 SHOWN_SEEDS = 20
-"""So many failed seeds of a row are listed; JSON has all of them."""
+"""Most failed seeds that are listed for a row; JSON has all of them."""
 
 HEADER = (
     "protocol",
@@ -49,11 +48,11 @@ FIGURES = (
     "bytes_per_robot_round",
     "wall_s",
 )
-"""Fields of `Summary` that a CSV line has."""
+"""Fields of `Summary` in a line of the CSV file."""
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The table, columns aligned, below it the seeds of the trials that did not form, and whether models were real."""
+    """The rows as a table with aligned columns, and below it the failed seeds and a note on simulated models."""
     lines = [HEADER, *map(_cells, rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(HEADER))]
     texts = ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
@@ -114,43 +113,34 @@ def _notes(row: Row) -> list[str]:
     return lines
 
 
-class TrialFile:
-    """One line a trial, written as trials come in; a context manager.
+@contextmanager
+def trial_file(path: Path) -> Generator[OnResult]:
+    """A CSV file with a line for each trial; yields the function that adds one.
+
+    Each line is handed to the operating system at once. The figures of a trial that broke off stay empty.
 
     Args:
-        path: file to write; missing folders are made, an existing file is never overwritten.
+        path: the file; missing folders are created, an existing file is never overwritten.
 
     Raises:
-        InputError: the file exists, or cannot be made.
+        InputError: the file exists, or cannot be created.
     """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("x", newline="", encoding="utf-8")
+    except OSError as error:
+        if path.exists():
+            raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    with file:
+        writer = csv.writer(file)
+        writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
 
-    def __init__(self, path: Path) -> None:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("x", newline="", encoding="utf-8")
-        except OSError as error:
-            if path.exists():
-                raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
-            raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
-        self._writer = csv.writer(self._file)
-        self._writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
+        def add(cell: Cell, seed: int, result: TrialResult) -> None:
+            summary = {} if result.summary is None or result.error is not None else result.summary
+            figures = [summary.get(name) for name in FIGURES]
+            waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
+            writer.writerow((cell.protocol, cell.shape, cell.n_robots, seed, *figures, waypoints, result.error))
+            file.flush()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._file.close()
-
-    def add(self, cell: Cell, outcome: Outcome) -> None:
-        """Write one trial, and hand it to the operating system."""
-        summary = outcome.summary
-        figures = [None] * len(FIGURES) if summary is None else [getattr(summary, name) for name in FIGURES]
-        self._writer.writerow(
-            (cell.protocol, cell.shape, cell.n_robots, outcome.seed, *figures, _waypoints(summary), outcome.error)
-        )
-        self._file.flush()
-
-
-def _waypoints(summary: Summary | None) -> str:
-    """Counts in one field, such as `model=96 shield=4`."""
-    return "" if summary is None else " ".join(f"{who}={count}" for who, count in summary.waypoints.items())
+        yield add

@@ -1,28 +1,32 @@
-"""Where trials are flown: in this process, all waiting at once, or in a pool of processes.
+"""Fly trials: in this process, where many wait for answers at once, or in a pool of processes.
 
-A trial gives the same whichever it is (see `executors_ray` for a cluster): what happens in it depends on its
-configuration alone.
+A trial depends only on its configuration, so its result is the same in either of them and on a cluster
+(`executors_ray`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import multiprocessing
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+import os
+import signal
+import threading
+from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TypeAlias
+
+import msgspec
 
 from llm_flock.errors import FlockError
-from llm_flock.experiments.store import Earlier, Ledger, Store, StoredTrial
-from llm_flock.experiments.sweep_file import KeepRecords, TrialSpec
-from llm_flock.experiments.sweep_trial import fly
-from llm_flock.experiments.trials import end_with_parent, interrupts_held
-from llm_flock.llm.limits import Budget
-from llm_flock.llm.sharing import Lane, Pools, Rate, SharedGate, Spent
+from llm_flock.experiments.grid import TrialSpec
+from llm_flock.experiments.store import SpendingLog, Store
+from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, fly
+from llm_flock.llm.limits import Budget, Spent
+from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
 from llm_flock.runtime.trial import TrialProgress
 
 try:
@@ -31,229 +35,172 @@ except ImportError:  # pragma: no cover - systems without such limits
     resource = None
 
 BOOKKEEPING_S = 1.0
-"""What has been spent is written down so often [s]."""
-
-AHEAD = 2
-"""Trials handed to a pool beyond one for each of its processes: none of them waits for the next."""
+"""Interval at which spending is shared with other processes [s]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
-    """A trial that is to be flown.
+class Display:
+    """Shows the progress of an experiment; this one shows nothing. Override the methods of interest.
 
-    Attributes:
-        spec: the trial.
-        tries: how often it had been flown when this was decided; if it has been again since, it is left as it is.
+    All methods are called in the thread that called the executor.
     """
 
-    spec: TrialSpec
-    tries: int = 0
+    def begin(self, flown: Mapping[str, Sequence[TrialResult]], pending: Sequence[TrialSpec]) -> None:
+        """Called first, with the trials that exist already, by cell, and those to fly."""
 
+    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
+        """Called after each round of a trial; only where trials are flown in this process."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Landed:
-    """What a progress display has to know of a trial that is over.
+    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
+        """Called when a trial is over; not `fresh` if another process has flown it since the sweep started.
 
-    Attributes:
-        fresh: whether this process has flown it; else somebody else had, in between.
-        cut: the budget of the sweep ran out.
-        error: what broke it off.
-        spent: what it used.
-        wall_s: duration [s].
-    """
-
-    fresh: bool
-    formed: bool
-    cut: bool
-    error: str | None
-    spent: Spent
-    wall_s: float
-
-    @classmethod
-    def of(cls, trial: StoredTrial, *, fresh: bool) -> Landed:
-        """From what is kept of it."""
-        summary = trial.summary or {}
-        spent = Spent(
-            calls=summary.get("model_calls", 0),
-            tokens=summary.get("tokens", 0),
-            cost_usd=summary.get("cost_usd") or 0.0,
-        )
-        return cls(
-            fresh=fresh,
-            formed=trial.formed,
-            cut=trial.cut,
-            error=trial.error,
-            spent=spent,
-            wall_s=summary.get("wall_s", 0.0),
-        )
-
-
-class Watcher(Protocol):
-    """Told of what happens, in the thread that flies."""
-
-    def progress(self, flight: Flight, now: TrialProgress) -> None:
-        """A trial has flown another round; only where trials are flown in this process."""
-        ...
-
-    def landed(self, flight: Flight, landed: Landed | None) -> None:
-        """A trial is over; None: another process flies it right now."""
-        ...
+        After a flight in a pool, `config` and `rounds` of the result are empty.
+        """
 
     def spent(self, spent: Spent, reason: str | None) -> None:
-        """What all processes have spent, and which limit of the budget is used up."""
-        ...
+        """Called with what all processes have spent, and with the limit of the budget that is used up."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Session:
-    """What all trials of a sweep have in common while they are flown.
+    """Settings and state that all trials of an experiment share while they are flown.
 
     Attributes:
-        store: where results are kept.
+        store: where results are kept; None if they are not, which only a pool allows.
+        display: shows what happens.
         keep: trials whose record is kept.
         budget: of all trials together.
         rates: of each provider that has any.
-        at_once: trials under way at once in a process, of those that wait for answers.
-        watcher: told of what happens.
+        at_once: trials in flight at once in a process, of those that wait for answers.
+        busy: trials that were left out because another process was flying them.
+        reason: which limit of the budget is used up.
     """
 
-    store: Store
-    watcher: Watcher
+    store: Store | None
+    display: Display
     keep: KeepRecords = "none"
     budget: Budget = field(default_factory=Budget)
     rates: Mapping[str, Rate] = field(default_factory=dict[str, Rate])
     at_once: int = 256
+    busy: list[TrialSpec] = field(default_factory=list[TrialSpec])
+    reason: str | None = None
+
+    def note(self, spec: TrialSpec, found: Found) -> None:
+        """Take note of a trial that is over or left out."""
+        if found is None:
+            self.busy.append(spec)
+        else:
+            result, fresh = found
+            self.display.finished(spec, result, fresh=fresh)
 
 
-Fly = Callable[[Flight, tuple[Earlier, ...]], Awaitable[tuple[StoredTrial, Path | bytes | None]]]
+Found: TypeAlias = tuple[TrialResult, bool] | None
+"""A result and whether this process has flown it; None while another process flies the trial."""
+
+Fly: TypeAlias = Callable[[TrialSpec, tuple[Earlier, ...]], Awaitable[tuple[TrialResult, Path | bytes | None]]]
+"""Flies a trial after its earlier tries; returns its result and its record."""
+
+State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
+"""Takes what other processes have spent; returns own spending, the limit that is used up, and whether to stop."""
 
 
-async def attend(flight: Flight, store: Store, fly_it: Fly) -> Landed | None:
-    """Fly a trial and keep it, unless somebody else does or has; None while another process flies it."""
-    trial = flight.spec.id
-    claim = store.claim(trial)
-    if claim is None:
-        return None
-    with claim:
-        known = store.load(trial)
-        if known is not None and known.tries != flight.tries:
-            return Landed.of(known, fresh=False)
-        flown, record = await fly_it(flight, () if known is None else known.as_earlier())
+async def fly_and_keep(spec: TrialSpec, store: Store, fly_it: Fly) -> Found:
+    """Fly a trial and keep its result, unless another process does that or has done it."""
+    with store.lease(spec.id) as mine:
+        if not mine:
+            return None
+        known = store.load(spec.id)
+        if known is not None and known.tries != spec.tries:
+            return known, False
+        result, record = await fly_it(spec, () if known is None else known.as_earlier())
         if record is not None:
-            store.keep_record(trial, record)
-        _clear(store.scratch(trial))
-        store.save(flown)
-        return Landed.of(flown, fresh=True)
-
-
-def _clear(scratch: Path) -> None:
-    """Take away what a trial has left there: a record that is not kept."""
-    with suppress(FileNotFoundError):
-        for file in scratch.iterdir():
-            file.unlink()
-        scratch.rmdir()
+            store.keep_record(spec.id, record)
+        store.clear_scratch(spec.id)
+        store.save(result)
+        return result, True
 
 
 # ---------------------------------------------------------------- one process
 
 
-def fly_here(flights: Sequence[Flight], session: Session) -> None:
-    """Fly all in this process: those that wait for answers at once, the others one after another.
+def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
+    """Fly trials in this process: those that wait for answers at once, the others one after another.
 
     Raises:
         FlockError: results cannot be kept.
         KeyboardInterrupt: after all records were brought to a readable end.
     """
-    if flights:
-        _allow_open_files()
-        asyncio.run(_fly_here(flights, session))
-
-
-def _allow_open_files() -> None:
-    """Every call under way has a connection: take as many open files as the system gives without asking."""
-    if resource is not None:
+    if not specs:
+        return
+    if resource is not None:  # each call holds a connection: allow as many open files as the system lets us
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         with suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    asyncio.run(_fly_here(specs, session))
 
 
-async def _fly_here(flights: Sequence[Flight], session: Session) -> None:
-    gate, pools = SharedGate(session.budget, session.rates), Pools()
+async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
+    assert session.store is not None
+    store, gate, pools = session.store, SharedGate(session.budget, session.rates), Pools()
 
-    async def fly_it(flight: Flight, earlier: tuple[Earlier, ...]) -> tuple[StoredTrial, Path | None]:
-        flown = await fly(
-            flight.spec,
-            lane=Lane(gate, pools),
+    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
+        return await fly(
+            spec,
+            lane=CallLane(gate, pools),
             keep=session.keep,
-            scratch=session.store.scratch(flight.spec.id),
+            scratch=store.scratch(spec.id),
             earlier=earlier,
-            on_round=lambda now: session.watcher.progress(flight, now),
+            on_round=lambda now: session.display.progress(spec, now),
         )
-        return flown.trial, flown.record
+
+    async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
+        gate.set_elsewhere(elsewhere)
+        return gate.spent, gate.reason, gate.exhausted
 
     try:
-        await drive(flights, session, gate, fly_it, quick=1)
+        await drive(specs, session, store, fly_it, state, computing=1)
     finally:
         await pools.aclose()
 
 
-class Books(Protocol):
-    """What `drive` has to know of a gate."""
-
-    @property
-    def spent(self) -> Spent:
-        """What this process has spent."""
-        ...
-
-    @property
-    def reason(self) -> str | None:
-        """Which limit of the budget is used up."""
-        ...
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether a new call would be turned away."""
-        ...
-
-    def told_of(self, elsewhere: Spent) -> None:
-        """What other processes have spent of the same budget."""
-        ...
-
-
-async def drive(flights: Sequence[Flight], session: Session, gate: Books, fly_it: Fly, *, quick: int) -> None:
-    """Attend to all flights on this event loop, until all are over or the budget is used up.
+async def drive(
+    specs: Sequence[TrialSpec], session: Session, store: Store, fly_it: Fly, state: State, *, computing: int
+) -> None:
+    """Fly trials on this event loop until all are over or the budget is used up.
 
     Args:
-        flights: what is to be flown.
-        session: what they have in common.
-        gate: what they share.
+        specs: the trials.
+        session: their settings and state.
+        store: where results are kept.
         fly_it: flies one.
-        quick: so many at once of those that never wait.
+        state: state of the budget.
+        computing: trials in flight at once, of those that never wait.
     """
-    ledger = Ledger(session.store)
+    log, elsewhere = SpendingLog(store), Spent()
 
-    def balance() -> None:
-        ledger.write(gate.spent)
-        others = ledger.others()
-        gate.told_of(others)
-        session.watcher.spent(gate.spent + others, gate.reason)
+    async def balance() -> None:
+        nonlocal elsewhere
+        elsewhere = log.others()
+        own, reason, _ = await state(elsewhere)
+        log.write(own)
+        session.reason = reason or session.reason
+        session.display.spent(own + elsewhere, reason)
 
-    async def keep_books() -> None:
+    async def balance_regularly() -> None:
         while True:
-            balance()
             await asyncio.sleep(BOOKKEEPING_S)
+            await balance()
 
-    async def work(queue: Iterator[Flight]) -> None:
-        for flight in queue:
-            if gate.exhausted:
+    async def work(queue: Iterator[TrialSpec]) -> None:
+        for spec in queue:
+            if (await state(elsewhere))[2]:
                 return
-            session.watcher.landed(flight, await attend(flight, session.store, fly_it))
+            session.note(spec, await fly_and_keep(spec, store, fly_it))
 
-    balance()
-    waiting = [flight for flight in flights if flight.spec.waits]
-    others = [flight for flight in flights if not flight.spec.waits]
-    queues = [(iter(waiting), min(session.at_once, len(waiting))), (iter(others), min(quick, len(others)))]
-    books = asyncio.create_task(keep_books())
+    await balance()
+    waiting = [spec for spec in specs if spec.waits]
+    others = [spec for spec in specs if not spec.waits]
+    queues = [(iter(waiting), min(session.at_once, len(waiting))), (iter(others), min(computing, len(others)))]
+    balancing = asyncio.create_task(balance_regularly())
     try:
         async with asyncio.TaskGroup() as group:
             for queue, workers in queues:
@@ -262,79 +209,92 @@ async def drive(flights: Sequence[Flight], session: Session, gate: Books, fly_it
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     finally:
-        books.cancel()
-        balance()
+        balancing.cancel()
+        await balance()
 
 
 # ---------------------------------------------------------------- a pool of processes
 
 
-def fly_in_pool(flights: Sequence[Flight], session: Session, jobs: int) -> None:
-    """Fly all in a pool of processes, for trials that compute and do not wait.
+def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:
+    """Fly trials that compute and do not wait in a pool of processes.
 
-    Each process keeps its trials itself, so that a kill loses those in flight and no others. Nothing is shared but
-    the directory: budgets and rates need `fly_here`. Workers are started afresh (`spawn`): a script that calls this
-    needs its `if __name__ == "__main__":` guard.
+    Each process keeps its own results, so a kill loses only the trials in flight. The processes share nothing but the
+    directory: budgets and rates need `fly_here`. Workers are spawned: a script that calls this needs its
+    `if __name__ == "__main__":` guard.
 
     Raises:
+        InputError: a value is not allowed; only without a store.
         FlockError: a worker was killed, or results cannot be kept.
         KeyboardInterrupt: after all workers were stopped.
     """
-    if not flights:
+    if not specs:
         return
     others = set(multiprocessing.active_children())
-    jobs = min(jobs, len(flights))
+    jobs = min(jobs, len(specs))
     pool = ProcessPoolExecutor(
         jobs,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
-        initargs=(session.store.folder, session.keep),
+        initializer=_end_with_parent,
     )
-    ledger, spent, over = Ledger(session.store), Spent(), False
-    queue = iter(flights)
-    under_way: dict[Future[Landed | None], Flight] = {}
-
-    def submit(count: int) -> None:
-        for _, flight in zip(range(count), queue, strict=False):
-            under_way[pool.submit(_fly_in_worker, flight)] = flight
-
+    log = None if session.store is None else SpendingLog(session.store)
+    spent, done, finished = Spent(), 0, False
     try:
-        with interrupts_held():
-            submit(jobs + AHEAD)
-        while under_way:
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                flight, landed = under_way.pop(future), future.result()
-                if landed is not None and landed.fresh:
-                    spent += landed.spent
-                    ledger.write(spent)
-                session.watcher.landed(flight, landed)
-                session.watcher.spent(spent, None)
-                submit(1)
-        over = True
+        with _interrupts_held():
+            running = {pool.submit(_fly_in_worker, spec, session.store, session.keep): spec for spec in specs}
+        for future in as_completed(list(running)):
+            spec, found = running.pop(future), future.result()
+            if log is not None and found is not None and found[1]:
+                spent += found[0].spent
+                log.write(spent)
+            session.note(spec, found)
+            session.display.spent(spent, None)
+            done += 1
+        finished = True
     except BrokenProcessPool:
-        raise FlockError(f"a worker was killed; is there memory for {jobs} jobs? The same command goes on") from None
+        again = "" if session.store is None else " The same command goes on"
+        raise FlockError(f"a worker was killed after {done} trials; is there memory for {jobs} jobs?{again}") from None
     finally:
-        if not over:
+        if not finished:
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
         pool.shutdown(cancel_futures=True)
 
 
-_in_worker: dict[str, tuple[Store, KeepRecords]] = {}
-"""What a worker was told when it began."""
+@contextmanager
+def _interrupts_held() -> Generator[None]:
+    """Block Ctrl-C while workers start. They inherit the block, so that only the parent handles it.
+
+    A terminal sends Ctrl-C to the whole group of processes, and each worker would print a traceback.
+    """
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(folder: Path, keep: KeepRecords) -> None:
-    end_with_parent()
-    _in_worker["session"] = Store(folder), keep
+def _end_with_parent() -> None:
+    """Let a worker end when its parent dies."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "runs in workers only"
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
-def _fly_in_worker(flight: Flight) -> Landed | None:
-    store, keep = _in_worker["session"]
+def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> Found:
+    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...] = ()) -> tuple[TrialResult, Path | None]:
+        return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id), earlier=earlier)
 
-    async def fly_it(flight: Flight, earlier: tuple[Earlier, ...]) -> tuple[StoredTrial, Path | None]:
-        scratch = store.scratch(flight.spec.id)
-        flown = await fly(flight.spec, lane=Lane(), keep=keep, scratch=scratch, earlier=earlier)
-        return flown.trial, flown.record
+    async def found() -> Found:
+        return ((await fly_it(spec))[0], True) if store is None else await fly_and_keep(spec, store, fly_it)
 
-    return asyncio.run(attend(flight, store, fly_it))
+    one = asyncio.run(found())
+    return None if one is None else (msgspec.structs.replace(one[0], config={}, rounds={}), one[1])

@@ -1,4 +1,4 @@
-"""Two ways of doing the same thing, compared trial by trial: both began from the same seed."""
+"""Compare two protocols trial by trial, on the same seeds."""
 
 from __future__ import annotations
 
@@ -53,19 +53,19 @@ def paired_means(
     method: Method = "student",
     confidence: float = CONFIDENCE,
 ) -> PairedMeans | None:
-    """Compare two figures that belong together pair by pair; None without pairs.
+    """Compare two figures pair by pair; None without pairs.
 
     The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
     meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
 
     Args:
-        first: one finite figure a seed.
+        first: one finite figure for each seed.
         second: the same seeds in the same order.
-        method: how the interval of the mean difference is found.
+        method: how to find the interval of the mean difference.
         confidence: between 0 and 1.
 
     Raises:
-        InputError: not as many of the one as of the other, or the confidence is out of its range.
+        InputError: the lengths differ, or the confidence is out of its range.
     """
     _check_pairs(first, second)
     differences = [a - b for a, b in zip(first, second, strict=True)]
@@ -82,10 +82,10 @@ def paired_shares(
 
     The interval is Newcombe's of squared and added score intervals, corrected for the pairs' correlation (Improved
     confidence intervals for the difference between binomial proportions based on paired data, Statistics in Medicine
-    1998, method 10). It is of use where all or none succeeded.
+    1998, method 10). It has a width where all or none succeeded.
 
     Raises:
-        InputError: not as many of the one as of the other, or the confidence is out of its range.
+        InputError: the lengths differ, or the confidence is out of its range.
     """
     _check_pairs(first, second)
     n = len(first)
@@ -94,11 +94,11 @@ def paired_shares(
     one, two = wilson(sum(first), n, confidence), wilson(sum(second), n, confidence)
     both = sum(a and b for a, b in zip(first, second, strict=True))
     only_first, only_second = sum(first) - both, sum(second) - both
-    neither = n - both - only_first - only_second
-    tie = _correlation(both, only_first, only_second, neither)
+    correlation = _correlation(both, only_first, only_second, n - both - only_first - only_second)
     difference = one.value - two.value
-    down = _reach(_below(one), _above(two), tie)
-    up = _reach(_above(one), _below(two), tie)
+    (below_one, above_one), (below_two, above_two) = _arms(one), _arms(two)
+    down = _combined(below_one, above_two, correlation)
+    up = _combined(above_one, below_two, correlation)
     return PairedShares(
         pairs=n,
         only_first=only_first,
@@ -115,7 +115,7 @@ def _effect(differences: Sequence[float], confidence: float) -> Estimate | None:
     if spread <= 1e-12 * max(map(abs, differences)):
         return None  # no spread to measure the difference by
     free = n - 1
-    # Without this factor the effect of few pairs comes out too large.
+    # Without this factor the effect of few pairs would be overestimated.
     unbiased = math.exp(math.lgamma(free / 2) - math.lgamma((free - 1) / 2)) / math.sqrt(free / 2)
     score = mean / spread * math.sqrt(n)
     low, high = (
@@ -128,7 +128,7 @@ def _effect(differences: Sequence[float], confidence: float) -> Estimate | None:
 
 
 def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
-    """Of the two successes, with Newcombe's correction for chance where it is positive."""
+    """Correlation of the two successes, with Newcombe's correction for chance where it is positive."""
     margins = (both + only_first) * (only_second + neither) * (both + only_second) * (only_first + neither)
     if not margins:
         return 0.0
@@ -138,16 +138,14 @@ def _correlation(both: int, only_first: int, only_second: int, neither: int) -> 
     return surplus / math.sqrt(margins)
 
 
-def _below(share: Estimate) -> float:
-    return share.value - (share.value if share.low is None else share.low)
+def _arms(share: Estimate) -> tuple[float, float]:
+    """Distances from a share down and up to the ends of its interval."""
+    assert share.low is not None and share.high is not None, "Wilson's interval always has ends"
+    return share.value - share.low, share.high - share.value
 
 
-def _above(share: Estimate) -> float:
-    return (share.value if share.high is None else share.high) - share.value
-
-
-def _reach(one: float, two: float, tie: float) -> float:
-    return math.sqrt(max(0.0, one * one - 2 * tie * one * two + two * two))
+def _combined(one: float, two: float, correlation: float) -> float:
+    return math.sqrt(max(0.0, one * one - 2 * correlation * one * two + two * two))
 
 
 def _check_pairs(first: Sequence[object], second: Sequence[object]) -> None:

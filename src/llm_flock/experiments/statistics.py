@@ -1,4 +1,4 @@
-"""Intervals for what a number of trials has shown."""
+"""Intervals for the results of a number of trials."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RESAMPLES = 4000
 """Draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed."""
 
 Method: TypeAlias = Literal["student", "bootstrap"]
-"""How the interval of a mean is found: Student's t (the paper's), or the bootstrap."""
+"""How to find the interval of a mean: Student's t (as in the paper), or the bootstrap."""
 
 METHODS: tuple[Method, ...] = ("student", "bootstrap")
 
@@ -30,12 +30,12 @@ Column: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A value and the interval that holds the true one with the confidence asked for; in the value's unit.
+    """An estimated value and its confidence interval, in the value's unit.
 
     Attributes:
-        value: the best guess.
-        low: lower end; None where nothing can be said.
-        high: upper end; None where nothing can be said.
+        value: the best estimate.
+        low: lower end; None where it is not known.
+        high: upper end; None where it is not known.
     """
 
     value: float
@@ -46,8 +46,8 @@ class Estimate:
 def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:
     """A share of successes with Wilson's score interval.
 
-    It stays within 0 .. 1 and is of use at 0 and at all successes, where the plain normal interval has no width
-    (Wilson: Probable inference, the law of succession, and statistical inference, JASA 1927).
+    It stays within 0 .. 1 and has a width at 0 and at all successes, where the normal interval has none (Wilson:
+    Probable inference, the law of succession, and statistical inference, JASA 1927).
 
     Args:
         successes: at most `trials`.
@@ -57,11 +57,12 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Estim
     Raises:
         InputError: a number is out of its range.
     """
+    _check(confidence)
     if trials < 1:
         raise InputError("trials", trials, "at least 1")
     if not 0 <= successes <= trials:
         raise InputError("successes", successes, f"0 .. {trials}")
-    z = _normal_quantile(confidence)
+    z = float(ndtri((1 + confidence) / 2))
     share = successes / trials
     scale = 1 + z * z / trials
     middle = (share + z * z / (2 * trials)) / scale
@@ -88,15 +89,10 @@ def mean_interval(
     _check(confidence)
     if not values:
         return None
-    if method == "bootstrap" and len(values) > 1:
-        mean, low, high = mean_bands(np.array(values, dtype=np.float64)[:, None], method, confidence)
-        return Estimate(value=float(mean[0]), low=float(low[0]), high=float(high[0]))
-    mean = statistics.fmean(values)
     if len(values) == 1:
-        return Estimate(value=mean, low=None, high=None)
-    quantile = float(stdtrit(len(values) - 1, (1 + confidence) / 2))
-    half = quantile * statistics.stdev(values, mean) / math.sqrt(len(values))
-    return Estimate(value=mean, low=mean - half, high=mean + half)
+        return Estimate(value=float(values[0]), low=None, high=None)
+    mean, low, high = mean_bands(np.array(values, dtype=np.float64)[:, None], method, confidence)
+    return Estimate(value=float(mean[0]), low=float(low[0]), high=float(high[0]))
 
 
 def mean_bands(
@@ -105,7 +101,7 @@ def mean_bands(
     """Mean of every column over the rows, and the ends of its interval.
 
     Args:
-        table: a row a trial, a column a round, say; NaN where a value is not known: it is left out of its column.
+        table: a row for each trial, a column for each round; unknown values are NaN and left out of their column.
         method: Student's t, or the bootstrap.
         confidence: between 0 and 1.
 
@@ -118,7 +114,7 @@ def mean_bands(
     _check(confidence)
     mean, low, high = (np.full(table.shape[1], np.nan) for _ in range(3))
     known = ~np.isnan(table)
-    # Columns that know the same rows are done at once: mostly that is all of them.
+    # Columns with the same known rows are done at once. Usually these are all columns.
     patterns, which = np.unique(known, axis=1, return_inverse=True)
     for number, rows in enumerate(patterns.T):
         columns = which.reshape(-1) == number
@@ -140,10 +136,10 @@ def _student_ends(values: NDArray[np.float64], confidence: float) -> tuple[Colum
 def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Column, Column]:
     """Bias-corrected and accelerated interval of each column's mean (Efron: Better bootstrap intervals, JASA 1987).
 
-    The draws are the same for every column and every call, so a report is the same whenever it is made.
+    The draws are the same for every column and every call, so a report does not change from one build to the next.
     """
     count, width = values.shape
-    rng = np.random.default_rng(0)
+    rng, normal = np.random.default_rng(0), statistics.NormalDist()
     shares = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES) / count
     means: NDArray[np.float64] = np.sort(shares @ values, axis=0)
     middle = values.mean(axis=0)
@@ -156,22 +152,16 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
             continue  # all values are equal, and so are all means
         below = float((means[:, k] < middle[k]).sum()) + float((means[:, k] == middle[k]).sum()) / 2
         bias = float(ndtri(min(max(below, 0.5), RESAMPLES - 0.5) / RESAMPLES))
-        lean = float(cubes[k]) / (6 * spread**1.5)
+        skew = float(cubes[k]) / (6 * spread**1.5)
         for ends, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
             shifted = bias + float(ndtri(share))
-            place: float = 0.5 * math.erfc(-(bias + shifted / (1 - lean * shifted)) / math.sqrt(2))
-            ends[k] = float(np.quantile(means[:, k], place))
+            ends[k] = float(np.quantile(means[:, k], normal.cdf(bias + shifted / (1 - skew * shifted))))
     return low, high
 
 
 def median(values: Sequence[float]) -> float | None:
     """The middle value, or the mean of the two in the middle; None without values."""
     return statistics.median(values) if values else None
-
-
-def _normal_quantile(confidence: float) -> float:
-    _check(confidence)
-    return float(ndtri((1 + confidence) / 2))
 
 
 def _check(confidence: float) -> None:

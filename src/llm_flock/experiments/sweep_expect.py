@@ -1,14 +1,15 @@
-"""What a sweep is expected to use before any of it is flown: each cell is rehearsed once by a stand-in."""
+"""Forecast the use of a sweep before it is flown: a stand-in rehearses each cell once."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from llm_flock.experiments.store import StoredTrial
-from llm_flock.experiments.sweep_file import ExpectTable, Sweep, TrialSpec
+from llm_flock.experiments.grid import TrialSpec
+from llm_flock.experiments.sweep_file import ExpectTable, Sweep
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.models import parse_base_urls, parse_models
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
@@ -18,12 +19,12 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.trial import TrialProgress
 
 REHEARSAL_S = 5.0
-"""A rehearsal is broken off after so long, and what it used is taken on to the last round [s]."""
+"""A rehearsal stops after this time, and its use is extrapolated to the last round [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expected:
-    """What one trial, or a number of them, is expected to use.
+    """Expected use of one trial, or of several.
 
     Attributes:
         calls: model calls, retries of rejected answers included.
@@ -57,14 +58,14 @@ class Expected:
             wall_s=self.wall_s + other.wall_s,
         )
 
-    def times(self, count: int) -> Expected:
-        """So many of them."""
+    def times(self, count: float) -> Expected:
+        """The expected use of `count` of these."""
         return Expected(
             calls=count * self.calls,
             tokens_input=count * self.tokens_input,
             tokens_output=count * self.tokens_output,
             cost_usd=None if self.cost_usd is None else count * self.cost_usd,
-            at_most=count * self.at_most,
+            at_most=round(count * self.at_most),
             wall_s=count * self.wall_s,
         )
 
@@ -72,28 +73,29 @@ class Expected:
 def expect_cells(
     sweep: Sweep,
     *,
-    flown: Mapping[str, Iterable[StoredTrial]] | None = None,
+    flown: Mapping[str, Iterable[TrialResult]] | None = None,
     on_cell: Callable[[str], None] | None = None,
 ) -> dict[str, Expected]:
-    """What one trial of each cell is expected to use.
+    """The expected use of one trial of each cell.
 
-    A cell of which trials are there already is expected to go on as they did. Every other one is rehearsed with its
-    first seed: by its own model if that is a stand-in that does not wait, else by the one in `[expect]`, whose
-    questions are the real ones, and whose answers are taken to have `output_tokens` tokens each.
+    A cell with finished trials is expected to go on as they did. Any other cell is rehearsed with its first seed: by
+    its own model if that is a stand-in that does not wait, else by the one in `[expect]`, which gets the same
+    questions, and whose answers are taken to have `output_tokens` tokens each.
 
     Args:
         sweep: the sweep.
-        flown: trials by cell.
-        on_cell: told of each cell before it is rehearsed.
+        flown: finished trials by cell.
+        on_cell: called before a cell is rehearsed.
     """
     found: dict[str, Expected] = {}
     rehearsed: dict[str, Expected] = {}
     for spec in sweep.trials:
         if spec.cell in found:
             continue
-        known = [trial for trial in (flown or {}).get(spec.cell, ()) if not trial.cut and trial.summary is not None]
+        known = [r.summary for r in (flown or {}).get(spec.cell, ()) if not r.cut and r.summary is not None]
         if known:
-            found[spec.cell] = _mean(spec, known)
+            mean = sum(map(_measured, known), Expected()).times(1 / len(known))
+            found[spec.cell] = replace(mean, at_most=_at_most(spec.config))
             continue
         stand_in = _stand_in(spec, sweep.file.expect)
         key = stand_in.model_dump_json()
@@ -105,30 +107,25 @@ def expect_cells(
     return found
 
 
-def _mean(spec: TrialSpec, trials: list[StoredTrial]) -> Expected:
-    def mean(name: str) -> float:
-        return sum((trial.summary or {})[name] for trial in trials) / len(trials)
-
-    priced = all((trial.summary or {})["cost_usd"] is not None for trial in trials)
+def _measured(summary: Mapping[str, float]) -> Expected:
     return Expected(
-        calls=mean("model_calls"),
-        tokens_input=mean("tokens_input"),
-        tokens_output=mean("tokens_output"),
-        cost_usd=mean("cost_usd") if priced else None,
-        at_most=_at_most(spec.config),
-        wall_s=mean("wall_s"),
+        calls=summary["model_calls"],
+        tokens_input=summary["tokens_input"],
+        tokens_output=summary["tokens_output"],
+        cost_usd=summary["cost_usd"],
+        wall_s=summary["wall_s"],
     )
 
 
 def _stand_in(spec: TrialSpec, expect: ExpectTable) -> RunConfig:
-    """The configuration with a model that answers at once and for nothing, its budget and its files left out."""
+    """The configuration with a free model that answers at once, and without budget and files."""
     config, model = spec.config, spec.config.model
     kinds = {parse_model(name).kind for name in spec.models}
     if spec.waits or "replay" in kinds:
         plain = {"model": f"simulated:{expect.profile}", "base_url": None, "reasoning_effort": None}
-        # Stand-ins understand the full words only; brief ones are counted too high.
-        words = None if model.prompts == "brief" else model.prompts
-        plain |= {"temperature": None, "model_seed": None, "prompts": words, "frame": None}
+        # Stand-ins understand only the full prompts, so the tokens of brief ones are overestimated.
+        prompts = None if model.prompts == "brief" else model.prompts
+        plain |= {"temperature": None, "model_seed": None, "prompts": prompts, "frame": None}
         model = model.model_copy(update=plain)
     limits = config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None})
     return config.model_copy(update={"model": model, "limits": limits})
@@ -139,7 +136,7 @@ class _LongEnough(Exception):
 
 
 def _rehearse(config: RunConfig) -> Expected:
-    """One trial of a stand-in, or what is to be thought of it where it takes long."""
+    """The use of one trial of a stand-in, extrapolated where it takes long."""
     began = time.perf_counter()
     last: list[TrialProgress] = []
 
@@ -149,54 +146,37 @@ def _rehearse(config: RunConfig) -> Expected:
             raise _LongEnough
 
     with suppress(_LongEnough):
-        summary = run(config=config, on_round=note).summary
-        return Expected(
-            calls=summary.model_calls,
-            tokens_input=summary.tokens_input,
-            tokens_output=summary.tokens_output,
-            at_most=_at_most(config),
-            wall_s=summary.wall_s,
-        )
+        return replace(_measured(run(config=config, on_round=note).summary.to_dict()), at_most=_at_most(config))
     (now,) = last
-    factor = now.rounds / max(1, now.round)
-    return Expected(
-        calls=factor * now.model_calls,
-        tokens_input=factor * now.tokens,
-        at_most=_at_most(config),
-        wall_s=factor * (time.perf_counter() - began),
-    )
+    so_far = Expected(calls=now.model_calls, tokens_input=now.tokens, wall_s=time.perf_counter() - began)
+    return replace(so_far.times(now.rounds / max(1, now.round)), at_most=_at_most(config))
 
 
 def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
-    """The same for the models that are meant, each robot taken to use as much as any other."""
+    """A rehearsal's use in terms of the real models, taking each robot to use as much as any other."""
     config = spec.config
     names = [parse_model(text) for text in parse_models(config.model.model, config.mission.n_robots)]
     addresses = parse_base_urls(config.model.base_url, spec.models)
     calls = [found.calls / len(names) if name.kind not in ("geometry", "replay") else 0.0 for name in names]
     answers = [expect.output_tokens if name.kind in ("provider", "local") else 0.0 for name in names]
     output = sum(count * tokens for count, tokens in zip(calls, answers, strict=True))
-    if not any(answers):
-        output = found.tokens_output
     share = found.tokens_input / max(1.0, found.calls)
     cost: float | None = 0.0
     for name, count, tokens in zip(names, calls, answers, strict=True):
-        if name.kind != "provider" or cost is None:
-            continue
-        known = name.provider not in addresses
-        usage = Usage(input=round(share), output=round(tokens))
-        price = cost_usd(name.info.price_id if known else None, name.model, usage)
-        cost = None if price is None else cost + count * price
-    return Expected(
+        if name.kind == "provider" and cost is not None:
+            price_id = name.info.price_id if name.provider not in addresses else None
+            price = cost_usd(price_id, name.model, Usage(input=round(share), output=round(tokens)))
+            cost = None if price is None else cost + count * price
+    return replace(
+        found,
         calls=sum(calls),
         tokens_input=share * sum(calls),
-        tokens_output=output,
+        tokens_output=output if any(answers) else found.tokens_output,
         cost_usd=cost,
-        at_most=found.at_most,
-        wall_s=found.wall_s,
     )
 
 
 def _at_most(config: RunConfig) -> int:
-    """Every robot asks for a plan and for a step each round, and every answer but the last is sent back."""
+    """Calls if every robot asked for a plan and a step each round, and every answer but the last were rejected."""
     most = config.mission.n_robots * 2 * config.trial.rounds * (config.model.max_retries + 1)
     return most if config.limits.max_calls is None else min(most, config.limits.max_calls)

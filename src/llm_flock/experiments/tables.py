@@ -1,4 +1,4 @@
-"""The two tables of a sweep: a row for each trial, and a row for each of its rounds."""
+"""The two tables of a sweep: a row for each trial, and a row for each round of each trial."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ import polars as pl
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
-from llm_flock.experiments.store import StoredTrial, read_trial, trial_files, write_whole
+from llm_flock.experiments.store import read_trial, trial_files, write_whole
+from llm_flock.experiments.trial import TrialResult
 from llm_flock.protocol.events import Origin
+from llm_flock.renamed import VALUES
 
 TRIALS_NAME = "trials.parquet"
 ROUNDS_NAME = "rounds.parquet"
 
 AXIS = "axis_"
-"""What the names of columns for further axes of a grid begin with."""
+"""Prefix of the columns for further axes of a grid."""
 
 WAYPOINTS = "waypoints_"
-"""What the names of columns that count waypoints by their maker begin with."""
+"""Prefix of the columns that count waypoints by their origin."""
 
 KINDS: Mapping[type[pl.DataType], str] = {
     pl.String: "text",
@@ -39,9 +41,9 @@ class Column:
 
     Attributes:
         name: its name.
-        dtype: what its values are; any of them may be null.
+        dtype: type of its values; any of them may be null.
         unit: of its values; empty where they have none.
-        meaning: in words.
+        meaning: in words, for the data dictionary.
     """
 
     name: str
@@ -71,7 +73,7 @@ def _flag(name: str, meaning: str) -> Column:
     return Column(name=name, dtype=pl.Boolean, unit="", meaning=meaning)
 
 
-_MAKERS = tuple(origin.value for origin in Origin if origin is not Origin.START)
+_ORIGINS = tuple(origin.value for origin in Origin if origin is not Origin.START)
 
 TRIALS: tuple[Column, ...] = (
     _text("trial", "address of the trial, made of its resolved configuration; name of its file"),
@@ -84,15 +86,15 @@ TRIALS: tuple[Column, ...] = (
     _text("assignment", "rule that chose the places"),
     _flag("shield", "whether the safety shield was on"),
     _text("model", "models as configured"),
-    _text("models", "the models that thought for the robots, each once"),
+    _text("models", "the models that were asked, each once"),
     _flag("simulated", "whether any of them was a simulated stand-in"),
     _text("stopped", "why it ended: formed, rounds, budget, no_answers or failed"),
     _text("reason", "the last failure, in words, where it ended by no_answers or failed"),
     _flag("formed", "whether the formation was built in time (see Metrics); false for trials that broke off"),
-    _flag("cut", "the budget of the whole sweep ran out while it flew: it says nothing about its cell"),
+    _flag("cut", "the budget of the whole sweep ran out during the trial, so it says nothing about its cell"),
     _count("rounds", "motion rounds flown", "rounds"),
     _count("rounds_to_formed", "first round in which the formation stood, in time or not; null if none did", "rounds"),
-    _count("lower_bound_rounds", "fewest rounds in which anybody could have built it; null without one plan", "rounds"),
+    _count("lower_bound_rounds", "lower bound of the rounds to build it; null without one plan", "rounds"),
     _number("procrustes_mean", "units", "mean distance to the ideal shape at the end; null without ideal"),
     _number("procrustes_mean_squared", "units^2", "mean squared distance to it"),
     _number("min_separation", "units", "smallest distance of two robots over the whole trial, along segments too"),
@@ -105,7 +107,7 @@ TRIALS: tuple[Column, ...] = (
     _count("plans_in_use", "different plans at the end"),
     _count("distinct_goals", "different goals at the end"),
     _count("robots_without_plan", "robots that never got a plan"),
-    _count("gaps", "places that are nobody's at the end; null without one plan"),
+    _count("gaps", "empty places at the end; null without one plan"),
     _count("spares", "robots awake at the end without a place; null without one plan"),
     _count("model_calls", "calls, retries of rejected answers included", "calls"),
     _count("calls_rejected", "answers that could not be used", "calls"),
@@ -114,20 +116,20 @@ TRIALS: tuple[Column, ...] = (
     _count("tokens", "tokens in and out", "tokens"),
     _count("tokens_input", "tokens in", "tokens"),
     _count("tokens_output", "tokens out", "tokens"),
-    _count("tokens_cached", "the part of tokens_input that the provider had in its cache", "tokens"),
+    _count("tokens_cached", "the part of tokens_input that came from the provider's cache", "tokens"),
     _number("cost_usd", "US dollars", "cost; null where the price of any call is not known"),
     _number("latency_mean_s", "s", "mean duration of a call, waits included; null without calls"),
-    *(_count(f"{WAYPOINTS}{who}", f"waypoints flown that were made by: {who}", "waypoints") for who in _MAKERS),
+    *(_count(f"{WAYPOINTS}{who}", f"waypoints flown whose origin is: {who}", "waypoints") for who in _ORIGINS),
     _count("messages_sent", "broadcasts", "messages"),
     _number("bytes_per_robot_round", "bytes", "bytes broadcast per robot and round"),
     _text("messages_rejected", "messages refused on receipt: reason=count"),
     _text("killed", "robots that died, and in which round: 3@12"),
     _text("joined", "robots that joined late or again, in the same form"),
     _count("missions", "missions of the trial"),
-    _number("wall_s", "s", "duration of the trial; it depends on the machine and on what else it did"),
-    _text("error", "what broke the trial off; null where nothing did"),
-    _count("earlier_tries", "times it was flown before, and cut short by the sweep's budget or broken off"),
-    _number("earlier_cost_usd", "US dollars", "what those cost; null where a price is not known"),
+    _number("wall_s", "s", "duration of the trial; it depends on the machine and its load"),
+    _text("error", "the error that broke the trial off; null without one"),
+    _count("earlier_tries", "earlier tries, which the sweep's budget cut short or which broke off"),
+    _number("earlier_cost_usd", "US dollars", "cost of the earlier tries; null where a price is not known"),
     _text("code", "version of the package that flew it, and revision of its checkout"),
     _text("record", "its record, relative to the directory; null where none was kept"),
 )
@@ -150,9 +152,9 @@ ROUNDS: tuple[Column, ...] = (
 
 
 def read_trials(folder: Path) -> pl.DataFrame:
-    """The row of every finished trial, ordered by cell and seed.
+    """The first table: a row for each finished trial, sorted by cell and seed.
 
-    The file is used where it is as new as the trials are; else the table is built from them, and nothing is written.
+    Reads the file if it is as new as the trials. Otherwise builds the table from them, without writing it.
 
     Raises:
         InputError: this is no directory of results.
@@ -162,7 +164,7 @@ def read_trials(folder: Path) -> pl.DataFrame:
 
 
 def read_rounds(folder: Path) -> pl.DataFrame:
-    """The rows of every finished trial's rounds, in the order of `read_trials`, then by round.
+    """The second table: a row for each round of each finished trial, in the order of `read_trials`, then by round.
 
     Raises:
         InputError: this is no directory of results.
@@ -174,11 +176,11 @@ def read_rounds(folder: Path) -> pl.DataFrame:
 def build_tables(folder: Path) -> None:
     """Write both tables from the finished trials.
 
-    They are dated by what was read: a trial that another process keeps in the meantime makes them out of date.
+    They get the date of the trials that were read: a trial that another process saves meanwhile makes them outdated.
 
     Raises:
         InputError: this is no directory of results.
-        RecordError: a trial is damaged, or the disk does not take the tables.
+        RecordError: a trial is damaged, or a table cannot be written.
     """
     dated = _dated(folder)
     trials = load_all(folder)
@@ -188,20 +190,20 @@ def build_tables(folder: Path) -> None:
         write_whole(folder / name, file.getvalue(), dated_ns=dated)
 
 
-def load_all(folder: Path) -> list[StoredTrial]:
-    """Every finished trial, by cell and seed.
+def load_all(folder: Path) -> list[TrialResult]:
+    """Read every finished trial, sorted by cell and seed.
 
     Raises:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    _dated(folder)  # refuses what is no such directory
+    _dated(folder)  # refuses other directories
     return sorted(
         map(read_trial, trial_files(folder)), key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id)
     )
 
 
-def trials_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
+def trials_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
     """The first table, in the order given."""
     found = list(trials)
     axes = list(dict.fromkeys(name for trial in found for name in trial.axes))
@@ -211,7 +213,7 @@ def trials_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
     return pl.DataFrame({name: [row.get(name) for row in rows] for name in schema}, schema=schema)
 
 
-def rounds_frame(trials: Iterable[StoredTrial]) -> pl.DataFrame:
+def rounds_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
     """The second table, in the order given."""
     columns: dict[str, list[Any]] = {column.name: [] for column in ROUNDS}
     for trial in trials:
@@ -230,7 +232,7 @@ def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
 
 
 def _dated(folder: Path) -> int:
-    """When a trial was last put there [ns].
+    """When the last trial was saved [ns].
 
     Raises:
         InputError: this is no directory of results.
@@ -240,36 +242,27 @@ def _dated(folder: Path) -> int:
     return (folder / TRIALS_FOLDER).stat().st_mtime_ns
 
 
-def _row(trial: StoredTrial) -> dict[str, Any]:
-    """Everything that is known of one trial, by the name of its column."""
-    mission, protocol = trial.config["mission"], trial.config["protocol"]
+def _row(trial: TrialResult) -> dict[str, Any]:
+    """The values of one trial, by column; names that are no columns are ignored."""
+    config, costs = trial.config, [earlier.cost_usd for earlier in trial.earlier]
     summary: Mapping[str, Any] = trial.summary or {}
-    plain = {column.name: summary.get(column.name) for column in TRIALS}
-    costs = [earlier.cost_usd for earlier in trial.earlier]
+    consensus = config["protocol"]["consensus"]
+    own = ("cell", "simulated", "stopped", "formed", "cut", "error", "code", "record")
     return {
-        **plain,
-        **{f"{WAYPOINTS}{who}": (summary["waypoints"].get(who, 0) if summary else None) for who in _MAKERS},
+        **summary,
+        **{f"{WAYPOINTS}{origin}": (summary["waypoints"].get(origin, 0) if summary else None) for origin in _ORIGINS},
         **{name: _counts(summary.get(name)) for name in ("faults", "messages_rejected")},
         **{name: _words(summary.get(name)) for name in ("models", "killed", "joined")},
         "missions": len(summary["missions"]) if summary else None,
         "trial": trial.id,
-        "cell": trial.cell,
-        "seed": trial.config["trial"]["seed"],
-        "shape": mission["shape"],
-        "n_robots": mission["n_robots"],
-        "safe_distance": mission["safe_distance"],
-        "spacing": mission["spacing"],
-        **{name: protocol[name] for name in ("protocol", "consensus", "assignment", "shield")},
-        "model": trial.config["model"]["model"],
-        "simulated": trial.simulated,
-        "stopped": trial.stopped,
-        "formed": trial.formed,
-        "cut": trial.cut,
-        "error": trial.error,
+        "seed": config["trial"]["seed"],
+        "model": config["model"]["model"],
+        **{name: config["mission"][name] for name in ("shape", "n_robots", "safe_distance", "spacing")},
+        **{name: config["protocol"][name] for name in ("protocol", "assignment", "shield")},
+        "consensus": VALUES["consensus"].get(consensus, consensus),
+        **{name: getattr(trial, name) for name in own},
         "earlier_tries": len(costs),
         "earlier_cost_usd": None if None in costs else sum(cost for cost in costs if cost is not None),
-        "code": trial.code,
-        "record": trial.record,
         **{AXIS + name: value for name, value in trial.axes.items()},
     }
 

@@ -1,4 +1,4 @@
-"""Formations: named shapes with their ideal target points, points from a file, and the geometry of a set of points."""
+"""Named shapes and their ideal target points, points from a file, and the geometry of a set of points."""
 
 from llm_flock.formations.files import load_points
 from llm_flock.formations.geometry import circumradius, rotated, rotational_symmetry, smallest_distance

@@ -1,4 +1,4 @@
-"""Target points from a file that the operator wrote."""
+"""Target points from a CSV or JSON file."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from llm_flock.errors import InputError
 
 
 def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
-    """Rows of coordinates from a file: JSON (a list of lists) if it ends in `.json`, CSV otherwise.
+    """Read rows of coordinates from a file: JSON (a list of lists) if its name ends in `.json`, CSV otherwise.
 
-    A CSV file holds x,y or x,y,z in each line; a first line without numbers is a header, empty lines are skipped.
+    Each line of a CSV file holds x,y or x,y,z. A first line without numbers is a header; empty lines are skipped.
 
     Args:
         path: the file, in UTF-8.
-        field: what to call the value in errors.
+        field: name of the setting, for errors.
 
     Raises:
-        InputError: the file cannot be read, or a line of it does not hold 2 or 3 finite numbers, as many in each.
+        InputError: the file cannot be read, or its rows are not all 2 or all 3 finite numbers.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -35,7 +35,7 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
         if point is None:
             raise InputError(field, f"{path}, {where}: {row!r}", "2 or 3 finite numbers in each row")
         if points and len(point) != len(points[0]):
-            raise InputError(field, f"{path}, {where}: {row!r}", f"{len(points[0])} numbers, as in the rows before")
+            raise InputError(field, f"{path}, {where}: {row!r}", f"{len(points[0])} numbers, as in the first row")
         points.append(point)
     if not points:
         raise InputError(field, str(path), "a file with at least one point")

@@ -1,4 +1,4 @@
-"""Geometry of a set of points: closest pair, reach, turns and symmetry."""
+"""Geometry of a set of points: closest pair, radius, rotation and symmetry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.spatial.distance import pdist
 from llm_flock.arrays import Points
 
 PAIRWISE_UP_TO = 500
-"""Up to this many points all pairs are measured; beyond, a k-d tree is faster."""
+"""Largest number of points for which all pairs are measured; beyond it, a k-d tree is faster."""
 
 
 def smallest_distance(points: ArrayLike) -> float:
@@ -32,32 +32,32 @@ def smallest_distance(points: ArrayLike) -> float:
 
 
 def _nearest(tree: KDTree, points: Points, k: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Distances to, and numbers of, the k nearest points of the tree, shape (n,) for k = 1 and (n, k) otherwise."""
+    """Distances and indices of the k nearest points of the tree, shape (n,) for k = 1 and (n, k) otherwise."""
     distance, index = tree.query(points, k=k)
     return np.asarray(distance), np.asarray(index)
 
 
 def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
-    """Largest distance of a point, shape (n, d), from the centre [units]."""
+    """Largest distance of the points, shape (n, d), from the centre [units]."""
     return float(np.linalg.norm(np.asarray(points, dtype=np.float64) - np.asarray(center), axis=1).max())
 
 
 def rotated(points: ArrayLike, center: Sequence[float], angle_rad: float) -> Points:
-    """Points of the plane, shape (n, 2), turned about the centre, counter-clockwise for a positive angle."""
+    """Points of the plane, shape (n, 2), rotated about the centre, counterclockwise for a positive angle."""
     cos, sin = math.cos(angle_rad), math.sin(angle_rad)
     arm = np.asarray(points, dtype=np.float64) - np.asarray(center)
     return arm @ np.array([[cos, sin], [-sin, cos]]) + np.asarray(center)
 
 
 def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
-    """Largest k such that a turn by 360/k degrees about the mean maps the set of points to itself.
+    """Largest k such that a rotation by 360/k degrees about the mean maps the set of points to itself.
 
     Args:
         points: shape (n, d) [units].
-        tolerance: how far from a point its image may be, as a share of the largest radius.
+        tolerance: largest distance of an image from a point, as a share of the largest radius.
 
     Returns:
-        1 where there is no symmetry, for a single point, and in other than two dimensions.
+        1 without symmetry, for a single point, and in dimensions other than two.
     """
     rows = np.asarray(points, dtype=np.float64)
     n, dim = rows.shape
@@ -66,7 +66,7 @@ def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
     rows = rows - rows.mean(axis=0)
     allowed = tolerance * circumradius(rows, (0.0, 0.0))
     tree = KDTree(rows)
-    # All points but one at the mean fall into classes of k: k divides n or n - 1.
+    # Points other than one at the mean form orbits of k points, so k divides n or n - 1.
     for k in range(n, 1, -1):
         if n % k > 1:
             continue

@@ -1,6 +1,6 @@
-"""How n points are laid out in each named shape, in units of the spacing; where the whole lies does not matter.
+"""Layouts of n points for each named shape, in units of the spacing; the position of the whole is arbitrary.
 
-Every layout takes n, which the shape must allow, and the number of sides, which only `polygon` heeds.
+Every layout takes n, which the shape must allow, and the number of sides, which only `polygon` uses.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ def line(n: int, _: int = 0) -> Points:
 
 
 def outline(corners: Points, per_side: int) -> Points:
-    """`per_side` points on each side of a closed outline, from each corner up to before the next one."""
+    """`per_side` evenly spaced points on each side of a closed outline, including its first corner, not its second."""
     share = np.arange(per_side)[:, None] / per_side
     sides = np.roll(corners, -1, axis=0) - corners
     return (corners[:, None] + share * sides[:, None]).reshape(-1, 2)
 
 
 def ring(n: int, radius: float, first_rad: float = 0.0) -> Points:
-    """Points evenly spread round a circle, the first at angle `first_rad` from the x axis."""
+    """Points evenly spaced on a circle, the first at angle `first_rad` from the x axis."""
     angles = first_rad + 2 * math.pi * np.arange(n) / n
     return radius * np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def circumradius_of(sides: int, length: float) -> float:
-    """Radius of the circle through the corners of a regular polygon with sides of this length."""
+    """Radius of the circle through the corners of a regular polygon with sides of length `length`."""
     return length / (2 * math.sin(math.pi / sides))
 
 
 def circle(n: int, _: int = 0) -> Points:
-    """The chord between neighbours is the spacing; one robot is the centre, two are a pair."""
+    """A circle: the chord between neighbours is the spacing. One robot is at the centre, two form a pair."""
     return np.zeros((1, 2)) if n == 1 else ring(n, circumradius_of(n, 1.0))
 
 
 def polygon(n: int, sides: int) -> Points:
-    """First corner at angle 0, as in the paper's example (line 353)."""
+    """A regular polygon with its first corner at angle 0, as in the paper's example (line 353)."""
     per_side = n // sides
     return outline(ring(sides, circumradius_of(sides, per_side)), per_side)
 
 
 def triangle(n: int, _: int = 0) -> Points:
-    """Equilateral, along its perimeter."""
+    """An equilateral triangle, points along its perimeter."""
     return polygon(n, 3)
 
 
 def square(n: int, _: int = 0) -> Points:
-    """Sides parallel to the axes."""
+    """A square with sides parallel to the axes, points along its perimeter."""
     side = n // 4
     return outline(ring(4, circumradius_of(4, side), math.pi / 4), side)
 
@@ -65,16 +65,16 @@ def cross(n: int, _: int = 0) -> Points:
 
 
 def wedge(n: int, _: int = 0) -> Points:
-    """Apex ahead (+y), arms at 45 degrees behind it on either side in turn: the first arm is longer for even n."""
+    """Apex ahead (+y), two arms at 45 degrees behind it, filled in turn: for even n, the first arm is longer."""
     steps = (np.arange(n) + 1) // 2
     side = np.where(np.arange(n) % 2 == 1, 1.0, -1.0)
     return np.column_stack([side * steps, -1.0 * steps]) * np.float64(math.sqrt(0.5))
 
 
 def grid(n: int, _: int = 0) -> Points:
-    """As many columns as the square root of n, rounded up. The last row is centred by whole columns only.
+    """A grid with ceil(sqrt(n)) columns. The last row is centred by whole columns only.
 
-    So every robot keeps a neighbour at exactly the spacing, which half a column's shift would break.
+    A shift by half a column would leave robots of the last row without a neighbour at exactly the spacing.
     """
     columns = math.isqrt(n - 1) + 1
     row, column = np.divmod(np.arange(n), columns)
@@ -84,7 +84,7 @@ def grid(n: int, _: int = 0) -> Points:
 
 
 def star(n: int, _: int = 0) -> Points:
-    """A regular pentagon with an equilateral triangle on each side; its ten edges are equally long."""
+    """A regular pentagon with an equilateral triangle on each side; all ten edges have the same length."""
     edge = n // 10
     tip = edge * (math.cos(math.pi / 5) / (2 * math.sin(math.pi / 5)) + math.sqrt(0.75))
     tips = ring(5, tip, math.pi / 2)

@@ -1,7 +1,7 @@
-"""The named shapes: which team sizes they take, what they are in words, and their ideal target points.
+"""The named shapes: their legal team sizes, their descriptions for prompts, and their ideal target points.
 
 Neighbouring points of a named shape are exactly `spacing` apart in a straight line (on a circle: the chord, not the
-arc). The shapes of the paper are triangle 3 and 6, square 4 and 8, cross 5, circle 5 and 10 (lines 240 and 544).
+arc). The paper's shapes are triangle 3 and 6, square 4 and 8, cross 5, circle 5 and 10 (lines 240 and 544).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from llm_flock.formations import layouts
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeInfo:
-    """What an operator needs to know about a shape.
+    """Description of a shape for operators.
 
     Attributes:
-        name: how it is written, with its argument in capitals: `circle`, `polygon:K`.
-        legal: the team sizes it takes, in words that follow "N is".
-        description: what it is, in words that follow "form".
-        examples: a few legal team sizes (of `polygon:K`: for K = 5).
+        name: specification of the shape, with its argument in capitals: `circle`, `polygon:K`.
+        legal: its legal team sizes, in words that follow "N is".
+        description: the shape in words that follow "form".
+        examples: a few legal team sizes (for `polygon:K`: with K = 5).
     """
 
     name: str
@@ -35,7 +35,7 @@ class ShapeInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Shape:
-    """A shape's information, and how to build it: both functions take n and the argument K (0 where there is none)."""
+    """A shape's description and layout. Both functions take n and the argument K (0 for shapes without one)."""
 
     info: ShapeInfo
     is_legal: Callable[[int, int], bool]
@@ -120,15 +120,15 @@ _SHAPES: dict[str, _Shape] = dict(
 
 
 def shapes() -> tuple[ShapeInfo, ...]:
-    """All shapes, in the order in which they are listed to the operator."""
+    """All shapes, in the order in which the command line lists them."""
     return tuple(shape.info for shape in _SHAPES.values())
 
 
 def shape_name(spec: str) -> str:
-    """The part of a specification before the colon.
+    """The part of a shape specification before the colon.
 
     Raises:
-        InputError: there is no such shape.
+        InputError: no shape has this name.
     """
     name = spec.partition(":")[0]
     if name not in _SHAPES:
@@ -137,7 +137,7 @@ def shape_name(spec: str) -> str:
 
 
 def _argument(spec: str) -> int:
-    """Number of sides of `polygon:K`, 0 for the other shapes; checks every specification's argument."""
+    """Number of sides of `polygon:K`, 0 for other shapes. Checks the argument of every specification."""
     name, (_, colon, argument) = shape_name(spec), spec.partition(":")
     if name == "text":
         if not argument.strip():
@@ -152,10 +152,10 @@ def _argument(spec: str) -> int:
 
 
 def describe(spec: str) -> str:
-    """The shape in words that follow "form": `a circle`; the description itself for `text:DESCRIPTION`.
+    """The shape in words that follow "form": `a circle`; for `text:DESCRIPTION`, the description itself.
 
     Raises:
-        InputError: there is no such shape, or its argument is not allowed.
+        InputError: no shape has this name, or its argument is not allowed.
     """
     sides, name = _argument(spec), shape_name(spec)
     if name == "text":
@@ -173,17 +173,17 @@ def ideal_points(
     """Ideal target points of a shape in its reference orientation, with their mean at `center`.
 
     Args:
-        spec: name of a shape, with its argument where it takes one.
-        n: number of robots.
+        spec: name of a shape, with its argument if it takes one.
+        n: number of points.
         center: d coordinates [units; world frame]; named shapes need d = 2.
         spacing: distance between neighbouring points [units].
-        custom: rows of the shape `points` [units]; only their position relative to their own mean counts.
+        custom: points of the shape `points`, n rows [units]; only their position relative to their mean counts.
 
     Returns:
-        shape (n, d) [units; world frame], or None for free text, whose ideal nobody knows.
+        shape (n, d) [units; world frame], or None for free text, which has no known ideal.
 
     Raises:
-        InputError: there is no such shape, or not for this many robots or this many dimensions.
+        InputError: no shape has this name, or the shape does not exist for this number of points or dimensions.
     """
     name, argument = shape_name(spec), _argument(spec)
     shape = _SHAPES[name]

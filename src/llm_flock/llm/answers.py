@@ -1,9 +1,9 @@
-r"""From a model's answer to values: tolerant of how it is written, strict about what it says.
+r"""Read a model's answer: tolerant of how it is written, strict about what it says.
 
-Read are the paper's forms `Plan: [[x, y], ...]` with `my plan: a` or `my_plan: a` (lines 118 and 391) and
+The forms are the paper's `Plan: [[x, y], ...]` with `my plan: a` or `my_plan: a` (lines 118 and 391) and
 `Position: [x, y]` (line 110), and our own `Path: [[x, y], ...]`, among prose, markdown, code fences and LaTeX
-(`\boxed{\text{Position: } [x,\ y]}`, line 739). The last complete candidate counts. A list holds plain numbers: what
-would have to be worked out is no answer.
+(`\boxed{\text{Position: } [x,\ y]}`, line 739). The last complete candidate counts. A list holds plain numbers: an
+expression such as `3 + 4` is no answer. The same values may come as a JSON object, see `answer_forms`.
 
 All patterns are possessive where they repeat, and start at a label or a bracket: the time is linear in the length of
 the answer, whatever it holds.
@@ -19,6 +19,7 @@ from typing import Any, cast
 
 from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import AnswerError
+from llm_flock.llm.port import AnswerForm
 from llm_flock.protocol.plan import Plan
 
 MAX_CHARS = 1_000_000
@@ -39,7 +40,7 @@ _LATEX_FORMATS = re.compile(
     r"(?![A-Za-z])"
 )
 _ESCAPED_NEWLINE = re.compile(r"\\n(?![a-ln-z])(?!m(?!y))")
-"""A backslash and an n that stand for a line break, not the beginning of a LaTeX command."""
+"""A backslash and an n that mean a line break, not the beginning of a LaTeX command."""
 
 # Possessive throughout: a repetition never gives back what it has taken.
 _NUMBER = r"[-+]?+(?:(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+|nan|inf(?:inity)?+)"
@@ -50,9 +51,9 @@ _MARKUP = r"\s*_`\"'$&{}|~>#"
 _GAP = rf"[{_MARKUP}:=≈→-]*+"
 _WRAP = r"(?:[\[(]\s*+){0,2}?"
 _LANGUAGE = rf"(?:(?:json|python|text|latex|math)(?![A-Za-z]){_GAP})?+"
-"""What a code fence may say after its backticks."""
+"""A language after the backticks of a code fence."""
 
-# The look at the first letter changes nothing but the time: where it does not fit, nothing else is tried.
+# The look at the first letter only saves time: where it does not fit, nothing else is tried.
 _POSITION = re.compile(
     r"(?=[nfp\\])"
     rf"(?:(?P<certain>(?:next|new|final)[{_MARKUP}]++position|\\boxed)|(?P<plain>(?<![A-Za-z])position))(?![A-Za-z])"
@@ -67,7 +68,7 @@ _BEFORE_POSITION = re.compile(
     r"[\s*_`\"']*$",
     re.IGNORECASE,
 )
-"""What may stand before a bare `Position:`; "Your position:" and "Goal position:" only repeat the question."""
+"""Allowed before a bare `Position:`; "Your position:" and "Goal position:" only repeat the question."""
 
 _PLAN = re.compile(
     rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
@@ -89,17 +90,21 @@ _EACH_LIST = re.compile(_LIST, re.IGNORECASE)
 _EACH_NUMBER = re.compile(_NUMBER, re.IGNORECASE)
 
 
-def parse_plan(text: str, n: int, dim: int) -> tuple[Plan, int]:
-    """The plan and the index of the model's own place in it, from an answer in words.
-
-    Args:
-        text: the answer.
-        n: number of places that the plan must have.
-        dim: number of coordinates of each.
+def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
+    """The plan and the index of the model's own place in it.
 
     Raises:
         AnswerError: with a reason that the model can act on; never anything else.
     """
+    n, dim = form.n, form.dim
+    answer = _json_object(text) if form.json else None
+    if answer is not None:
+        rows = _list_field(answer, "plan", f"a list of {n} points")
+        _check_count(len(rows), n)
+        names = [f"point {i} of the plan" for i in range(n)]
+        points = [_point(what, _row(what, row), dim) for what, row in zip(names, rows, strict=True)]
+        index = _number("my_plan", _field(answer, "my_plan", f"a whole number from 0 to {n - 1}"))
+        return Plan(tuple(points)), _index(index, n)
     text = _plain(text)
     found = _last(_PLAN, text) or _last(_BARE_PLAN, text)
     if found is None:
@@ -117,20 +122,38 @@ def parse_plan(text: str, n: int, dim: int) -> tuple[Plan, int]:
     return Plan(tuple(points)), _index(_spelled("my plan", index["wrapped"] or index["bare"]), n)
 
 
-def parse_step(text: str, dim: int) -> Point:
-    """The waypoint from an answer in words, `dim` coordinates [units].
+def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
+    """The next position and those that follow it, 1 to `form.horizon` of them [units].
+
+    Where a path is asked for, a single position is a path of one.
 
     Raises:
         AnswerError: with a reason that the model can act on; never anything else.
     """
-    row = _position_row(_plain(text))
-    if row is None:
+    dim, horizon = form.dim, form.horizon
+    answer = _json_object(text) if form.json else None
+    if answer is not None:
+        if horizon == 1 or ("path" not in answer and "position" in answer):
+            position = _field(answer, "position", f"a list of {dim} numbers")
+            return (_point("the position", _row("the position", position), dim),)
+        rows = _list_field(answer, "path", f"a list of 1 to {horizon} positions")
+        return _path([_row("the path", row) for row in rows], horizon, dim)
+    text = _plain(text)
+    found = _last(_PATH, text) if horizon > 1 else None
+    if found is None and (row := _position_row(text)) is not None:
+        return (_point("the position", _numbers("the position", row), dim),)
+    if horizon == 1:
         raise AnswerError(f"it holds no complete position; a line `Position: [...]` with {dim} numbers is required.")
-    return _point("the position", _numbers("the position", row), dim)
+    found = found or _last(_BARE_PLAN, text)
+    if found is None:
+        required = f"a line `Path: [[...], ...]` with 1 to {horizon} positions of {dim} numbers is required."
+        raise AnswerError(f"it holds no complete path; {required}")
+    rows = [_numbers("the path", row) for row in _EACH_LIST.findall(found["list"])]
+    return _path(rows, horizon, dim)
 
 
 def _position_row(plain: str) -> str | None:
-    """The last labelled position, or the only thing that is said."""
+    """The last labelled position, or a list that is the whole answer."""
     row: str | None = None
     for match in _POSITION.finditer(plain):
         if match["certain"] is not None or _stands_alone(plain, match):
@@ -139,75 +162,6 @@ def _position_row(plain: str) -> str | None:
         bare = _BARE_POSITION.fullmatch(plain)
         row = None if bare is None else bare["list"]
     return row
-
-
-def parse_path(text: str, horizon: int, dim: int) -> tuple[Point, ...]:
-    """The waypoints from an answer in words, 1 to `horizon` of them; a single position is a path of one.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
-    """
-    plain = _plain(text)
-    found = _last(_PATH, plain)
-    if found is None and (row := _position_row(plain)) is not None:
-        return (_point("the position", _numbers("the position", row), dim),)
-    found = found or _last(_BARE_PLAN, plain)
-    if found is None:
-        required = f"a line `Path: [[...], ...]` with 1 to {horizon} positions of {dim} numbers is required."
-        raise AnswerError(f"it holds no complete path; {required}")
-    rows = [_numbers("the path", row) for row in _EACH_LIST.findall(found["list"])]
-    return _path(rows, horizon, dim)
-
-
-def parse_plan_json(text: str, n: int, dim: int) -> tuple[Plan, int]:
-    """As `parse_plan`, from the JSON object `{"plan": [[x, y], ...], "my_plan": a}`, also inside prose or a code fence.
-
-    What is no JSON is read as words: models that know no schema often answer so.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
-    """
-    answer = _json_object(text)
-    if answer is None:
-        return parse_plan(text, n, dim)
-    rows = _field(answer, "plan", f"a list of {n} points")
-    if not isinstance(rows, list):
-        raise AnswerError(f'"plan" is not a list; a list of {n} points is required.')
-    rows = cast(list[Any], rows)
-    _check_count(len(rows), n)
-    points = [_point(what, _row(what, row), dim) for what, row in zip(_names(n), rows, strict=True)]
-    index = _number("my_plan", _field(answer, "my_plan", f"a whole number from 0 to {n - 1}"))
-    return Plan(tuple(points)), _index(index, n)
-
-
-def parse_step_json(text: str, dim: int) -> Point:
-    """As `parse_step`, from the JSON object `{"position": [x, y]}`, also inside prose or a code fence.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
-    """
-    answer = _json_object(text)
-    if answer is None:
-        return parse_step(text, dim)
-    position = _field(answer, "position", f"a list of {dim} numbers")
-    return _point("the position", _row("the position", position), dim)
-
-
-def parse_path_json(text: str, horizon: int, dim: int) -> tuple[Point, ...]:
-    """As `parse_path`, from the JSON object `{"path": [[x, y], ...]}`, also inside prose or a code fence.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
-    """
-    answer = _json_object(text)
-    if answer is None:
-        return parse_path(text, horizon, dim)
-    if "path" not in answer and "position" in answer:
-        return (parse_step_json(text, dim),)
-    rows = _field(answer, "path", f"a list of 1 to {horizon} positions")
-    if not isinstance(rows, list):
-        raise AnswerError(f'"path" is not a list; a list of 1 to {horizon} positions is required.')
-    return _path([_row("the path", row) for row in cast(list[Any], rows)], horizon, dim)
 
 
 def _path(rows: Sequence[Sequence[float]], horizon: int, dim: int) -> tuple[Point, ...]:
@@ -271,13 +225,15 @@ def _field(answer: Mapping[str, Any], name: str, required: str) -> object:
     return answer[name]
 
 
-def _names(n: int) -> list[str]:
-    """What the points of a plan are called in a reason."""
-    return [f"point {i} of the plan" for i in range(n)]
+def _list_field(answer: Mapping[str, Any], name: str, required: str) -> list[object]:
+    value = _field(answer, name, required)
+    if not isinstance(value, list):
+        raise AnswerError(f'"{name}" is not a list; {required} is required.')
+    return cast(list[object], value)
 
 
 def _numbers(what: str, row: str) -> list[float]:
-    """The numbers of a list that is known to hold nothing else."""
+    """The numbers of a list in the form of `_LIST`."""
     return [_spelled(what, number) for number in _EACH_NUMBER.findall(row)]
 
 
@@ -310,7 +266,7 @@ def _check_count(count: int, n: int) -> None:
 
 
 def _place(number: int, row: str, dim: int) -> Point:
-    """A point of a plan; reasons are worded only where there is something to object to, for plans are long."""
+    """A point of a plan; the name for reasons is made only where it is needed, for plans are long."""
     spelled = _EACH_NUMBER.findall(row)
     if len(spelled) == dim and max(map(len, spelled)) <= MAX_DIGITS:
         values = tuple(map(float, spelled))

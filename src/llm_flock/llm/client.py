@@ -1,7 +1,7 @@
 """One call through pydantic-ai: our messages in, our reply or our ModelError out.
 
-pydantic-ai's `direct.model_request` translates between providers. Its own retry and repair loops are not used:
-`limits` retries transport faults, the planner asks again about answers it cannot use.
+pydantic-ai's `direct.model_request` translates between providers. Its retries are not used: `limits` retries transport
+faults, and the planner asks again after answers that it cannot use.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Literal, TypeAlias, cast
 
 import httpx2
@@ -19,7 +20,6 @@ from pydantic_ai.direct import model_request
 from pydantic_ai.messages import (
     ModelMessage,
     ModelRequest,
-    ModelRequestPart,
     ModelResponse,
     SystemPromptPart,
     TextPart,
@@ -38,22 +38,22 @@ logger = logging.getLogger(__name__)
 Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
 
 MODEL_NAME_LENGTH = 100
-"""Characters of the model's name, as its server tells it, that are kept."""
+"""Longest name of a model in a reply [characters]."""
 
 DETAIL_LENGTH = 400
-"""Characters of a provider's error text that are kept."""
+"""Longest error text of a provider [characters]."""
 
 _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
-"""What providers' keys look like, also when a provider shows one back half hidden by asterisks."""
+"""The form of providers' keys, also where a provider returns one half hidden by asterisks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CallSettings:
-    """How a model is asked to sample; None leaves the provider's own default.
+    """Sampling settings; None leaves the provider's default.
 
     Attributes:
         temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
-        seed: asks for repeatable sampling where the provider knows such a thing.
+        seed: for repeatable sampling, where the provider supports it.
         reasoning: effort of reasoning models.
         max_tokens: longest answer, reasoning included.
     """
@@ -64,7 +64,7 @@ class CallSettings:
     max_tokens: int | None = None
 
     def plain(self) -> dict[str, Any]:
-        """What was asked for, without the defaults: the form that goes into records."""
+        """The settings without defaults, as they go into records."""
         names = ("temperature", "seed", "reasoning", "max_tokens")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
@@ -78,7 +78,7 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
 
 
 def _writable(text: str) -> str:
-    """The text with lone surrogates replaced: they are no text in UTF-8, and no record could hold them."""
+    """The text with lone surrogates replaced: UTF-8 and so the records cannot hold them."""
     return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
 
 
@@ -88,10 +88,10 @@ class PydanticModel:
     Args:
         model: the pydantic-ai model.
         name: `provider:model` as configured.
-        settings: how to sample.
-        secrets: keys that must not appear in any text that leaves this object.
-        price_id: whose price list applies, None where none does.
-        cost: a fixed price of every call [US dollars], for models that are free; overrides the price list.
+        settings: sampling settings.
+        secrets: keys to remove from every text that leaves this object.
+        price_id: id of the price list, None where none applies.
+        cost: fixed price of every call [US dollars], for models that are free; overrides the price list.
         clock: seconds, only differences matter.
     """
 
@@ -107,7 +107,7 @@ class PydanticModel:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._model = model
-        self._name = name
+        self.name = name
         self._provider = name.partition(":")[0]
         self._secrets = secrets
         self._price_id = price_id
@@ -118,16 +118,11 @@ class PydanticModel:
         self._settings = _model_settings(settings, self._provider)
         self._words = ModelRequestParameters()
 
-    @property
-    def name(self) -> str:
-        """`provider:model`, as configured."""
-        return self._name
-
     async def ask(self, call: Call) -> Reply:
         """Answer one call: one try, without retries.
 
         Raises:
-            ModelError: of the kinds that its docstring lists; its text holds no key.
+            ModelError: of any kind; its text holds no key.
         """
         started = self._clock()
         try:
@@ -138,14 +133,14 @@ class PydanticModel:
                 model_request_parameters=self._parameters(call.schema),
             )
         except ModelError:
-            raise  # a stand-in that already speaks our language
+            raise  # from a simulated model
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
             raise self._model_error(error) from None
         except (ValueError, TypeError, AttributeError, LookupError, AssertionError) as error:
-            # Providers send bodies that no parser foresaw; one of them must not end the run of all robots.
+            # A malformed body that the SDK's parser trips over must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"
-            logger.warning("robot %d, %s: %s", call.robot, self._name, self._clean(detail))
+            logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
         return self._reply(response, self._clock() - started)
 
@@ -153,7 +148,7 @@ class PydanticModel:
         if schema is None:
             return self._words
         answer = OutputObjectDefinition(json_schema=dict(schema), name="answer")
-        # DeepSeek and older Claude models know no JSON schema: they get "a JSON object", and the schema in words.
+        # DeepSeek and older Claude models accept no JSON schema: they are asked for JSON, and get the schema as text.
         native = self._model.profile.get("supports_json_schema_output", False)
         return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
 
@@ -163,13 +158,13 @@ class PydanticModel:
             output=response.usage.output_tokens,
             cached=response.usage.cache_read_tokens,
         )
-        # A server may echo anything as its model's name, the key included.
+        # A server may return anything as its model's name, even the key.
         answered_by = scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH]
-        answered_by = answered_by or self._name.partition(":")[2]
+        answered_by = answered_by or self.name.partition(":")[2]
         cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
         return Reply(
             text=_writable(scrub(response.text or "", self._secrets)),
-            model=self._name if self._name.startswith("simulated:") else f"{self._provider}:{answered_by}",
+            model=self.name if self.name.startswith("simulated:") else f"{self._provider}:{answered_by}",
             settings=self._asked,
             usage=usage,
             cost_usd=cost,
@@ -181,7 +176,7 @@ class PydanticModel:
         return ModelError(error_kind(error), self._clean(_story(error)), retry_after)
 
     def _clean(self, text: str) -> str:
-        # Scrub before cutting: half a key at the cut would not be recognised.
+        # Scrub before cutting: a key cut in half would not be recognised.
         text = " ".join(scrub(text, self._secrets).split())
         return text if len(text) <= DETAIL_LENGTH else text[: DETAIL_LENGTH - 3] + "..."
 
@@ -202,7 +197,7 @@ def error_kind(error: Exception) -> str:
         case pai.ModelHTTPError():
             return _status_kind(error.status_code)
         case pai.UserError():
-            return "refused"  # asked for something that this model cannot do: asking again changes nothing
+            return "refused"  # a feature that the model lacks: a retry changes nothing
         case _:
             return "garbage"
 
@@ -214,7 +209,7 @@ def _status_kind(status: int) -> str:
 
 
 def _story(error: Exception) -> str:
-    """One line about an exception, with the transport's own word where pydantic-ai's is only "Connection error."."""
+    """One line about an exception, with the transport's cause where pydantic-ai says only "Connection error."."""
     text = str(error) or type(error).__name__
     cause = error.__cause__
     while cause is not None and cause.__cause__ is not None:
@@ -225,35 +220,24 @@ def _story(error: Exception) -> str:
 
 
 def to_model_messages(messages: tuple[ChatMessage, ...]) -> list[ModelMessage]:
-    """pydantic-ai's form of a conversation: what is said between two answers is one request."""
+    """A conversation in pydantic-ai's form: the messages between two answers are one request."""
     out: list[ModelMessage] = []
-    parts: list[ModelRequestPart] = []
-    for message in messages:
-        if message.role == "assistant":
-            if parts:
-                out.append(ModelRequest(parts=parts))
-                parts = []
-            out.append(ModelResponse(parts=[TextPart(message.text)]))
-        elif message.role == "system":
-            parts.append(SystemPromptPart(message.text))
+    for answers, group in groupby(messages, key=lambda message: message.role == "assistant"):
+        if answers:
+            out += [ModelResponse(parts=[TextPart(message.text)]) for message in group]
         else:
-            parts.append(UserPromptPart(message.text))
-    if parts:
-        out.append(ModelRequest(parts=parts))
+            parts = [(SystemPromptPart if m.role == "system" else UserPromptPart)(m.text) for m in group]
+            out.append(ModelRequest(parts=parts))
     return out
 
 
 def _model_settings(settings: CallSettings, provider: str) -> ModelSettings | None:
-    out: dict[str, Any] = {}
-    for name in ("temperature", "seed", "max_tokens"):
-        value = getattr(settings, name)
-        if value is not None:
-            out[name] = value
-    if settings.reasoning is not None:
-        if provider == "anthropic":
-            out["thinking"] = False if settings.reasoning == "none" else settings.reasoning
-        else:
-            # The unified `thinking` is dropped for models that pydantic-ai does not know as reasoning models,
-            # and most local ones are unknown to it. What the operator asks for is what is sent.
-            out["openai_reasoning_effort"] = settings.reasoning
+    out = settings.plain()
+    effort = out.pop("reasoning", None)
+    if effort is not None and provider == "anthropic":
+        out["thinking"] = False if effort == "none" else effort
+    elif effort is not None:
+        # pydantic-ai drops its unified `thinking` for models that it does not know as reasoning models, as most
+        # local ones. This is sent as the operator asks.
+        out["openai_reasoning_effort"] = effort
     return cast(ModelSettings, out) if out else None

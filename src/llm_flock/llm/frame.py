@@ -1,8 +1,8 @@
-"""The frame of coordinates in which a model is asked: the world's, or one in which the numbers are small and near zero.
+"""The coordinates of a prompt: those of the world, or a frame in which the numbers are small and near zero.
 
-A small model cannot add 57.31 and 3.18 safely. In its own frame it need not: a plan is asked for around the origin with
-the spacing as unit, and a step from the origin with the step limit as unit. The question is moved and scaled before it
-is put into words, and the answer is moved and scaled back before anything else looks at it. Directions stay.
+A small model cannot add 57.31 and 3.18 reliably. In its own frame it need not: it plans around the origin with the
+spacing as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is
+rendered, and the answer is moved and scaled back before anything else reads it. Directions stay.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ Q = TypeVar("Q", PlanQuestion, StepQuestion)
 A = TypeVar("A", PlanAnswer, StepAnswer)
 
 TRAINED = "local:smollm2"
-"""The model that is trained for its own frame and for few words; an adapter may follow after a plus sign."""
+"""The model that is trained for its own frame and the brief prompts; an adapter may follow after a plus sign."""
 
 
 def trained_for(model: str) -> bool:
-    """Whether a model, as `--model` names it, is trained for its own frame and the brief words."""
+    """Whether a model, as `--model` names it, is trained for its own frame and the brief prompts."""
     return model.partition("+")[0] == TRAINED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
-    """Coordinates that are moved and scaled: `(point - origin) / unit`.
+class PromptFrame:
+    """Moved and scaled coordinates: `(point - origin) / unit`.
 
     Attributes:
-        origin: what becomes zero [units; world frame].
-        unit: what becomes one [units].
-        decimals: observed and planned points are rounded to so many in this frame.
+        origin: the point that becomes zero [units; world frame].
+        unit: the length that becomes one [units].
+        decimals: decimals of observed and planned points in this frame.
     """
 
     origin: Point
     unit: float
     decimals: int
 
-    def told(self, point: Point) -> Point:
-        """A point of the world as it is told, rounded."""
+    def rounded(self, point: Point) -> Point:
+        """A point of the world in this frame, rounded."""
         # Adding zero turns -0.0 into 0.0.
         return tuple(round(x, self.decimals) + 0.0 for x in self.exact(point))
 
@@ -83,71 +83,70 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked(Generic[Q]):
-    """A question as it is meant and as it is told.
+class FramedQuestion(Generic[Q]):
+    """A question in the world and in the frame of its prompt.
 
     Attributes:
         question: in the world.
-        told: in the frame of the model; the same one where that is the world's.
-        frame: how to come from one to the other; None where there is nothing to do.
+        framed: in the frame of the prompt; the same one where that is the world.
+        frame: between the two; None where they are the same.
     """
 
     question: Q
-    told: Q
-    frame: Frame | None
+    framed: Q
+    frame: PromptFrame | None
 
-    def meant(self, answer: A) -> A:
-        """What an answer in the model's numbers means in the world; a goal that it repeats is the goal."""
+    def to_world(self, answer: A) -> A:
+        """An answer in the world; a goal that the model repeats is exactly the goal."""
         if self.frame is None:
             return answer
         if isinstance(answer, PlanAnswer):
             return replace(answer, plan=Plan.of(map(self.frame.world, answer.plan.points)))
-        return replace(answer, waypoint=self._place(answer.waypoint), path=tuple(map(self._place, answer.path)))
+        return replace(answer, waypoint=self._waypoint(answer.waypoint), path=tuple(map(self._waypoint, answer.path)))
 
-    def _place(self, point: Point) -> Point:
-        assert (
-            self.frame is not None and isinstance(self.told, StepQuestion) and isinstance(self.question, StepQuestion)
-        )
-        return self.question.goal if point == self.told.goal else self.frame.world(point)
+    def _waypoint(self, point: Point) -> Point:
+        assert self.frame is not None
+        assert isinstance(self.framed, StepQuestion) and isinstance(self.question, StepQuestion)
+        return self.question.goal if point == self.framed.goal else self.frame.world(point)
 
 
-def ask_plan(question: PlanQuestion, name: FrameName) -> Asked[PlanQuestion]:
-    """A plan is asked for around the origin, in spacings.
+def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQuestion]:
+    """Frame a question for a plan: around the origin, in spacings.
 
-    A shape in words may speak of lengths, which nobody can scale: it is asked for in the world.
+    A shape in words may mention lengths, which cannot be scaled: it is asked for in the world.
     """
     mission = question.mission
     if name == "world" or shape_name(mission.shape) == "text":
-        return Asked(question=question, told=question, frame=None)
+        return FramedQuestion(question=question, framed=question, frame=None)
     frame = _frame(mission.center, mission.spacing, mission)
-    told = replace(
-        question,
-        mission=frame.mission(mission),
-        position=frame.told(question.position),
-        neighbors=tuple(map(frame.told, question.neighbors)),
-        still=tuple(map(frame.told, question.still)),
-    )
-    return Asked(question=question, told=told, frame=frame)
+    still = tuple(map(frame.rounded, question.still))
+    return FramedQuestion(question=question, framed=replace(_moved(question, frame), still=still), frame=frame)
 
 
-def ask_step(question: StepQuestion, name: FrameName) -> Asked[StepQuestion]:
-    """A step is asked for from the origin, in step limits."""
-    mission = question.mission
+def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQuestion]:
+    """Frame a question for a step: from the origin, in step limits."""
     if name == "world":
-        return Asked(question=question, told=question, frame=None)
-    frame = _frame(question.position, mission.max_step, mission)
-    told = replace(
-        question,
-        mission=frame.mission(mission),
-        position=frame.told(question.position),
-        neighbors=tuple(map(frame.told, question.neighbors)),
-        plan=Plan.of(map(frame.told, question.plan.points)),
-        target=None if question.target is None else frame.told(question.target),
+        return FramedQuestion(question=question, framed=question, frame=None)
+    frame = _frame(question.position, question.mission.max_step, question.mission)
+    framed = replace(
+        _moved(question, frame),
+        plan=Plan.of(map(frame.rounded, question.plan.points)),
+        target=None if question.target is None else frame.rounded(question.target),
     )
-    return Asked(question=question, told=told, frame=frame)
+    return FramedQuestion(question=question, framed=framed, frame=frame)
 
 
-def _frame(origin: Point, unit: float, mission: Mission) -> Frame:
+def _moved(question: Q, frame: PromptFrame) -> Q:
+    """A question with the fields that both kinds have in another frame."""
+    return replace(
+        question,
+        mission=frame.mission(question.mission),
+        position=frame.rounded(question.position),
+        neighbors=tuple(map(frame.rounded, question.neighbors)),
+    )
+
+
+def _frame(origin: Point, unit: float, mission: Mission) -> PromptFrame:
     """Two decimals, and more where they would be coarse beside the spacing or the safe distance."""
     finest = 10 * min(mission.spacing, mission.safe_distance)
-    return Frame(origin=origin, unit=unit, decimals=2 + max(0, math.ceil(math.log10(unit / finest))))
+    return PromptFrame(origin=origin, unit=unit, decimals=2 + max(0, math.ceil(math.log10(unit / finest))))

@@ -1,6 +1,6 @@
-"""pydantic-ai models of real providers, with our own HTTP client and without any retries below us.
+"""pydantic-ai models of real providers, with our own HTTP client and without retries of theirs.
 
-This module imports the providers' SDKs, which takes most of a second: import it only where one is needed.
+Imports the providers' SDKs, which takes most of a second: import this module only where a provider is needed.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from pydantic_ai.providers.vllm import VLLMProvider
 
 CONNECT_TIMEOUT_S = 10.0
 PER_POOL = 8
-"""Requests that one connection pool serves at a time."""
+"""Requests that one connection pool serves at once."""
 
 NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
 
 
 class ManyPools(httpx2.AsyncBaseTransport):
-    """A transport that spreads requests over as many small connection pools as are needed at once.
+    """A transport that spreads requests over small connection pools, as many as are needed.
 
-    A pool of httpcore looks at all of its connections, with a system call for each idle one, whenever a request
-    comes or goes: with 200 robots that is more work than all the rest of a call. Small pools keep it constant, and
-    since none of them is limited, no robot ever waits for a connection (httpx2 alone would stop at 100).
+    Whenever a request begins or ends, httpcore goes through all connections of its pool, with a system call for each
+    idle one: with 200 robots, more work than all the rest of a call. Small pools keep it constant. None is limited, so
+    no robot waits for a connection (httpx2 alone would stop at 100).
     """
 
     def __init__(self) -> None:
@@ -76,14 +76,24 @@ def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
 def build_model(provider: str, model: str, *, base_url: str, key: str | None, http: httpx2.AsyncClient) -> Model[Any]:
     """The pydantic-ai model for a provider of the table in `providers`.
 
-    The SDKs' own retries (2 by default) are switched off: they would hide faults from the record, and give up where
-    `limits` still waits.
+    The SDKs' own retries (2 by default) are switched off: they would hide faults from the record, and give up earlier
+    than `limits`.
     """
+    options: dict[str, Any] = {
+        "api_key": key or NO_KEY,
+        "base_url": base_url,
+        "http_client": http,
+        "max_retries": 0,
+        "timeout": http.timeout,
+    }
     if provider == "anthropic":
-        return _anthropic(model, base_url, key, http)
-    openai = AsyncOpenAI(
-        api_key=key or NO_KEY, base_url=base_url, http_client=http, max_retries=0, timeout=http.timeout
-    )
+        # Its SDK takes longer to import than all the others together.
+        from anthropic import AsyncAnthropic
+        from pydantic_ai.models.anthropic import AnthropicModel
+        from pydantic_ai.providers.anthropic import AnthropicProvider
+
+        return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=AsyncAnthropic(**options)))
+    openai = AsyncOpenAI(**options)
     if provider == "ollama":
         return OllamaModel(model, provider=OllamaProvider(openai_client=openai))
     return OpenAIChatModel(model, provider=_openai_like(provider, openai))
@@ -101,18 +111,6 @@ def _openai_like(provider: str, client: AsyncOpenAI) -> Provider[AsyncOpenAI]:
         case "vllm":
             return VLLMProvider(openai_client=client)
         case _:
-            # Anyone's server: it knows `max_tokens`, the older and wider spread of the two names.
+            # Any server: `max_tokens` is the older name of the setting, and known to more of them.
             profile = OpenAIModelProfile(openai_chat_supports_max_completion_tokens=False)
             return OpenAICompatibleProvider(provider, openai_client=client, profile=profile)
-
-
-def _anthropic(model: str, base_url: str, key: str | None, http: httpx2.AsyncClient) -> Model[Any]:
-    # Its SDK takes longer to import than all the others together: only those who use it wait for it.
-    from anthropic import AsyncAnthropic
-    from pydantic_ai.models.anthropic import AnthropicModel
-    from pydantic_ai.providers.anthropic import AnthropicProvider
-
-    client = AsyncAnthropic(
-        api_key=key or NO_KEY, base_url=base_url, http_client=http, max_retries=0, timeout=http.timeout
-    )
-    return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=client))

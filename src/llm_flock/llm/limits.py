@@ -1,4 +1,4 @@
-"""What stands between robots and a provider: a queue, time-outs, patience with faults, and the run's budget."""
+"""Queue, time-outs, retries and budget between the robots of one run and a provider."""
 
 from __future__ import annotations
 
@@ -6,34 +6,31 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError
 from llm_flock.llm.port import Call, LanguageModel, Reply, Usage
 
-if TYPE_CHECKING:
-    from llm_flock.llm.sharing import Gate
-
 FINAL = frozenset({"refused", "budget"})
-"""Kinds of ModelError that asking again cannot cure."""
+"""Kinds of ModelError that are not retried."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
-    """How patiently a fault is met.
+    """When to try again after a fault.
 
     The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
-    most longest_wait_s: robots that were all turned away at once do not come back all at once. What the provider
-    asks for by Retry-After is waited for in full, up to longest_retry_after_s, with up to a tenth on top.
+    most longest_wait_s: robots that were turned away together do not return together. A wait that the
+    provider asks for by Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
 
     Attributes:
         max_tries: tries for one call, the first included.
         first_wait_s: scale of the first wait [s].
-        longest_wait_s: longest wait of our own choice [s].
-        longest_retry_after_s: longest wait on the provider's word [s].
+        longest_wait_s: longest wait without Retry-After [s].
+        longest_retry_after_s: longest wait with Retry-After [s].
     """
 
     max_tries: int = 8
@@ -49,15 +46,12 @@ class RetryPolicy:
                 raise InputError(name, getattr(self, name), "a number of seconds, at least 0")
 
     def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
-        """Wait before the next try.
+        """Draw the wait before the next try [s].
 
         Args:
-            failed: tries that have failed so far, at least 1.
+            failed: failed tries so far, at least 1.
             retry_after_s: what the provider asked for, None where it did not [s].
             rng: chance.
-
-        Returns:
-            Seconds.
         """
         if retry_after_s is not None:
             return min(retry_after_s, self.longest_retry_after_s) * rng.uniform(1.0, 1.1)
@@ -67,13 +61,27 @@ class RetryPolicy:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Spent:
+    """Calls, tokens in and out, and money as far as prices are known [US dollars]."""
+
+    calls: int = 0
+    tokens: int = 0
+    cost_usd: float = 0.0
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(
+            calls=self.calls + other.calls, tokens=self.tokens + other.tokens, cost_usd=self.cost_usd + other.cost_usd
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """What one run may use; None is without limit.
+    """CallLimits of one run or one sweep; None is without limit.
 
     Attributes:
-        max_calls: questions put to models (a retried call counts once).
+        max_calls: questions to models; a retried call counts once.
         max_tokens: input and output together.
-        max_cost_usd: money [US dollars], as far as prices are known.
+        max_cost_usd: money, as far as prices are known [US dollars].
     """
 
     max_calls: int | None = None
@@ -81,26 +89,42 @@ class Budget:
     max_cost_usd: float | None = None
 
     def __post_init__(self) -> None:
-        for field, value in (("max_calls", self.max_calls), ("max_tokens", self.max_tokens)):
+        for name, value in (("max_calls", self.max_calls), ("max_tokens", self.max_tokens)):
             if value is not None and value < 1:
-                raise InputError(field, value, "at least 1, or not given")
+                raise InputError(name, value, "at least 1, or not given")
         if self.max_cost_usd is not None and not 0 < self.max_cost_usd < float("inf"):
             raise InputError("max_cost", self.max_cost_usd, "more than 0, or not given")
 
+    def exhausted(self, spent: Spent, *, new_call: bool, owner: str = "") -> str | None:
+        """Say which limit is reached, None while none is.
+
+        Args:
+            spent: what was spent so far.
+            new_call: whether `max_calls` counts: a retry is no new call.
+            owner: goes into the reason, ` of the sweep`.
+        """
+        if self.max_tokens is not None and spent.tokens >= self.max_tokens:
+            return f"max_tokens = {self.max_tokens}{owner} is used up ({spent.tokens} tokens)"
+        if self.max_cost_usd is not None and spent.cost_usd >= self.max_cost_usd:
+            return f"max_cost = {self.max_cost_usd:g}{owner} is used up ({spent.cost_usd:.4f} US dollars)"
+        if new_call and self.max_calls is not None and spent.calls >= self.max_calls:
+            return f"max_calls = {self.max_calls}{owner} is used up"
+        return None
+
 
 class BudgetMeter:
-    """Counts what a run has used, and says when that is enough.
+    """Counts what a run has used and enforces its budget.
 
     Calls are counted when they begin, so that many at once cannot overrun `max_calls`. Tokens and money are known
-    only when an answer is there: calls that are under way at that moment may overrun those two.
+    only with the answer: calls under way at that moment may overrun those two.
 
     Attributes:
         calls: calls begun.
         answered: calls that got a reply.
         usage: tokens of all replies.
         known_cost_usd: sum of the known prices [US dollars].
-        faults: how often each kind of fault was met, retried or not.
-        reason: which limit ended it, None while none has.
+        faults: number of faults of each kind, retried or not.
+        reason: which limit turned a call away, None while none has.
     """
 
     def __init__(self, budget: Budget | None = None) -> None:
@@ -114,7 +138,7 @@ class BudgetMeter:
 
     @property
     def exhausted(self) -> bool:
-        """Whether a call was, or would now be, turned away."""
+        """Whether a call was turned away."""
         return self.reason is not None
 
     def reserve(self) -> None:
@@ -123,95 +147,100 @@ class BudgetMeter:
         Raises:
             BudgetExceeded: nothing is left for it; it is not counted.
         """
-        self.check()
-        if self.budget.max_calls is not None and self.calls >= self.budget.max_calls:
-            self._stop(f"max_calls = {self.budget.max_calls} is used up")
+        self.check(new_call=True)
         self.calls += 1
 
-    def check(self) -> None:
-        """Raise BudgetExceeded when tokens or money are used up, as far as replies have told."""
-        tokens, cost = self.budget.max_tokens, self.budget.max_cost_usd
-        if tokens is not None and self.usage.total >= tokens:
-            self._stop(f"max_tokens = {tokens} is used up ({self.usage.total} tokens)")
-        if cost is not None and self.known_cost_usd >= cost:
-            self._stop(f"max_cost = {cost:g} is used up ({self.known_cost_usd:.4f} US dollars)")
-
-    def _stop(self, reason: str) -> None:
-        self.reason = reason
-        raise BudgetExceeded(reason)
+    def check(self, *, new_call: bool = False) -> None:
+        """Raise BudgetExceeded when a limit is reached, as far as replies have told."""
+        spent = Spent(calls=self.calls, tokens=self.usage.total, cost_usd=self.known_cost_usd)
+        reason = self.budget.exhausted(spent, new_call=new_call)
+        if reason is not None:
+            self.reason = reason
+            raise BudgetExceeded(reason)
 
     def release(self) -> None:
         """Take back a reserved call that was never sent."""
         self.calls -= 1
 
     def settle(self, reply: Reply) -> None:
-        """Count what came back."""
+        """Count a reply."""
         self.answered += 1
         self.usage += reply.usage
         if reply.cost_usd is not None:
             self.known_cost_usd += reply.cost_usd
 
 
-class Limits:
-    """What all models of one run share. Build it inside the event loop's thread, one for each run.
+class Gate(Protocol):
+    """Admits calls of many runs one by one; see `sharing.SharedGate`."""
 
-    Args:
-        max_concurrent: calls under way at once.
-        timeout_s: longest try, from the moment it is sent; the queue does not count [s].
-        retry: how patiently faults are met.
-        meter: the run's budget and counters.
-        gate: what this run shares with others; None for nothing.
+    async def enter(self, model: str, call: Call, *, again: bool) -> int:
+        """Wait for a turn; returns a ticket for `leave`.
+
+        Args:
+            model: `provider:model` that is about to be asked.
+            call: the question.
+            again: the call failed before; it is no new one for the budget.
+
+        Raises:
+            BudgetExceeded: nothing is left for it.
+        """
+        ...
+
+    def leave(self, ticket: int, reply: Reply | None) -> None:
+        """End the call; without reply, it failed."""
+        ...
+
+
+@dataclass(slots=True, kw_only=True)
+class CallLimits:
+    """CallLimits that all models of one run share. Build one for each run, in the thread of its event loop.
+
+    Attributes:
         rng: chance for the jitter of waits.
+        max_concurrent: calls under way at once.
+        timeout_s: longest try, the queue not counted [s].
+        retry: when to try again.
+        meter: the run's budget and counters.
+        gate: admits calls of this run and others; None admits all.
         clock: seconds, only differences matter.
         sleep: waits that many seconds.
+        slots: one for each call under way.
     """
 
-    def __init__(
-        self,
-        *,
-        max_concurrent: int = 256,
-        timeout_s: float = 120.0,
-        retry: RetryPolicy | None = None,
-        meter: BudgetMeter | None = None,
-        gate: Gate | None = None,
-        rng: np.random.Generator,
-        clock: Callable[[], float] = time.perf_counter,
-        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-    ) -> None:
-        if max_concurrent < 1:
-            raise InputError("max_concurrent", max_concurrent, "at least 1")
-        if not 0 < timeout_s < float("inf"):
-            raise InputError("timeout_s", timeout_s, "a number of seconds, more than 0")
-        self.slots = asyncio.Semaphore(max_concurrent)
-        self.timeout_s = timeout_s
-        self.retry = retry or RetryPolicy()
-        self.meter = meter or BudgetMeter()
-        self.gate = gate
-        self.rng = rng
-        self.clock = clock
-        self.sleep = sleep
+    rng: np.random.Generator
+    max_concurrent: int = 256
+    timeout_s: float = 120.0
+    retry: RetryPolicy = field(default_factory=RetryPolicy)
+    meter: BudgetMeter = field(default_factory=BudgetMeter)
+    gate: Gate | None = None
+    clock: Callable[[], float] = time.perf_counter
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    slots: asyncio.Semaphore = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.max_concurrent < 1:
+            raise InputError("max_concurrent", self.max_concurrent, "at least 1")
+        if not 0 < self.timeout_s < float("inf"):
+            raise InputError("timeout_s", self.timeout_s, "a number of seconds, more than 0")
+        self.slots = asyncio.Semaphore(self.max_concurrent)
 
 
 class Limited:
-    """A `LanguageModel` that queues, times out, retries and counts on behalf of the model inside."""
+    """A `LanguageModel` that queues, times out, retries and counts the calls of another one."""
 
-    def __init__(self, model: LanguageModel, limits: Limits) -> None:
+    def __init__(self, model: LanguageModel, limits: CallLimits) -> None:
+        self.name = model.name
         self._model = model
         self._limits = limits
 
-    @property
-    def name(self) -> str:
-        """The name of the model inside."""
-        return self._model.name
-
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, however many tries that takes.
+        """Answer one call, retrying faults.
 
-        The reply's latency runs from the first try to the answer, waits between tries included and the queue before
-        the first one not; its faults are those that were met on the way.
+        The reply's latency runs from the first try to the answer, with the waits between tries but without the queue
+        before the first one; its faults are those that were retried.
 
         Raises:
-            BudgetExceeded: the run's budget is used up; nothing more was sent.
+            BudgetExceeded: the budget is used up; nothing more was sent.
             ModelError: the last fault, with all of them in `faults`.
         """
         limits = self._limits
@@ -222,7 +251,7 @@ class Limited:
             async with limits.slots:
                 ticket: int | None = None
                 try:
-                    # Much may have been spent while this call stood in the queue.
+                    # Other calls may have used up the budget while this one was in the queue.
                     limits.meter.check()
                     if limits.gate is not None:
                         ticket = await limits.gate.enter(self.name, call, again=bool(faults))
@@ -242,7 +271,7 @@ class Limited:
             if isinstance(outcome, Reply):
                 limits.meter.settle(outcome)
                 if not faults and outcome.latency_s:
-                    return outcome  # a single try, whose duration the model has told itself
+                    return outcome  # a single try, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
             limits.meter.faults.update(outcome.faults or (outcome.kind,))
@@ -252,7 +281,7 @@ class Limited:
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))
 
     async def _try(self, call: Call) -> Reply | ModelError:
-        """One try; a fault is returned, because what follows it happens outside the slot."""
+        """One try; a fault is returned, because its wait happens outside the slot."""
         limits = self._limits
         try:
             async with asyncio.timeout(limits.timeout_s):
@@ -264,22 +293,18 @@ class Limited:
 
 
 class Metered:
-    """A `LanguageModel` that only counts: for cassettes, whose faults, waits and refusals are already recorded."""
+    """A `LanguageModel` that only counts: for recordings, which hold faults, waits and refusals already."""
 
     def __init__(self, model: LanguageModel, meter: BudgetMeter) -> None:
+        self.name = model.name
         self._model = model
         self._meter = meter
 
-    @property
-    def name(self) -> str:
-        """The name of the model inside."""
-        return self._model.name
-
     async def ask(self, call: Call) -> Reply:
-        """Pass the call on and count what comes back, as the recorded run counted it.
+        """Pass the call on, and count the outcome as the recorded run did.
 
         Raises:
-            ModelError: as the model inside.
+            ModelError: of the inner model.
         """
         try:
             reply = await self._model.ask(call)

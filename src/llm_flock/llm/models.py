@@ -1,4 +1,4 @@
-"""From a line of options to one language model per robot: ranges, settings, and one shared pool of connections."""
+"""Build a language model for each robot from the options: ranges, settings, and a shared pool of connections."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, Effort, PydanticModel
-from llm_flock.llm.local.model import Berths, LocalModel
+from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.prices import price_known
-from llm_flock.llm.profiles import parse_profile
 from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
-from llm_flock.llm.simulated import simulated_model
+from llm_flock.llm.simulated.model import SimulatedModel
+from llm_flock.llm.simulated.profiles import parse_profile
 
 if TYPE_CHECKING:
     import httpx2
@@ -42,17 +42,17 @@ _NEXT_RANGE = re.compile(rf",(?={_RANGE})")
 
 
 def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
-    """Spread a value over robots: `A` is for all, `0-4=A,5-9=B` or `3=A,0-2=B` for each its own.
+    """Assign values to robots: `A` for all, `0-4=A,5-9=B` or `3=A,0-2=B` by ranges.
 
-    Values may hold commas themselves: only a comma before another range separates.
+    Values may contain commas: only a comma before another range separates.
 
     Args:
         field: name for error messages.
-        text: what the operator wrote.
+        text: the operator's text.
         n: number of robots.
 
     Raises:
-        InputError: for an empty or reversed range, a robot outside 0..n-1, or one that is named twice or never.
+        InputError: for an empty or reversed range, or a robot that is outside 0..n-1, named twice, or missing.
     """
     if not _STARTS_WITH_RANGE.match(text):
         return (text.strip(),) * n
@@ -76,7 +76,7 @@ def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
 
 
 def parse_models(text: str, n: int) -> tuple[str, ...]:
-    """The model string of each of n robots, each checked by `parse_model`; `per_robot` says how ranges are written."""
+    """The model string of each of n robots, checked by `parse_model`; for ranges see `per_robot`."""
     models = per_robot("model", text, n)
     for model in dict.fromkeys(models):
         parse_model(model)
@@ -90,7 +90,7 @@ def parse_settings(
     seed: str | None = None,
     reasoning: str | None = None,
 ) -> tuple[CallSettings, ...]:
-    """Sampling settings of each of n robots; every argument is one value for all or ranges as in `per_robot`."""
+    """Sampling settings of each of n robots; every argument is written as in `per_robot`."""
     given = {"temperature": temperature, "seed": seed, "reasoning": reasoning}
     spread = {field: per_robot(field, text, n) for field, text in given.items() if text is not None}
     return tuple(
@@ -100,7 +100,7 @@ def parse_settings(
 
 
 def _setting(field: str, text: str) -> Any:
-    """One sampling setting from its text."""
+    """Read one sampling setting."""
     allowed = {
         "temperature": "a number from 0 to 2",
         "seed": "a whole number of at least 0",
@@ -121,9 +121,9 @@ def _setting(field: str, text: str) -> Any:
 
 
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
-    """Refuse a money budget over models whose price nobody knows: it could never be used up.
+    """Refuse a money budget for models of unknown price: it would have no effect.
 
-    Stand-ins, cassettes and geometry cost nothing. A provider behind another address may charge anything.
+    Simulated models, cassettes and geometry cost nothing. A provider behind another address may charge anything.
 
     Raises:
         InputError: for field `max_cost`, naming the models without a price.
@@ -145,14 +145,14 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
 
 
 class ModelPool:
-    """Builds each model once per (provider, model), all on one HTTP client or one engine; an async context manager.
+    """Builds models, one for each (provider, model), on one HTTP client or engine; an async context manager.
 
-    Keys are read from the environment when a model is first needed, and kept out of everything this object returns.
+    Keys are read from the environment when a model is first needed, and removed from all texts of its replies.
 
     Args:
         base_urls: addresses that replace the providers' own (`parse_base_urls`).
-        timeout_s: longest wait for one response, a second line of defence behind `limits` [s].
-        environ: where keys are looked up; the process environment by default.
+        timeout_s: longest wait for a response, should `limits` fail to end it [s].
+        environ: environment variables with keys; those of the process by default.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class ModelPool:
         self._environ = os.environ if environ is None else environ
         self._models: dict[tuple[str, str], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
-        self._berths = Berths()
+        self._leases = EngineLeases()
 
     async def __aenter__(self) -> Self:
         return self
@@ -178,8 +178,8 @@ class ModelPool:
         await self.aclose()
 
     async def aclose(self) -> None:
-        """Close all connections and stop engines; models of this pool must not be asked afterwards."""
-        await self._berths.aclose()
+        """Close all connections and stop engines. No model of this pool may be asked afterwards."""
+        await self._leases.aclose()
         if self._http is not None:
             await self._http.aclose()
         self._http = None
@@ -192,30 +192,28 @@ class ModelPool:
 
         Args:
             text: `provider:model`, `local:MODEL` or `simulated:PROFILE`.
-            robot: whose model it is.
-            rng: chance of a stand-in; real providers do not use it.
-            settings: how to sample.
+            robot: id of the robot.
+            rng: chance of a simulated model; others do not use it.
+            settings: sampling settings.
 
         Raises:
             InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
-                geometry, which are not models of this kind (see `replay.ReplayModel`, `geometry.GeometryPlanner`).
+                geometry, which other classes provide (`replay.ReplayModel`, `geometry.GeometryPlanner`).
         """
         name = parse_model(text)
         if name.kind == "simulated":
-            stand_in = simulated_model(parse_profile(name.model), robot, rng)
+            stand_in = SimulatedModel(parse_profile(name.model), robot, rng)
             return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
         if name.kind == "local":
-            return LocalModel(name.text, self._berths, settings)
+            return LocalModel(name.text, self._leases, settings)
         if name.kind != "provider":
             raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
-        key = self._key(name)
-        own_address = name.provider not in self._base_urls
         return PydanticModel(
-            self._hosted(name, key),
+            self._hosted(name),
             name=name.text,
             settings=settings,
             secrets=self._secrets(),
-            price_id=name.info.price_id if own_address else None,
+            price_id=name.info.price_id if name.provider not in self._base_urls else None,
         )
 
     def _key(self, name: ModelName) -> str | None:
@@ -225,27 +223,24 @@ class ModelPool:
             raise InputError("model", name.text, f"usable only with the key in environment variable {info.key_env}")
         return key or None
 
-    def _address(self, name: ModelName) -> str:
-        address = self._base_urls.get(name.provider, name.info.base_url)
-        if address is None:
-            raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
-        return address
-
     def _secrets(self) -> tuple[str, ...]:
-        """Every key that is set: an error of one provider may quote what was meant for another."""
+        """Every key that is set: an error of one provider may quote the key of another."""
         values = (self._environ.get(info.key_env, "").strip() for info in known_providers())
         return tuple(value for value in values if value)
 
-    def _hosted(self, name: ModelName, key: str | None) -> Model[Any]:
-        # The SDKs take most of a second to import: a run with stand-ins does not pay for them.
+    def _hosted(self, name: ModelName) -> Model[Any]:
+        key = self._key(name)
+        address = self._base_urls.get(name.provider, name.info.base_url)
+        # The SDKs take most of a second to import: a run with simulated models needs none of them.
         from llm_flock.llm import hosted
 
         if self._http is None:
             self._http = hosted.new_http_client(self._timeout_s)
         known = self._models.get((name.provider, name.model))
         if known is None:
-            known = hosted.build_model(
-                name.provider, name.model, base_url=self._address(name), key=key, http=self._http
-            )
+            if address is None:
+                example = f"an address for '{name.provider}', such as http://localhost:8000/v1"
+                raise InputError("base_url", None, example)
+            known = hosted.build_model(name.provider, name.model, base_url=address, key=key, http=self._http)
             self._models[name.provider, name.model] = known
         return known

@@ -1,7 +1,7 @@
 """A robot's conversation with its language model: ask, read, ask again with the reason, give up after some tries.
 
-Each robot has a planner of its own, and a planner holds nothing but its own robot's conversation. Every question brings
-its mission along, which may be another one than the last time.
+Each robot has its own planner, which holds only this robot's conversation. Every question carries its mission, which
+may differ from the one before.
 """
 
 from __future__ import annotations
@@ -9,13 +9,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from llm_flock.errors import AnswerError, InputError, ModelError
-from llm_flock.llm import answers as read
-from llm_flock.llm import schemas
-from llm_flock.llm.frame import Asked, FrameName, ask_plan, ask_step
+from llm_flock.llm.answer_forms import answer_schema
+from llm_flock.llm.answers import read_plan, read_waypoints
+from llm_flock.llm.frame import FramedQuestion, FrameName, frame_plan, frame_step
 from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
@@ -29,57 +28,52 @@ Q = TypeVar("Q", PlanQuestion, StepQuestion)
 Answers: TypeAlias = Literal["text", "json"]
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], str | None]
-"""Says in a sentence for the model why an answer will not do, or None."""
+"""A reason to reject an answer, as a sentence for the model, or None."""
 
 MAX_QUOTED = 20_000
-"""Characters of an answer that are repeated to the model; a runaway answer must not fill every later request."""
+"""Longest answer that is quoted to the model [characters]; a runaway answer must not fill every later request."""
 
 NO_TEXT = "(no text)"
 """Stands for an empty answer in the conversation: providers refuse empty messages."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class History:
-    """How many earlier exchanges, a question with its accepted answer each, the model sees; None is all of them."""
-
-    exchanges: int | None = 0
-
-
-def parse_history(text: str) -> History:
-    """Read `none`, `last:K` (K >= 1) or `full`.
+def parse_history(text: str) -> int | None:
+    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
 
     Raises:
         InputError: for field `history`.
     """
     if text in ("none", "full"):
-        return History(exchanges=0 if text == "none" else None)
+        return 0 if text == "none" else None
     last, _, count = text.partition(":")
     if last != "last" or not (count.isascii() and count.isdecimal() and len(count) <= 9 and int(count) >= 1):
         raise InputError("history", text, "none, full, or last:K with a whole number K >= 1")
-    return History(exchanges=int(count))
+    return int(count)
 
 
 def _same_task(one: Mission, other: Mission) -> bool:
-    """Whether two missions are the same but for the way that a moving centre has come."""
+    """Whether two missions are the same apart from the position of a moving centre."""
     if one.digest == other.digest:
         return True
     if one.velocity is None or one.velocity != other.velocity:
         return False
-    way = {"center", "since"}
-    return one.model_dump(exclude=way) == other.model_dump(exclude=way)
+    moving = {"center", "since"}
+    return one.model_dump(exclude=moving) == other.model_dump(exclude=moving)
 
 
-def _objection(asked: Asked[Q], told: A, answer: A, check: Callable[[Q, A], str | None] | None) -> str | None:
-    """Why an answer will not do, in the numbers that the model was told and has given."""
+def _objection(
+    asked: FramedQuestion[Q], framed: A, answer: A, check: Callable[[Q, A], str | None] | None
+) -> str | None:
+    """Why a check rejects an answer, in the numbers that the model was given and has answered with."""
     rejected = None if check is None else check(asked.question, answer)
     if check is None or rejected is None or asked.frame is None:
         return rejected
-    # The world decides. By a hair of rounding the same answer may pass in the model's own numbers.
-    return check(asked.told, told) or f"in the team's coordinates, which are not yours, {rejected}"
+    # The check in the world decides. Rounding may let the same answer pass in the model's own numbers.
+    return check(asked.framed, framed) or f"in the team's coordinates, which are not yours, {rejected}"
 
 
 def _plain(question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer) -> dict[str, Any]:
-    """An answer as it is recorded, in the world."""
+    """An answer as it is recorded, in the world frame."""
     if isinstance(answer, PlanAnswer):
         return {"plan": [list(point) for point in answer.plan.points], "slot": answer.slot}
     plain: dict[str, Any] = {"waypoint": list(answer.waypoint)}
@@ -91,25 +85,25 @@ def _plain(question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswe
 class LanguagePlanner:
     """A `Planner` that asks a language model.
 
-    An answer that cannot be read, or that a check objects to, goes back to the model with the reason. Rejected tries
-    stay in the conversation of their question only: what later questions see is the accepted exchange.
+    An answer that cannot be read, or that a check rejects, goes back to the model with the reason. Rejected tries stay
+    in the conversation of their question only: later questions see the accepted exchange.
 
     Args:
-        robot: whose planner this is.
-        model: who answers.
-        prompts: how questions are put into words; loaded for the same form of answers.
-        max_retries: how often a rejected answer is sent back before giving up.
-        history: what is kept between questions.
+        robot: id of the robot.
+        model: answers the questions.
+        prompts: renders the questions; loaded for the same form of answers.
+        max_retries: number of rejected answers that are sent back before giving up.
+        history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
         answers: the paper's text forms, or JSON objects with a schema.
-        on_attempt: told of every call and what came of it.
-        check_plan: an objection to a plan that can be read, or None.
-        check_step: an objection to a waypoint or path that can be read, or None.
-        frame: whether the model is asked in the world's coordinates or in its own.
+        on_attempt: called after every call, with its outcome.
+        check_plan: returns a reason to reject a plan, or None.
+        check_step: returns a reason to reject a waypoint or path, or None.
+        frame: coordinates of the prompts, see `frame`.
         clock: seconds, only differences matter.
 
     Raises:
-        InputError: `max_retries` is negative, `prompts` ask for another form of answers, or exchanges are to be kept
-            whose questions are each in a frame of its own.
+        InputError: `max_retries` is negative, `prompts` ask for another form of answers, or history is to be kept of
+            questions in different frames.
     """
 
     def __init__(
@@ -119,7 +113,7 @@ class LanguagePlanner:
         prompts: PromptSet,
         *,
         max_retries: int = 2,
-        history: History | None = None,
+        history: int | None = 0,
         answers: Answers = "text",
         on_attempt: AttemptSink | None = None,
         check_plan: CheckPlan | None = None,
@@ -135,9 +129,9 @@ class LanguagePlanner:
         self._model = model
         self._prompts = prompts
         self._max_retries = max_retries
-        self._kept = (history or History()).exchanges
+        self._kept = history
         if frame == "own" and self._kept != 0:
-            raise InputError("frame", frame, "world where history is kept: every question has an own frame of its own")
+            raise InputError("frame", frame, "world where history is kept: every question has its own frame otherwise")
         self._frame: FrameName = frame
         self._json = answers == "json"
         self._on_attempt = on_attempt
@@ -151,44 +145,40 @@ class LanguagePlanner:
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
         """Ask for a plan of the whole formation and the robot's own place in it."""
-        n, dim = question.mission.n_places, question.mission.dim
-        asked = ask_plan(question, self._frame)
 
-        def parse(text: str) -> PlanAnswer:
-            plan, slot = read.parse_plan_json(text, n, dim) if self._json else read.parse_plan(text, n, dim)
+        def read(text: str, form: AnswerForm) -> PlanAnswer:
+            plan, slot = read_plan(text, form)
             return PlanAnswer(plan=plan, slot=slot)
 
-        form = AnswerForm(n=n, dim=dim, json=self._json, reasons=self._prompts.reasons)
-        return await self._converse("plan", asked, self._prompts.plan(asked.told), form, parse, self._check_plan)
+        asked = frame_plan(question, self._frame)
+        return await self._converse("plan", asked, self._prompts.plan(asked.framed), 1, read, self._check_plan)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask for the next waypoint, or for a path."""
-        dim, horizon = question.mission.dim, question.horizon
-        asked = ask_step(question, self._frame)
 
-        def parse(text: str) -> StepAnswer:
-            if horizon > 1:
-                waypoint, *path = (read.parse_path_json if self._json else read.parse_path)(text, horizon, dim)
-                return StepAnswer(waypoint=waypoint, path=tuple(path))
-            return StepAnswer(waypoint=(read.parse_step_json if self._json else read.parse_step)(text, dim))
+        def read(text: str, form: AnswerForm) -> StepAnswer:
+            waypoint, *path = read_waypoints(text, form)
+            return StepAnswer(waypoint=waypoint, path=tuple(path))
 
-        n, reasons = question.mission.n_places, self._prompts.reasons
-        form = AnswerForm(n=n, dim=dim, horizon=horizon, json=self._json, reasons=reasons)
-        return await self._converse("step", asked, self._prompts.step(asked.told), form, parse, self._check_step)
+        asked, horizon = frame_step(question, self._frame), question.horizon
+        return await self._converse("step", asked, self._prompts.step(asked.framed), horizon, read, self._check_step)
 
     async def _converse(
         self,
         kind: Kind,
-        asked: Asked[Q],
+        asked: FramedQuestion[Q],
         text: str,
-        form: AnswerForm,
-        parse: Callable[[str], A],
+        horizon: int,
+        read: Callable[[str, AnswerForm], A],
         check: Callable[[Q, A], str | None] | None,
     ) -> A | NoAnswer:
-        """One question, and as many tries at it as are allowed."""
+        """Ask one question up to `1 + max_retries` times."""
         mission, round_ = asked.question.mission, asked.question.round
-        self._remember_only(mission)
-        system = ChatMessage("system", self._prompts.system(asked.told.mission))
+        form = AnswerForm(
+            n=mission.n_places, dim=mission.dim, horizon=horizon, json=self._json, reasons=self._prompts.reasons
+        )
+        self._forget_other_missions(mission)
+        system = ChatMessage("system", self._prompts.system(asked.framed.mission))
         question = ChatMessage("user", text)
         messages = (system, *self._history, question)
         reason, unfit = "", None
@@ -200,12 +190,12 @@ class LanguagePlanner:
             except ModelError as error:
                 return self._give_up(call, error, self._clock() - began)
             try:
-                told = parse(reply.text)
-                answer = asked.meant(told)
-                rejected = _objection(asked, told, answer, check)
+                framed = read(reply.text, form)
+                answer = asked.to_world(framed)
+                rejected = _objection(asked, framed, answer, check)
             except AnswerError as error:
                 answer, rejected = None, str(error)
-            self._tell(
+            self._report(
                 Attempt(
                     call=call,
                     model=reply.model,
@@ -228,14 +218,14 @@ class LanguagePlanner:
         logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
-    def _remember_only(self, mission: Mission) -> None:
-        """Forget the exchanges about another mission; a centre that travels does not make it another one."""
+    def _forget_other_missions(self, mission: Mission) -> None:
+        """Forget exchanges about another mission; one whose centre has moved is still the same."""
         if self._about is None or not _same_task(self._about, mission):
             self._history = []
         self._about = mission
 
     def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm) -> Call:
-        """The next call of this robot; attempts are numbered through a round, over both kinds of questions."""
+        """The next call; attempts are numbered within a round, over both kinds of questions."""
         if round_ != self._round:
             self._round, self._attempt = round_, 0
         call = Call(
@@ -244,15 +234,15 @@ class LanguagePlanner:
             kind=kind,
             attempt=self._attempt,
             messages=messages,
-            schema=schemas.answer_schema(kind, form) if form.json else None,
+            schema=answer_schema(kind, form) if form.json else None,
             form=form,
         )
         self._attempt += 1
         return call
 
     def _give_up(self, call: Call, error: ModelError, latency_s: float) -> NoAnswer:
-        """Without an answer there is nothing to correct: transport faults were already retried below the port."""
-        self._tell(
+        """Report a failed call. It is not repeated here: `limits` has retried transport faults already."""
+        self._report(
             Attempt(
                 call=call,
                 model=error.model or self._model.name,
@@ -264,12 +254,12 @@ class LanguagePlanner:
         logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
         return NoAnswer(cause=error.kind, reason=str(error))
 
-    def _tell(self, attempt: Attempt) -> None:
+    def _report(self, attempt: Attempt) -> None:
         if self._on_attempt is not None:
             self._on_attempt(attempt)
 
     def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
-        """Remember an accepted exchange, and forget what is too old."""
+        """Add an accepted exchange to the history, and drop the oldest ones."""
         if self._kept == 0:
             return
         self._history += [question, answer]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -41,12 +41,12 @@ class Usage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerForm:
-    """What an answer may look like, for models that can be held to it while they write.
+    """The form of an answer, to read it, and to hold a model to it while it writes.
 
     Attributes:
-        n: places that a plan must have.
-        dim: coordinates of a point.
-        horizon: positions that a path may have; with 1 a step is a single position.
+        n: number of places of a plan.
+        dim: number of coordinates of a point.
+        horizon: longest path; 1 asks for a single position.
         json: a JSON object instead of the paper's lines.
         reasons: the prompts ask for a reason before the answer.
     """
@@ -63,13 +63,13 @@ class Call:
     """One question to a model.
 
     Attributes:
-        robot: whose conversation this is.
+        robot: id of the robot.
         round: motion round.
-        kind: what is asked.
+        kind: a plan or a step.
         attempt: 0 for the first try, then 1, 2, ... as rejected answers are sent back.
         messages: the whole conversation that the model sees.
         schema: JSON schema of the answer where structured answers are on, else None.
-        form: what the answer may look like. It is told by the messages as well, and no part of `request_hash`.
+        form: form of the answer. The messages state it too, so `request_hash` leaves it out.
     """
 
     robot: int
@@ -82,19 +82,19 @@ class Call:
 
     @property
     def request_hash(self) -> str:
-        """16 hexadecimal digits over everything that the model sees."""
+        """16 hexadecimal digits of everything that the model sees."""
         content = json.dumps([[m.role, m.text] for m in self.messages] + [self.schema], sort_keys=True)
         return hashlib.blake2b(content.encode(), digest_size=8).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What a model answered.
+    """An answer of a model.
 
     Attributes:
         text: the raw answer.
-        model: `provider:model` that really answered.
-        settings: sampling settings that were sent (temperature, seed, ...).
+        model: `provider:model` that answered.
+        settings: sampling settings of the call (temperature, seed, ...).
         usage: tokens of this call.
         cost_usd: price of this call [US dollars], None where no price is known.
         latency_s: from the first try to the answer, waits for retries included [s].
@@ -122,7 +122,7 @@ class LanguageModel(Protocol):
         """Answer one call.
 
         Raises:
-            ModelError: no answer could be had.
+            ModelError: there is no answer.
             ReplayDrift: a replayed conversation differs.
         """
         ...
@@ -130,16 +130,17 @@ class LanguageModel(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """One call and all that came of it: the line of a cassette and of a record's `/llm` channel.
+    """One call and its outcome: a line of a cassette and of a record's `/llm` channel.
 
     Attributes:
-        call: what was asked.
-        reply: what came back, None when the provider gave no answer.
-        parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, for a path
-            with what follows as `"path"`), None when rejected.
-        rejected: why the answer was not accepted, in the words that went back to the model.
+        call: the question.
+        model: `provider:model` that was asked, or answered.
+        reply: the answer, None without one.
+        parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
+            `"path"`), None when rejected.
+        rejected: why the answer was rejected, in the words that went back to the model.
         error: kind and detail of the ModelError, None when there was a reply.
-        faults: transport faults met on the way, answered or not.
+        faults: transport faults that were retried.
         latency_s: duration of the whole attempt [s].
     """
 
@@ -153,9 +154,5 @@ class Attempt:
     latency_s: float = 0.0
 
 
-class AttemptSink(Protocol):
-    """Told of every attempt as soon as it is over."""
-
-    def __call__(self, attempt: Attempt, /) -> None:
-        """Take note of one attempt."""
-        ...
+AttemptSink: TypeAlias = Callable[[Attempt], None]
+"""Receives every attempt as soon as it is over."""

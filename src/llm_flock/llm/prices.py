@@ -1,4 +1,4 @@
-"""What calls cost: public list prices of known models, and an honest None for everything else."""
+"""Prices of calls: public list prices of known models, None for all others."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def cost_usd(price_id: str | None, model: str, usage: Usage) -> float | None:
     """Price of one call by the list prices that are installed (package `genai-prices`; nothing is downloaded).
 
     Args:
-        price_id: whose price list applies (`openai`, `anthropic`, ...), None where no list does.
+        price_id: id of the price list (`openai`, `anthropic`, ...), None where none applies.
         model: model name as the provider knows it.
-        usage: tokens of the call; `cached` is part of `input` and is charged at its own rate.
+        usage: tokens of the call; the `cached` part of `input` has its own rate.
 
     Returns:
         US dollars, or None where no price is known.

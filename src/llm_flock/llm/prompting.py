@@ -1,4 +1,4 @@
-"""From a question of the core to the text that a model reads: templates that an operator may replace.
+"""Render questions as prompts, from templates that an operator may replace.
 
 The paper's messages are the system message (lines 101-113), the plan generation message (115-120) and the position
 update (166-171); the wording here is our own, and the plan message also gives the robot's id and the centre.
@@ -20,8 +20,8 @@ from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
 from llm_flock.llm.port import Kind
-from llm_flock.llm.wording import (
-    mission_variables,
+from llm_flock.llm.prompt_values import (
+    MISSION,
     nearest_text,
     place_text,
     plan_text,
@@ -39,27 +39,12 @@ logger = logging.getLogger(__name__)
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 
 PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
-"""Sets of templates that come with the package, and their folders in it."""
+"""Packaged sets of templates, and their folders."""
 
-REMEMBERED = 64
-"""So many missions are kept written out."""
+MISSIONS_KEPT = 64
+"""Missions whose variables are kept."""
 
-TEAM = frozenset(
-    {
-        "shape",
-        "n_robots",
-        "places",
-        "dim",
-        "center",
-        "velocity",
-        "spacing",
-        "safe_distance",
-        "max_step",
-        "comm_range",
-        "obstacles",
-    }
-)
-COMMON = TEAM | {"json", "point_format", "plan_format"}
+COMMON = frozenset({"json", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
     "robot": lambda asked: asked.robot,
     "round": lambda asked: asked.round,
@@ -81,7 +66,7 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     "goal": lambda asked: place_text(asked.goal),
     "horizon": lambda asked: asked.horizon,
 }
-"""How each variable of a question is written."""
+"""Variables of a question, and how each is written."""
 
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
@@ -97,8 +82,8 @@ def _decimals(asked: PlanQuestion | StepQuestion) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wording:
-    """A compiled template, and the variables that it may look up."""
+class CompiledTemplate:
+    """A compiled template, and the variables that it may use."""
 
     template: jinja2.Template
     uses: frozenset[str]
@@ -109,39 +94,39 @@ class PromptSet:
     """Four templates, compiled and checked.
 
     Attributes:
-        json: whether the templates ask for a JSON object instead of the paper's text forms.
+        json: whether they ask for a JSON object instead of the paper's text forms.
         reasons: whether they ask for a reason before the answer.
         templates: template by file name.
     """
 
     json: bool
     reasons: bool = True
-    templates: Mapping[str, Wording]
+    templates: Mapping[str, CompiledTemplate]
     _missions: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]], init=False, repr=False)
     _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
 
     @classmethod
-    def named(cls, words: str | None, *, json: bool = False) -> Self:
-        """A packaged set by its name, or a folder of the operator's; None is `full`.
+    def named(cls, prompts: str | None, *, json: bool = False) -> Self:
+        """A packaged set by its name, or the operator's folder; None is `full`.
 
         Raises:
             InputError: as `load`.
         """
-        words = words or "full"
-        return cls.load(packaged=words, json=json) if words in PACKAGED else cls.load(Path(words), json=json)
+        prompts = prompts or "full"
+        return cls.load(packaged=prompts, json=json) if prompts in PACKAGED else cls.load(Path(prompts), json=json)
 
     @classmethod
     def load(cls, directory: Path | None = None, *, packaged: str = "full", json: bool = False) -> Self:
         """Packaged templates, each replaced by the file of the same name in `directory` where there is one.
 
         Args:
-            directory: the operator's own templates; they may include one another.
+            directory: the operator's templates; they may include one another.
             packaged: the set that they replace, a name of `PACKAGED`.
             json: ask for JSON objects.
 
         Raises:
-            InputError: for field `prompts`: there is no such directory, it holds none of the templates, or a template
-                cannot be used (syntax, unknown variable, or a failure on an example), naming the file.
+            InputError: for field `prompts`: no such directory, none of the templates in it, or a template that cannot
+                be used (syntax, unknown variable, or a failure on an example), naming the file.
         """
         if directory is not None:
             replaced = [name for name in VARIABLES if (directory / name).is_file()]
@@ -164,54 +149,55 @@ class PromptSet:
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
-        return self._render("plan.j2", {**self._common(question.mission), **self._said("plan.j2", PLAN, question)})
+        return self._render("plan.j2", {**self._common(question.mission), **self._variables("plan.j2", PLAN, question)})
 
     def step(self, question: StepQuestion) -> str:
         """The position update message."""
-        return self._render("step.j2", {**self._common(question.mission), **self._said("step.j2", STEP, question)})
+        return self._render("step.j2", {**self._common(question.mission), **self._variables("step.j2", STEP, question)})
 
     def retry(self, reason: str, kind: Kind) -> str:
-        """What follows an answer that cannot be used; `reason` is a sentence that says why."""
+        """The message after an answer that cannot be used; `reason` is a sentence."""
         return self._render("retry.j2", {**self._globals(), "reason": reason, "kind": kind, "json": self.json})
 
     def _common(self, mission: Mission) -> dict[str, Any]:
-        """Written out once for each mission, because every message needs it."""
+        """Variables of every message, made once for each mission."""
         known = self._missions.get(mission.digest)
         if known is None:
-            if len(self._missions) >= REMEMBERED:
-                # A centre that travels makes another mission of every round.
+            if len(self._missions) >= MISSIONS_KEPT:
+                # A moving centre gives another mission in every round.
                 self._missions.clear()
                 self._systems.clear()
-            known = {**self._globals(), **mission_variables(mission), "json": self.json}
+            known = {**self._globals(), "json": self.json}
+            known |= {name: write(mission) for name, write in MISSION.items()}
             self._missions[mission.digest] = known
         return known
 
     def _globals(self) -> Mapping[str, Any]:
-        """What every template of the engine may use."""
+        """Jinja's own globals."""
         return self.templates["system.j2"].template.globals
 
-    def _said(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> dict[str, Any]:
-        """The variables of a question that the template looks at, for there are many robots to be written out."""
+    def _variables(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> dict[str, Any]:
+        """The variables of a question that the template uses; others need not be written for every robot."""
         uses = self.templates[name].uses
         return {variable: write(question) for variable, write in known.items() if variable in uses}
 
     def _render(self, name: str, variables: dict[str, Any]) -> str:
         template = self.templates[name].template
         try:
-            # As `template.render`, which would copy the variables twice to add the globals that they hold already.
+            # As `template.render`, without its two copies of the variables: they hold the globals already.
             return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
         except RecursionError:
             raise InputError(
                 "prompts", template.filename or name, "a template that ends: it includes itself without end"
             ) from None
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
-            # Whatever an expression in a template can do wrong: it is the operator's text, not our code.
+            # Any fault of an expression: the template is the operator's text, not our code.
             raise InputError(
                 "prompts", template.filename or name, f"a template that can be rendered: {error}"
             ) from None
 
     def try_out(self) -> None:
-        """Render everything once, so that a template that fails does so before a run begins."""
+        """Render everything once, so that a faulty template fails before a run begins."""
         mission = build_mission(shape="triangle", n_robots=3)
         here, there = (40.0, 40.0), ((45.0, 40.0),)
         plan = Plan.of(mission.ideal or ())
@@ -225,18 +211,18 @@ class PromptSet:
 
 
 @lru_cache(maxsize=len(PACKAGED))
-def _packaged_templates(packaged: str) -> Mapping[str, Wording]:
-    """Compiled and tried out once in a process: a trial of a second should not spend a tenth of it on that."""
+def _packaged_templates(packaged: str) -> Mapping[str, CompiledTemplate]:
+    """Compiled and tried out once in a process: it takes 0.1 s."""
     templates = MappingProxyType(_templates(packaged, None))
     for json in (False, True):
         PromptSet(json=json, templates=templates).try_out()
     return templates
 
 
-def _templates(packaged: str, directory: Path | None) -> dict[str, Wording]:
-    """Every template, compiled and checked: the operator's where there is one, else the packaged one."""
+def _templates(packaged: str, directory: Path | None) -> dict[str, CompiledTemplate]:
+    """Every template, compiled and checked: the operator's, or else the packaged one."""
     folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
-    # Templates may come from strangers; the sandbox keeps them from anything but text.
+    # Templates may come from strangers; in the sandbox they can only make text.
     environment = SandboxedEnvironment(
         loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
         undefined=jinja2.StrictUndefined,
@@ -246,8 +232,8 @@ def _templates(packaged: str, directory: Path | None) -> dict[str, Wording]:
     return {name: _compiled(environment, name, directory) for name in VARIABLES}
 
 
-def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> Wording:
-    """A template whose syntax and variables are known to be right."""
+def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> CompiledTemplate:
+    """A template with correct syntax and known variables."""
     assert environment.loader is not None
     file = name if directory is None else str(directory / name)
     try:
@@ -268,5 +254,5 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
     if unknown:
         known = ", ".join(sorted(VARIABLES[name]))
         raise InputError("prompts", file, f"a template of the variables {known}; not {', '.join(unknown)}")
-    # Nobody has looked at what templates that are included use.
-    return Wording(template=template, uses=VARIABLES[name] if others else frozenset(used))
+    # The variables of included templates are not known.
+    return CompiledTemplate(template=template, uses=VARIABLES[name] if others else frozenset(used))

@@ -1,4 +1,4 @@
-"""The table of providers, and how a model is named: `provider:model`."""
+"""The table of providers, and the names of models: `provider:model`."""
 
 from __future__ import annotations
 
@@ -13,99 +13,59 @@ from llm_flock.errors import InputError
 ModelKind: TypeAlias = Literal["provider", "local", "simulated", "replay", "geometry"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ProviderInfo:
     """One line of the table of providers.
 
     Attributes:
-        name: what stands before the colon.
+        name: the part before the colon.
         key_env: environment variable that holds the key.
-        key_required: whether the provider's own address refuses calls without a key.
-        base_url: address that is used unless another is given; None where the operator must give one.
+        base_url: default address; None where the operator must give one.
         example: a model string that works.
-        price_id: whose list prices apply at the provider's own address, None where none are known.
+        key_required: whether the provider's own address refuses calls without a key.
+        price_id: id of its price list, which holds at its own address; None where none is known.
     """
 
     name: str
     key_env: str
-    key_required: bool
     base_url: str | None
     example: str
+    key_required: bool = False
     price_id: str | None = None
 
 
+_QWEN_URL = "https://dashscope-intl.aliyuncs.com/compatible-mode/v1"
 _PROVIDERS = (
     ProviderInfo(
-        name="openai",
-        key_env="OPENAI_API_KEY",
-        key_required=True,
-        base_url="https://api.openai.com/v1",
-        example="openai:o3-mini",
-        price_id="openai",
+        "openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True, price_id="openai"
     ),
     ProviderInfo(
-        name="anthropic",
-        key_env="ANTHROPIC_API_KEY",
+        "anthropic",
+        "ANTHROPIC_API_KEY",
+        "https://api.anthropic.com",
+        "anthropic:claude-sonnet-4-6",
         key_required=True,
-        base_url="https://api.anthropic.com",
-        example="anthropic:claude-sonnet-4-6",
         price_id="anthropic",
     ),
     ProviderInfo(
-        name="deepseek",
-        key_env="DEEPSEEK_API_KEY",
+        "deepseek",
+        "DEEPSEEK_API_KEY",
+        "https://api.deepseek.com",
+        "deepseek:deepseek-reasoner",
         key_required=True,
-        base_url="https://api.deepseek.com",
-        example="deepseek:deepseek-reasoner",
         price_id="deepseek",
     ),
-    ProviderInfo(
-        name="qwen",
-        key_env="DASHSCOPE_API_KEY",
-        key_required=True,
-        base_url="https://dashscope-intl.aliyuncs.com/compatible-mode/v1",
-        example="qwen:qwen-plus",
-    ),
-    ProviderInfo(
-        name="llama",
-        key_env="LLAMA_API_KEY",
-        key_required=False,
-        base_url=None,
-        example="llama:llama-3.3-70b-instruct",
-    ),
-    ProviderInfo(
-        name="ollama",
-        key_env="OLLAMA_API_KEY",
-        key_required=False,
-        base_url="http://localhost:11434/v1",
-        example="ollama:qwen3:8b",
-    ),
-    ProviderInfo(
-        name="vllm",
-        key_env="VLLM_API_KEY",
-        key_required=False,
-        base_url="http://localhost:8000/v1",
-        example="vllm:Qwen/Qwen3-8B",
-    ),
-    ProviderInfo(
-        name="llamacpp",
-        key_env="LLAMACPP_API_KEY",
-        key_required=False,
-        base_url="http://localhost:8080/v1",
-        example="llamacpp:local",
-    ),
-    ProviderInfo(
-        name="openai-compatible",
-        key_env="OPENAI_COMPATIBLE_API_KEY",
-        key_required=False,
-        base_url=None,
-        example="openai-compatible:any-model",
-    ),
+    ProviderInfo("qwen", "DASHSCOPE_API_KEY", _QWEN_URL, "qwen:qwen-plus", key_required=True),
+    ProviderInfo("llama", "LLAMA_API_KEY", None, "llama:llama-3.3-70b-instruct"),
+    ProviderInfo("ollama", "OLLAMA_API_KEY", "http://localhost:11434/v1", "ollama:qwen3:8b"),
+    ProviderInfo("vllm", "VLLM_API_KEY", "http://localhost:8000/v1", "vllm:Qwen/Qwen3-8B"),
+    ProviderInfo("llamacpp", "LLAMACPP_API_KEY", "http://localhost:8080/v1", "llamacpp:local"),
+    ProviderInfo("openai-compatible", "OPENAI_COMPATIBLE_API_KEY", None, "openai-compatible:any-model"),
 )
 
 
 def known_providers() -> tuple[ProviderInfo, ...]:
-    """The table of providers, in the order in which documentation shows it."""
+    """The table of providers, in the order of the documentation."""
     return _PROVIDERS
 
 
@@ -115,10 +75,10 @@ class ModelName:
 
     Attributes:
         text: as written.
-        kind: what answers: a provider, a model on board, a simulated stand-in, a cassette, or plain geometry.
-        provider: name in the table of providers; the kind itself for everything else.
-        model: what follows the first colon: model name, file of a model on board, profile of the stand-in, path of the
-            cassette.
+        kind: a provider, a model on board, a simulated model, a recording (cassette), or plain geometry.
+        provider: name in the table of providers; the kind for everything else.
+        model: the part after the first colon: model name, file of a model on board, profile of a simulated model, or
+            path of a cassette.
     """
 
     text: str
@@ -128,7 +88,7 @@ class ModelName:
 
     @property
     def info(self) -> ProviderInfo:
-        """The provider's line in the table; only for kind `provider`."""
+        """The provider's line in the table. Only for kind `provider`."""
         return next(info for info in _PROVIDERS if info.name == self.provider)
 
 
@@ -136,7 +96,7 @@ def parse_model(text: str) -> ModelName:
     """Read `provider:model`, `local:MODEL`, `simulated:PROFILE`, `replay:FILE` or `geometry`.
 
     Raises:
-        InputError: for field `model`, with the list of what exists.
+        InputError: for field `model`, with a list of the possibilities.
     """
     text = text.strip()
     provider, colon, model = text.partition(":")
@@ -158,19 +118,18 @@ def parse_model(text: str) -> ModelName:
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
-    """Addresses that replace the providers' own: one URL, or `provider=URL,provider=URL`.
+    """Read the addresses that replace the providers' own: one URL, or `provider=URL,provider=URL`.
 
     Args:
-        text: what the operator wrote; None or empty for none.
+        text: the operator's text; None or empty for none.
         models: the model strings in use.
 
     Returns:
-        Address of every provider that got one.
+        Address by provider.
 
     Raises:
-        InputError: for field `base_url`: not an http(s) address, a password in it, a provider that is not in use, or
-            one address for several providers (each would get the other's key), or for field `model`-providers that
-            have no address at all.
+        InputError: for field `base_url`: not an http(s) address, a password in it, a provider that is not in use, one
+            address for several providers (each would get the other's key), or a provider without any address.
     """
     used = {name.provider: name.info for name in map(parse_model, models) if name.kind == "provider"}
     urls: dict[str, str] = {}
@@ -194,7 +153,7 @@ def check_url(url: str) -> str:
     """The address without a trailing slash.
 
     Raises:
-        InputError: unless it is http(s)://host... without a user name, password or query: keys in them would end up in
+        InputError: it is not http(s)://host..., or has a user name, password or query: keys in them would end up in
             records.
     """
     try:

@@ -1,4 +1,4 @@
-"""Cassettes: every conversation of a run on file, one line an attempt, and a model that answers from it.
+"""Cassettes: files with every conversation of a run, one attempt a line, and a model that answers from them.
 
 A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`; each further line is a `CassetteLine`.
 """
@@ -10,52 +10,35 @@ import json
 import logging
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
-from llm_flock.llm.port import Attempt, Call, ChatMessage, Kind, Reply, Role, Usage
+from llm_flock.llm.port import Attempt, Call, ChatMessage, Kind, Reply, Usage
 
 logger = logging.getLogger(__name__)
 
 VERSION = 1
 HEADER = "llm_flock_cassette"
 DIFF_LINES = 40
-"""Lines of difference that an error shows."""
+"""Longest difference that an error shows [lines]."""
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class MessageLine(_Model):
-    """One message of a conversation."""
-
-    role: Role
-    text: str
-
-
-class UsageLine(_Model):
-    """Tokens of one call."""
-
-    input: int
-    output: int
-    cached: int
-
-
-class CassetteLine(_Model):
+class CassetteLine(BaseModel):
     """One attempt, answered or not. Field names and meanings are those of `port.Attempt`, `Call` and `Reply`.
 
     `text` is null when there was no answer; then `error` says why.
     """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     robot: int
     round: int
     attempt: int
     kind: Kind
     request_hash: str
-    messages: tuple[MessageLine, ...]
+    messages: tuple[ChatMessage, ...]
     answer_schema: dict[str, Any] | None
     model: str
     settings: dict[str, Any]
@@ -63,14 +46,14 @@ class CassetteLine(_Model):
     parsed: dict[str, Any] | None
     rejected: str | None
     error: tuple[str, str] | None
-    usage: UsageLine
+    usage: Usage
     cost_usd: float | None
     latency_s: float
     faults: tuple[str, ...]
 
 
 def to_line(attempt: Attempt) -> dict[str, Any]:
-    """An attempt as the plain values of a `CassetteLine`."""
+    """An attempt as a `CassetteLine`, in plain values."""
     call, reply = attempt.call, attempt.reply
     usage = reply.usage if reply else Usage()
     return {
@@ -94,7 +77,25 @@ def to_line(attempt: Attempt) -> dict[str, Any]:
     }
 
 
-class CassetteWriter:
+class _Cassette:
+    """An open file; a context manager."""
+
+    _file: IO[Any]
+
+    def close(self) -> None:
+        """Close the file. It cannot be used afterwards."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class CassetteWriter(_Cassette):
     """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
 
     A run that is killed loses at most the line that was being written.
@@ -120,29 +121,16 @@ class CassetteWriter:
         self._write(to_line(attempt))
 
     def _write(self, line: dict[str, Any]) -> None:
-        # ASCII escapes keep whatever a model may say, lone surrogates included, on one line that reads back exactly.
+        # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.
         self._file.write(json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n")
         self._file.flush()
 
-    def close(self) -> None:
-        """Close the file; harmless when it is closed already."""
-        self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
+class ReplayModel(_Cassette):
+    """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class ReplayModel:
-    """A `LanguageModel` that answers from a cassette, by (robot, round, attempt) and never by order of arrival.
-
-    Only the place of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and what
-    failed then fails again in the same way. Ask it directly or through `limits.Metered`, not through `limits.Limited`,
-    which would retry what was already retried.
+    Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
+    failures are repeated. Ask it directly or through `limits.Metered`: `limits.Limited` would retry a second time.
 
     Args:
         path: the cassette.
@@ -153,6 +141,7 @@ class ReplayModel:
     """
 
     def __init__(self, path: Path) -> None:
+        self.name = f"replay:{path}"
         self._path = path
         self._models: set[str] = set()
         try:
@@ -160,15 +149,10 @@ class ReplayModel:
         except OSError as error:
             raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
         try:
-            self._places = self._index()
+            self._offsets = self._index()
         except BaseException:
             self._file.close()
             raise
-
-    @property
-    def name(self) -> str:
-        """`replay:FILE`."""
-        return f"replay:{self._path}"
 
     @property
     def models(self) -> frozenset[str]:
@@ -177,25 +161,13 @@ class ReplayModel:
 
     def __len__(self) -> int:
         """Number of recorded attempts."""
-        return len(self._places)
-
-    def close(self) -> None:
-        """Close the file; the model must not be asked afterwards."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        return len(self._offsets)
 
     async def ask(self, call: Call) -> Reply:
         """The recorded answer to this call.
 
         Raises:
-            ReplayDrift: the cassette holds no such attempt, or another question in its place.
+            ReplayDrift: the cassette has no such attempt, or another question there.
             ModelError: the recorded error.
         """
         line = self._read(call)
@@ -209,7 +181,7 @@ class ReplayModel:
             text=line.text or "",
             model=line.model,
             settings=line.settings,
-            usage=Usage(input=line.usage.input, output=line.usage.output, cached=line.usage.cached),
+            usage=line.usage,
             cost_usd=line.cost_usd,
             latency_s=line.latency_s,
             faults=line.faults,
@@ -217,43 +189,43 @@ class ReplayModel:
 
     def _read(self, call: Call) -> CassetteLine:
         where = f"robot {call.robot}, round {call.round}, attempt {call.attempt}"
-        place = self._places.get((call.robot, call.round, call.attempt))
-        if place is None:
-            rounds = [r for robot, r, _ in self._places if robot == call.robot]
+        offset = self._offsets.get((call.robot, call.round, call.attempt))
+        if offset is None:
+            rounds = [r for robot, r, _ in self._offsets if robot == call.robot]
             held = f"rounds {min(rounds)} to {max(rounds)}" if rounds else "nothing"
             raise ReplayDrift(f"{self._path}: no {call.kind} recorded for {where}; it holds {held} of this robot")
-        self._file.seek(place)
+        self._file.seek(offset)
         line = CassetteLine.model_validate_json(self._file.readline())
         if line.request_hash != call.request_hash or line.kind != call.kind:
             raise ReplayDrift(f"{self._path}: another question than recorded for {where}\n{_difference(line, call)}")
         return line
 
     def _index(self) -> dict[tuple[int, int, int], int]:
-        """Byte offset of every attempt; the whole file is checked once, line by line."""
-        places: dict[tuple[int, int, int], int] = {}
+        """Byte offset of every attempt; checks the whole file, line by line."""
+        offsets: dict[tuple[int, int, int], int] = {}
         self._check_header(self._file.readline())
         number = 1
         while True:
             offset = self._file.tell()
             raw = self._file.readline()
             if not raw:
-                return places
+                return offsets
             number += 1
             try:
                 line = CassetteLine.model_validate_json(raw)
             except ValidationError as error:
                 if not raw.endswith(b"\n"):
                     logger.warning("%s: line %d was cut off in writing and is left out", self._path, number)
-                    return places
+                    return offsets
                 first = error.errors()[0]
                 at = ".".join(str(part) for part in first["loc"])
                 raise RecordError(f"{self._path}, line {number}: damaged: {at or 'line'}: {first['msg']}") from None
             key = (line.robot, line.round, line.attempt)
-            if key in places:
+            if key in offsets:
                 raise RecordError(
                     f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
                 )
-            places[key] = offset
+            offsets[key] = offset
             self._models.add(line.model)
 
     def _check_header(self, raw: bytes) -> None:
@@ -267,8 +239,8 @@ class ReplayModel:
 
 
 def _difference(line: CassetteLine, call: Call) -> str:
-    """What changed between the recorded question and this one, as a unified diff of limited length."""
-    recorded = _readable(line.kind, tuple(ChatMessage(m.role, m.text) for m in line.messages), line.answer_schema)
+    """A unified diff of limited length between the recorded question and this one."""
+    recorded = _readable(line.kind, line.messages, line.answer_schema)
     asked = _readable(call.kind, call.messages, dict(call.schema) if call.schema is not None else None)
     diff = list(difflib.unified_diff(recorded, asked, "recorded", "asked now", n=1, lineterm=""))
     if not diff:

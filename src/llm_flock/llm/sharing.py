@@ -1,4 +1,4 @@
-"""What many runs share: one budget, the rates that providers allow, and connections."""
+"""A budget, the rates of providers, and connections that the runs of a sweep share."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
 
 from llm_flock.errors import BudgetExceeded, InputError
-from llm_flock.llm.limits import Budget
+from llm_flock.llm.limits import Budget, Gate, Spent
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, Reply, Usage
@@ -21,19 +20,19 @@ from llm_flock.llm.providers import known_providers
 
 CHARS_PER_TOKEN = 4
 FIRST_GUESS = 500
-"""Tokens that a model is taken to answer with until it has answered for the first time."""
+"""Expected length of an answer before a model's first one [tokens]."""
 
 WINDOW_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """What one provider allows all runs together; None is without limit.
+    """CallLimits of a provider for all runs together; None is without limit.
 
     Attributes:
         max_concurrent: calls under way at once.
         calls_per_minute: calls within any 60 s, retries included.
-        tokens_per_minute: tokens in and out within any 60 s, as far as they are known before an answer is there.
+        tokens_per_minute: tokens in and out within any 60 s; of calls under way, the expected number.
     """
 
     max_concurrent: int | None = None
@@ -47,98 +46,57 @@ class Rate:
                 raise InputError(field, value, "at least 1, or not given")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spent:
-    """Calls, tokens in and out, and money as far as prices are known [US dollars]."""
-
-    calls: int = 0
-    tokens: int = 0
-    cost_usd: float = 0.0
-
-    def __add__(self, other: Spent) -> Spent:
-        return Spent(
-            calls=self.calls + other.calls, tokens=self.tokens + other.tokens, cost_usd=self.cost_usd + other.cost_usd
-        )
-
-
-class Gate(Protocol):
-    """Lets calls of many runs through, one by one."""
-
-    async def enter(self, model: str, call: Call, *, again: bool) -> int:
-        """Wait for a turn; returns a ticket.
-
-        Args:
-            model: `provider:model` that is about to be asked.
-            call: what it is asked.
-            again: the call was made before and failed; it is no new one for the budget.
-
-        Raises:
-            BudgetExceeded: nothing is left for it.
-        """
-        ...
-
-    def leave(self, ticket: int, reply: Reply | None) -> None:
-        """The call is over; without reply, it failed."""
-        ...
-
-
-@dataclass(slots=True, kw_only=True)
-class _Pass:
-    """A call that is under way, with what it is expected to use."""
+@dataclass(slots=True, eq=False)
+class _SentCall:
+    """A call that was sent; tokens and money are those expected until it has ended."""
 
     model: str
     tokens: int
     cost_usd: float
-    logged: list[float]
+    at_s: float
 
 
 class _Traffic:
-    """One provider's calls under way and of the last minute."""
+    """One provider's calls: those under way and those of the last minute."""
 
     def __init__(self, rate: Rate, window_s: float) -> None:
         self.rate = rate
         self.queue = asyncio.Lock()
         self.under_way = 0
         self._window_s = window_s
-        self._calls: deque[list[float]] = deque()
-        self._tokens = 0.0
+        self._recent: deque[_SentCall] = deque()
 
     def wait_s(self, tokens: int, now: float) -> float:
-        """How long until such a call may be sent; infinite while only the end of another call helps [s]."""
-        rate = self.rate
+        """Wait before a call of this size may be sent [s]; infinite until another call ends."""
+        rate, recent = self.rate, self._recent
         if rate.max_concurrent is not None and self.under_way >= rate.max_concurrent:
             return float("inf")
-        if rate.calls_per_minute is None and rate.tokens_per_minute is None:
-            return 0.0
-        while self._calls and self._calls[0][0] <= now - self._window_s:
-            self._calls.popleft()
-        self._tokens = sum(used for _, used in self._calls) if rate.tokens_per_minute is not None else 0.0
-        full = rate.calls_per_minute is not None and len(self._calls) >= rate.calls_per_minute
-        # A call that is larger than all that is allowed may go when nothing else went.
-        many = rate.tokens_per_minute is not None and self._tokens + tokens > rate.tokens_per_minute
-        return self._calls[0][0] + self._window_s - now if self._calls and (full or many) else 0.0
+        while recent and recent[0].at_s <= now - self._window_s:
+            recent.popleft()
+        full = rate.calls_per_minute is not None and len(recent) >= rate.calls_per_minute
+        if not full and rate.tokens_per_minute is not None:
+            full = sum(call.tokens for call in recent) + tokens > rate.tokens_per_minute
+        # A call larger than the whole limit may go when no other one counts.
+        return recent[0].at_s + self._window_s - now if recent and full else 0.0
 
-    def log(self, tokens: int, now: float) -> list[float]:
-        """Note a call that is sent; the second number may be set right when more is known."""
+    def sent(self, call: _SentCall) -> None:
+        """Count a call."""
         self.under_way += 1
-        entry = [now, float(tokens)]
         if self.rate.calls_per_minute is not None or self.rate.tokens_per_minute is not None:
-            self._calls.append(entry)
-        return entry
+            self._recent.append(call)
 
 
 class SharedGate:
-    """A gate within one process and event loop.
+    """A `Gate` within one process and event loop.
 
-    Calls count when they begin. Tokens and money are known when an answer is there; until then a call holds back what
-    such a call is expected to use, so that near the end of a budget calls wait for those under way, and it is overrun
-    by about one call.
+    Calls count when they begin. Tokens and money are known with the answer; until then a call reserves its expected
+    use, so that near the end of a budget calls wait for those under way, and it is overrun by about one call.
 
     Args:
         budget: of all runs together.
-        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). The models on board, `local`,
-            are asked as many questions at once as their engine answers, unless this says otherwise.
-        window_s: what a minute is, for tests [s].
+        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). `local` defaults to as many
+            questions at once as the engine answers.
+        window_s: length of a minute, for tests [s].
         clock: seconds, only differences matter.
     """
 
@@ -154,7 +112,7 @@ class SharedGate:
         self.budget = budget or Budget()
         self.spent = Spent()
         self.elsewhere = Spent()
-        """What other processes have spent of the same budget."""
+        """Spent by other processes, of the same budget."""
         self.reason: str | None = None
         self._clock = clock
         self._traffic: defaultdict[str, _Traffic] = defaultdict(lambda: _Traffic(Rate(), window_s))
@@ -162,20 +120,20 @@ class SharedGate:
             self._traffic[provider] = _Traffic(rate, window_s)
         self._changed = asyncio.Event()
         self._tickets = itertools.count()
-        self._under_way: dict[int, _Pass] = {}
+        self._under_way: dict[int, _SentCall] = {}
         self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
 
     async def enter(self, model: str, call: Call, *, again: bool) -> int:
-        """See `Gate`. Calls of one provider go in the order in which they came."""
+        """See `Gate`. Calls of one provider go in the order of arrival."""
         return await self.enter_sized(model, sum(len(m.text) for m in call.messages), again=again)
 
     async def enter_sized(self, model: str, chars: int, *, again: bool) -> int:
-        """`enter` for a question of so many characters."""
+        """As `enter`, for a question of `chars` characters."""
         traffic = self._traffic[model.partition(":")[0]]
         tokens, cost = self._expected(model, chars)
         async with traffic.queue:
             while True:
-                self._check(new=not again)
+                self._check(new_call=not again)
                 wait = max(self._wait_for_budget(tokens, cost), traffic.wait_s(tokens, self._clock()))
                 if wait <= 0:
                     break
@@ -184,8 +142,8 @@ class SharedGate:
                     async with asyncio.timeout(None if wait == float("inf") else wait):
                         await self._changed.wait()
             ticket = next(self._tickets)
-            logged = traffic.log(tokens, self._clock())
-            self._under_way[ticket] = _Pass(model=model, tokens=tokens, cost_usd=cost, logged=logged)
+            self._under_way[ticket] = call = _SentCall(model, tokens, cost, self._clock())
+            traffic.sent(call)
             if not again:
                 self.spent += Spent(calls=1)
         return ticket
@@ -196,59 +154,47 @@ class SharedGate:
         self.leave_with(ticket, usage, None if reply is None else reply.cost_usd)
 
     def leave_with(self, ticket: int, usage: Usage | None, cost: float | None) -> None:
-        """`leave` with what the call has used."""
-        found = self._under_way.pop(ticket)
-        self._traffic[found.model.partition(":")[0]].under_way -= 1
+        """As `leave`, with the tokens and the price of the call; None for a failed one."""
+        call = self._under_way.pop(ticket)
+        self._traffic[call.model.partition(":")[0]].under_way -= 1
         if usage is not None:
-            found.logged[1] = float(usage.total)
+            call.tokens = usage.total
             self.spent += Spent(tokens=usage.total, cost_usd=cost or 0.0)
-            calls, output, paid = self._answers[found.model]
-            self._answers[found.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
+            calls, output, paid = self._answers[call.model]
+            self._answers[call.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
         self._changed.set()
 
-    def told_of(self, elsewhere: Spent) -> None:
-        """Take note of what other processes have spent of the same budget."""
+    def set_elsewhere(self, elsewhere: Spent) -> None:
+        """Set what other processes have spent of the same budget."""
         self.elsewhere = elsewhere
 
     @property
     def exhausted(self) -> bool:
         """Whether a new call would be turned away."""
         with suppress(BudgetExceeded):
-            self._check(new=True)
+            self._check(new_call=True)
         return self.reason is not None
 
-    def _check(self, *, new: bool) -> None:
-        spent, budget = self.spent + self.elsewhere, self.budget
-        if budget.max_calls is not None and new and spent.calls >= budget.max_calls:
-            self.reason = f"max_calls = {budget.max_calls} of the sweep is used up"
-        elif budget.max_tokens is not None and spent.tokens >= budget.max_tokens:
-            self.reason = f"max_tokens = {budget.max_tokens} of the sweep is used up ({spent.tokens} tokens)"
-        elif budget.max_cost_usd is not None and spent.cost_usd >= budget.max_cost_usd:
-            self.reason = (
-                f"max_cost = {budget.max_cost_usd:g} of the sweep is used up ({spent.cost_usd:.4f} US dollars)"
-            )
-        else:
-            return
-        self._changed.set()
-        raise BudgetExceeded(self.reason)
+    def _check(self, *, new_call: bool) -> None:
+        reason = self.budget.exhausted(self.spent + self.elsewhere, new_call=new_call, owner=" of the sweep")
+        if reason is not None:
+            self.reason = reason
+            self._changed.set()
+            raise BudgetExceeded(reason)
 
     def _wait_for_budget(self, tokens: int, cost: float) -> float:
-        """Infinite while calls under way may use up what is left, else 0 [s]."""
-        budget = self.budget
-        if not self._under_way or (budget.max_tokens is None and budget.max_cost_usd is None):
+        """Infinite while calls under way may use up the rest of the budget, else 0 [s]."""
+        budget, held = self.budget, self._under_way.values()
+        if not held or (budget.max_tokens is None and budget.max_cost_usd is None):
             return 0.0
-        spent = self.spent + self.elsewhere
-        held = self._under_way.values()
-        over = budget.max_tokens is not None and (
-            spent.tokens + tokens + sum(p.tokens for p in held) > budget.max_tokens
-        )
-        over |= budget.max_cost_usd is not None and (
-            spent.cost_usd + cost + sum(p.cost_usd for p in held) > budget.max_cost_usd
-        )
+        tokens += self.spent.tokens + self.elsewhere.tokens + sum(call.tokens for call in held)
+        cost += self.spent.cost_usd + self.elsewhere.cost_usd + sum(call.cost_usd for call in held)
+        over = budget.max_tokens is not None and tokens > budget.max_tokens
+        over |= budget.max_cost_usd is not None and cost > budget.max_cost_usd
         return float("inf") if over else 0.0
 
     def _expected(self, model: str, chars: int) -> tuple[int, float]:
-        """Tokens and money that a call is expected to use; by list price, or as those before it."""
+        """Expected tokens and money of a call: by list price, or the mean of earlier calls."""
         calls, output, paid = self._answers[model]
         usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else FIRST_GUESS)
         provider, _, name = model.partition(":")
@@ -259,15 +205,15 @@ class SharedGate:
         return usage.total, listed if listed is not None else paid / max(1, calls)
 
 
-class Lane:
-    """One run's way to what is shared.
+class CallLane:
+    """One run's access to the shared gate and connections.
 
     Args:
-        gate: lets calls through; None lets all of them.
+        gate: admits calls; None admits all.
         pools: connections; None has the run make its own.
 
     Attributes:
-        cut: whether the shared budget turned a call of this run away.
+        cut: whether the shared budget turned away a call of this run.
     """
 
     def __init__(self, gate: Gate | None = None, pools: Pools | None = None) -> None:

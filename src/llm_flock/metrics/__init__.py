@@ -1,4 +1,4 @@
-"""What a run is measured by: errors to the ideal shape, separation, agreement, and whether the team has formed."""
+"""Metrics of a run: shape error, separation, agreement, and whether the team has formed."""
 
 from llm_flock.metrics.agreement import (
     AT_GOAL,
@@ -12,7 +12,7 @@ from llm_flock.metrics.agreement import (
     robots_at_goal,
     within_limit,
 )
-from llm_flock.metrics.resemblance import resemblance
+from llm_flock.metrics.nearest_match import quick_error
 from llm_flock.metrics.separation import StartSeparation, min_separation, segment_separation
 from llm_flock.metrics.shape_error import ShapeError, ShapeTarget, procrustes
 
@@ -30,7 +30,7 @@ __all__ = [
     "min_separation",
     "plans_in_use",
     "procrustes",
-    "resemblance",
+    "quick_error",
     "robots_at_goal",
     "segment_separation",
     "within_limit",

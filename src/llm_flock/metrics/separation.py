@@ -1,4 +1,4 @@
-"""How near robots come to each other: at an instant, and while all move along straight segments."""
+"""Smallest distances between robots, at one moment and along straight segments."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from scipy.spatial import KDTree
 from llm_flock import formations
 
 ROUNDING = 1e-6
-"""A pair this much nearer than allowed still counts as apart [units]."""
+"""A pair nearer than allowed by up to this still counts as separated [units]."""
 
 ALL_PAIRS_UP_TO = 200
-"""Up to so many robots all pairs are looked at; beyond, only those that can come near, found by a k-d tree."""
+"""Largest team for which all pairs are examined; beyond it, a k-d tree selects the pairs that can come near."""
 
 
 def min_separation(positions: ArrayLike) -> float:
-    """Distance of the closest pair [units]; infinite for a robot alone.
+    """Distance of the closest pair [units]; infinite for a single robot.
 
     Args:
         positions: shape (n, d) [units].
@@ -33,10 +33,10 @@ def min_separation(positions: ArrayLike) -> float:
 
 
 def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[tuple[int, int]] = frozenset()) -> float:
-    """Smallest distance of any pair while all move at once along straight segments [units]; infinite for one robot.
+    """Smallest distance of any pair during a lockstep round [units]; infinite for a single robot.
 
-    All start and arrive together, each at its own constant speed, as in a lockstep round. A pair with the offset p and
-    the change of offset v over the round is nearest at the share t = -<p, v> / |v|^2 of it, clipped to 0 .. 1.
+    All robots start and arrive together, on straight segments at constant speed. A pair with offset p and change of
+    offset v over the round is nearest after the share t = -<p, v> / |v|^2 of the round, clipped to 0 .. 1.
 
     Args:
         before: positions at the start of the round, shape (n, d) [units].
@@ -64,16 +64,16 @@ def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[t
 
 @functools.lru_cache(maxsize=16)
 def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All pairs of n, the lower one first; not to be written to."""
+    """Indices of all pairs of n robots, the lower one first. Cached: do not modify."""
     one, two = np.triu_indices(n, 1)
     return one, two
 
 
 def _near_pairs(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs among which the closest one is.
+    """Pairs that include the one that comes nearest.
 
-    At any time a robot is within half its segment of the segment's middle. So the pair that comes nearest, which is
-    at most as far as the closest pair at the start or end, has middles within that distance plus one longest segment.
+    A robot is always within half a segment of its segment's midpoint. The nearest pair is at most as far apart as the
+    closest pair at the start or the end, so its midpoints are at most that distance plus the longest segment apart.
     """
     known = min(min_separation(start), min_separation(end))
     longest = float(np.linalg.norm(end - start, axis=1).max())
@@ -83,15 +83,17 @@ def _near_pairs(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[N
 
 
 class StartSeparation:
-    """Follows the pairs that start nearer than the safe distance until each has come apart.
+    """Separation of a run without the pairs that start too close. Call `update` for the start and after every round.
+
+    A pair that starts nearer than the safe distance is left out until it has first been separated.
 
     Args:
-        safe_distance: smallest distance allowed between two robots [units].
+        safe_distance: smallest allowed distance between two robots [units].
 
     Attributes:
-        start_violations: pairs too near at the start.
-        separated_at: first round at whose end every one of them had been apart; 0 where there was none, None before.
-        smallest: smallest distance of any pair, along segments too, from when that pair was first apart [units].
+        start_violations: number of pairs that are too close at the start.
+        separated_at: first round after which all of these pairs have been separated; 0 without such pairs, None before.
+        smallest: smallest distance of any pair from its first separation on, including along segments [units].
     """
 
     def __init__(self, safe_distance: float) -> None:
@@ -103,12 +105,12 @@ class StartSeparation:
         self.smallest = math.inf
 
     def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
-        """Take a round.
+        """Add a round.
 
         Args:
-            round_number: from 0, the start.
-            positions: at its end, shape (n, d) [units].
-            closest: smallest distance of any pair in it, along segments too [units].
+            round_number: number of the round; 0 is the start.
+            positions: positions at its end, shape (n, d) [units].
+            closest: smallest distance of any pair in it, including along segments [units].
         """
         if self._together is None:
             near = KDTree(positions).query_pairs(self._limit) if len(positions) > 1 else set[tuple[int, int]]()

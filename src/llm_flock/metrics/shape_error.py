@@ -1,7 +1,7 @@
-"""How far a team is from an ideal shape, whoever stands where, however the whole is turned and moved.
+"""Distance of a team from an ideal shape, over all assignments, rotations and translations.
 
-The Procrustes error of the paper (Error(t), line 236; appendix, lines 573-645) leaves open which robot belongs to which
-target point. Here the correspondence and the rotation are chosen jointly, so that the sum of squares is least.
+The paper's Procrustes error (Error(t), line 236; appendix, lines 573-645) does not say which robot belongs to which
+target point. Here correspondence and rotation minimise the sum of squares jointly.
 """
 
 from __future__ import annotations
@@ -16,27 +16,26 @@ from numpy.typing import ArrayLike, NDArray
 from llm_flock import formations
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
+from llm_flock.metrics.nearest_match import proven_match
 from llm_flock.metrics.plane import longest
-from llm_flock.metrics.resemblance import evident
 from llm_flock.metrics.space import best_in_space
 
 SYMMETRY_TOLERANCE = 1e-12
-"""A shape counts as symmetric if a turn moves its points by less than this share of its radius."""
+"""A shape counts as symmetric if a rotation maps its points to within this share of its radius."""
 
 LARGE = 300
-"""For more points it is first tried whether the best correspondence is plain to see: finding it otherwise takes the
-cube of their number, many times."""
+"""Number of points above which `proven_match` is tried first, since `longest` takes the cube of it, many times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeError:
-    """Distance of a team from an ideal shape, after the best translation, rotation and correspondence.
+    """Distance of a team from an ideal shape after the best translation, rotation and correspondence.
 
     Attributes:
-        mean: average distance of a robot from its target point [units] (paper, line 236).
-        mean_squared: average of the squared distances [units^2] (paper, line 637).
-        assignment: for each robot, the number of its target point; a permutation of 0 .. n - 1.
-        rotation: shape (d, d), determinant +1; turns centred positions onto centred targets.
+        mean: mean distance of a robot from its target point [units] (paper, line 236).
+        mean_squared: mean of the squared distances [units^2] (paper, line 637).
+        assignment: for each robot, the index of its target point; a permutation of 0 .. n - 1.
+        rotation: rotation of centred positions onto centred targets, shape (d, d), determinant +1.
     """
 
     mean: float
@@ -46,13 +45,13 @@ class ShapeError:
 
 
 class ShapeTarget:
-    """An ideal shape to compare teams with; what depends on the shape alone is computed once.
+    """An ideal shape for comparison with many teams; computes once whatever depends on the shape alone.
 
     Args:
-        target: ideal points, shape (n, d) [units], d = 2 or 3; where the whole lies and how it is turned is arbitrary.
+        target: ideal points, shape (n, d) [units], d = 2 or 3, in any position and orientation.
 
     Raises:
-        InputError: the points do not have this form.
+        InputError: the points do not have this shape, or are not finite.
     """
 
     def __init__(self, target: ArrayLike) -> None:
@@ -63,20 +62,20 @@ class ShapeTarget:
         self._complex = _as_complex(self._target)
 
     def error(self, positions: ArrayLike) -> ShapeError:
-        """The team's distance from the shape: the global minimum for d = 2, a local one for d = 3.
+        """The team's distance from the shape: the global minimum for d = 2, a local minimum for d = 3.
 
-        Where several correspondences are equally good, which one is reported is arbitrary but repeatable; their
-        `mean_squared` is the same, their `mean` need not be.
+        If several correspondences are equally good, the choice is arbitrary but repeatable. Their `mean_squared` is
+        the same; their `mean` may differ.
 
         Args:
-            positions: shape (n, d) [units], as many rows and columns as the target.
+            positions: shape (n, d) [units], the shape of the target.
 
         Raises:
-            InputError: the positions do not have this form, or are not finite.
+            InputError: the positions do not have this shape, or are not finite.
         """
         rows = _rows("positions", positions)
         if rows.shape != self._shape:
-            raise InputError("positions", rows.shape, f"an array of shape {self._shape}, as the target has")
+            raise InputError("positions", rows.shape, f"an array of shape {self._shape}, the shape of the target")
         rows = rows - rows.mean(axis=0)
         columns, rotation = self._best_in_plane(rows) if rows.shape[1] == 2 else best_in_space(rows, self._target)
         squared = ((rows @ rotation.T - self._target[columns]) ** 2).sum(axis=1)
@@ -88,7 +87,7 @@ class ShapeTarget:
         )
 
     def _best_in_plane(self, rows: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        best = evident(rows, self._target, self._symmetry) if len(rows) > LARGE else None
+        best = proven_match(rows, self._target, self._symmetry) if len(rows) > LARGE else None
         if best is None:
             best = longest(np.conj(_as_complex(rows))[:, None] * self._complex, self._symmetry)
         angle = cmath.phase(best.z)
@@ -97,14 +96,14 @@ class ShapeTarget:
 
 
 def procrustes(positions: ArrayLike, target: ArrayLike) -> ShapeError:
-    """The team's distance from an ideal shape; for many teams and one shape, `ShapeTarget` is faster.
+    """The team's distance from an ideal shape. To compare many teams with one shape, use `ShapeTarget`.
 
     Args:
         positions: shape (n, d) [units], d = 2 or 3.
         target: shape (n, d) [units].
 
     Raises:
-        InputError: the arrays do not have this form, or are not finite.
+        InputError: the arrays do not have this shape, or are not finite.
     """
     return ShapeTarget(target).error(positions)
 

@@ -1,39 +1,41 @@
-"""A good correspondence and rotation between two sets of points of space: a local optimum from many starts.
+"""A good correspondence and rotation between two sets of points in space: a local optimum from many starts.
 
-Alternating between the best correspondence for a rotation and the best rotation for a correspondence never loses, but
-can end in a local optimum. So it starts from rotations spread over all of space, and from those that lay two anchor
-points of the target onto pairs of robots that are as far from the centre and from each other: when the team is near
-its shape, one of these is nearly right.
+Alternating between the best correspondence for a rotation and the best rotation for a correspondence never gets worse,
+but may end in a local optimum. So it starts from rotations spread over all orientations, and from rotations of pairs
+of robots onto two anchor points of the target with similar distances from the centre and from each other. If the team
+is near its shape, one of the latter is nearly right.
 """
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 
 from llm_flock.arrays import Points
 
 ANCHORED_STARTS = 24
-"""So many pairs of robots are laid onto the target's two anchor points."""
+"""Number of pairs of robots that are rotated onto the target's two anchor points."""
 
 REFINED_STARTS = 6
-"""So many of the best starting rotations are refined."""
+"""Number of starting rotations, the best ones, that are refined."""
 
 GAIN = 1e-12
-"""A refinement that gains less than this share is over."""
+"""Smallest gain for which a refinement continues, as a share."""
+
+CUBE_ROTATIONS = Rotation.create_group("O").as_matrix().round()
+"""The 24 rotations of a cube, shape (24, 3, 3): every rotation is within 63 degrees of one of them."""
 
 
 def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """For each robot its target point, and the rotation, shape (3, 3), that lays robots onto target points.
+    """For each robot the index of its target point, and the rotation, shape (3, 3), of robots onto target points.
 
     Args:
         rows: centred positions, shape (n, 3) [units].
         target: centred target points, shape (n, 3) [units].
     """
-    starts = [*cube_rotations(), *_anchored(rows, target)]
+    starts = [*CUBE_ROTATIONS, *_anchored(rows, target)]
     fits = [_correspond(rows, target, rotation) for rotation in starts]
     order = sorted(range(len(fits)), key=lambda k: (-fits[k][0], k))
     best_fit, best = fits[order[0]]
@@ -51,7 +53,7 @@ def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArr
 
 
 def proper_rotation(rows: Points, target: Points) -> NDArray[np.float64]:
-    """The rotation R, shape (d, d), that minimises the sum of |R x_i - y_i|^2 for centred points.
+    """The rotation R, shape (d, d), that minimises the sum of |R x_i - y_i|^2 over centred points.
 
     With the singular value decomposition U S V^T of sum y_i x_i^T it is U diag(1, .., det(U V^T)) V^T (Kabsch 1976).
     The paper flips the sign of a singular value instead (line 626), which leaves U V^T a reflection.
@@ -62,27 +64,15 @@ def proper_rotation(rows: Points, target: Points) -> NDArray[np.float64]:
     return (u * signs) @ vt
 
 
-def cube_rotations() -> list[NDArray[np.float64]]:
-    """The 24 rotations of a cube: no rotation of space is farther than 63 degrees from one of them."""
-    matrices: list[NDArray[np.float64]] = []
-    for first, second in product(range(3), repeat=2):
-        if first != second:
-            for signs in product((1.0, -1.0), repeat=2):
-                x, y = np.zeros(3), np.zeros(3)
-                x[first], y[second] = signs
-                matrices.append(np.array([x, y, np.cross(x, y)]))
-    return matrices
-
-
 def _correspond(rows: Points, target: Points, rotation: NDArray[np.float64]) -> tuple[float, NDArray[np.intp]]:
-    """Sum of <R x_i, y_pi(i)>, which falls as the sum of squares rises, and the correspondence pi that maximises it."""
+    """The largest sum of <R x_i, y_pi(i)>, and the correspondence pi that has it and so the least sum of squares."""
     gain = (rows @ rotation.T) @ target.T
     index, columns = linear_sum_assignment(gain, maximize=True)
     return float(gain[index, columns].sum()), columns
 
 
 def _anchored(rows: Points, target: Points) -> list[NDArray[np.float64]]:
-    """Rotations that lay the plane of two robots onto the plane of two target points far from the centre."""
+    """Rotations of the planes of two robots onto the plane of two target points far from the centre."""
     radii = np.linalg.norm(target, axis=1)
     a = target[radii.argmax()]
     areas = np.linalg.norm(np.cross(a, target), axis=1)
@@ -101,7 +91,7 @@ def _anchored(rows: Points, target: Points) -> list[NDArray[np.float64]]:
 
 
 def _frame(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Rows: the direction of p, the part of q across it, their normal; None where p and q lie on one line."""
+    """Rows: the direction of p, the component of q normal to it, the normal of both; None if p and q are collinear."""
     normal = np.cross(p, q)
     area = float(np.linalg.norm(normal))
     if area <= 1e-12 * float(p @ p + q @ q):

@@ -1,4 +1,4 @@
-"""Static obstacles in the flight space: discs (balls in space) and simple polygons, and how far away they are."""
+"""Static obstacles in the flight space: discs (balls in three dimensions) and simple polygons."""
 
 from llm_flock.obstacles.obstacle import Nearest, Obstacle, clearance, segment_clearance
 

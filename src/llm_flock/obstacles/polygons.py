@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from llm_flock.arrays import Point
 
 FLAT = 1e-12
-"""Smallest share of the squared size that counts as area."""
+"""Smallest area of a valid polygon, as a share of its squared size."""
 
 
 def cross(a: Point, b: Point, c: Point) -> float:
@@ -17,18 +17,18 @@ def cross(a: Point, b: Point, c: Point) -> float:
 
 
 def edges(polygon: Sequence[Point]) -> Iterator[tuple[Point, Point]]:
-    """Its sides, the closing one included."""
+    """The sides of a polygon, including the closing one."""
     return ((a, polygon[(k + 1) % len(polygon)]) for k, a in enumerate(polygon))
 
 
 def signed_area(polygon: Sequence[Point]) -> float:
-    """Area, positive where the corners run counterclockwise [units^2]."""
+    """Area of a polygon [units^2], positive if its corners run counterclockwise."""
     origin = polygon[0]
     return sum(cross(origin, a, b) for a, b in edges(polygon)) / 2.0
 
 
 def contains(polygon: Sequence[Point], point: Point) -> bool:
-    """Whether the point is inside, by the even-odd rule; points on the boundary may count either way."""
+    """Whether the point is inside by the even-odd rule; a point on the boundary may count as either."""
     inside = False
     x, y = point[0], point[1]
     for a, b in edges(polygon):
@@ -38,7 +38,7 @@ def contains(polygon: Sequence[Point], point: Point) -> bool:
 
 
 def nearest_on_segment(point: Point, a: Point, b: Point) -> Point:
-    """The point of the segment a .. b that is nearest to `point`, in any dimension."""
+    """The point of the segment a .. b nearest to `point`, in any dimension."""
     along = tuple(y - x for x, y in zip(a, b, strict=True))
     squared = sum(x * x for x in along)
     if squared == 0.0:
@@ -49,12 +49,12 @@ def nearest_on_segment(point: Point, a: Point, b: Point) -> Point:
 
 
 def nearest_on_boundary(polygon: Sequence[Point], point: Point) -> Point:
-    """The point of the boundary that is nearest to `point`."""
+    """The point of the boundary nearest to `point`."""
     return min((nearest_on_segment(point, a, b) for a, b in edges(polygon)), key=lambda q: math.dist(q, point))
 
 
 def segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether a .. b and c .. d have a point in common."""
+    """Whether the segments a .. b and c .. d have a point in common."""
     one, two, three, four = cross(a, b, c), cross(a, b, d), cross(c, d, a), cross(c, d, b)
     if ((one > 0) != (two > 0)) and ((three > 0) != (four > 0)) and one * two * three * four != 0.0:
         return True
@@ -63,7 +63,7 @@ def segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool:
 
 
 def segment_distance(a: Point, b: Point, c: Point, d: Point) -> float:
-    """Distance of the segments a .. b and c .. d in the plane [units]."""
+    """Distance between the segments a .. b and c .. d in the plane [units]."""
     if segments_cross(a, b, c, d):
         return 0.0
     pairs = ((a, c, d), (b, c, d), (c, a, b), (d, a, b))
@@ -71,7 +71,7 @@ def segment_distance(a: Point, b: Point, c: Point, d: Point) -> float:
 
 
 def is_simple(polygon: Sequence[Point]) -> bool:
-    """Whether it has an area, and no two sides meet but neighbours at their corner."""
+    """Whether the polygon has an area and no two sides meet, except neighbouring sides at their common corner."""
     n = len(polygon)
     size = max(math.dist(polygon[0], p) for p in polygon)
     if abs(signed_area(polygon)) <= FLAT * size * size:
@@ -82,22 +82,22 @@ def is_simple(polygon: Sequence[Point]) -> bool:
         c = sides[(i + 1) % n][1]
         forward = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
         if a == b or (cross(a, b, c) == 0.0 and forward < 0.0):
-            return False  # a corner twice, or a side that runs back on the last one
+            return False  # a repeated corner, or a side that runs back over the previous one
         if any(segments_cross(a, b, *sides[j]) for j in range(i + 2, n) if (j + 1) % n != i):
             return False
     return True
 
 
 def convex_pieces(polygon: Sequence[Point]) -> tuple[tuple[Point, ...], ...]:
-    """A simple polygon as convex polygons that cover it and do not overlap, corners counterclockwise.
+    """Divide a simple polygon into convex polygons, corners counterclockwise. A convex polygon is one piece.
 
-    Ear clipping (Meisters 1975), then diagonals that no piece needs are taken out again (Hertel, Mehlhorn 1983): at
-    most four times as many pieces as the fewest possible. A convex polygon is one piece.
+    Ear clipping (Meisters 1975), then removal of diagonals that convexity does not need (Hertel, Mehlhorn 1983). The
+    number of pieces is at most four times the minimum.
     """
     corners = list(polygon) if signed_area(polygon) > 0.0 else list(polygon)[::-1]
     triangles: list[tuple[Point, ...]] = []
     while len(corners) > 3:
-        # The sharpest ear; where rounding hides the last ears of a needle-thin rest, its sharpest left turn.
+        # The sharpest ear. If rounding hides the ears of a needle-thin remainder, its sharpest left turn.
         k = max(range(len(corners)), key=lambda k: (_is_ear(corners, k), cross(*_around(corners, k))))
         triangles.append(_around(corners, k))
         del corners[k]
@@ -110,7 +110,7 @@ def _around(corners: Sequence[Point], k: int) -> tuple[Point, Point, Point]:
 
 
 def _is_ear(corners: Sequence[Point], k: int) -> bool:
-    """Whether cutting corner k off leaves the rest of the polygon outside."""
+    """Whether corner k is convex and its triangle holds no other corner, so that it can be cut off."""
     a, b, c = _around(corners, k)
     if cross(a, b, c) < 0.0:
         return False
@@ -119,25 +119,19 @@ def _is_ear(corners: Sequence[Point], k: int) -> bool:
 
 
 def _merged(pieces: list[tuple[Point, ...]]) -> tuple[tuple[Point, ...], ...]:
-    """Join pieces along a common side while the whole stays convex."""
-    joined = True
-    while joined:
-        joined = False
-        for i in range(len(pieces)):
-            for j in range(i):
-                whole = _joined(pieces[i], pieces[j])
-                if whole is not None:
-                    pieces[j] = whole
-                    del pieces[i]
-                    joined = True
-                    break
-            if joined:
-                break
-    return tuple(pieces)
+    """Join pieces along common sides as long as the results are convex."""
+    while True:
+        pairs = ((i, j) for i in range(len(pieces)) for j in range(i))
+        found = next(((i, j, whole) for i, j in pairs if (whole := _joined(pieces[i], pieces[j])) is not None), None)
+        if found is None:
+            return tuple(pieces)
+        i, j, whole = found
+        pieces[j] = whole
+        del pieces[i]
 
 
 def _joined(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...] | None:
-    """Both pieces as one convex polygon, if they share a side and that is what they make."""
+    """The union of two pieces with a common side if it is convex, None otherwise."""
     for k, (a, b) in enumerate(edges(one)):
         if b in two and two[(two.index(b) + 1) % len(two)] == a:
             at = two.index(a)

@@ -1,7 +1,8 @@
 """One robot's decision process: a state machine that takes events and returns effects.
 
-It knows itself and what events told it; there is no clock, no network and no model in here. Every runtime, in one
-process or one process a robot, drives this same machine. The table of legal events is in `llm_flock.protocol.events`.
+It knows only itself and what events report; there is no clock, network or model in it. Every runtime drives this same
+machine, whether it runs all robots in one process or one robot per process. `llm_flock.protocol.events` has the table
+of legal events.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
 from llm_flock.protocol.agreement.consensus import ConsensusRule
-from llm_flock.protocol.agreement.exchange import Exchange
+from llm_flock.protocol.agreement.messaging import Messaging
 from llm_flock.protocol.events import (
     TRANSITIONS,
     AgreementEnded,
@@ -55,25 +56,25 @@ from llm_flock.protocol.verification.validator import Validator
 
 
 class IllegalEvent(AssertionError):
-    """The runtime sent an event that the machine does not take in its present phase."""
+    """The runtime sent an event that is not legal in the present phase."""
 
 
 class Agent:
-    """One robot's mind.
+    """One robot's state machine. Create one per robot, then call `handle` with each event.
 
     Args:
         robot: own id, 0 .. N-1.
-        mission: what the team is asked to do.
+        mission: the mission at the start.
         consensus: rule that chooses the plan.
         assignment: rule that chooses the slot.
-        shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
+        shield_on: project every waypoint on the buffered Voronoi cell, and detour around what blocks the way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
-        time_out: rounds without a heartbeat after which a robot is taken for dead.
-        gaps: what to do about places that nobody is alive to take: report them, or have the plan remade.
-        on_event: let the planner give a path, and ask it again only when something unforeseen happens.
-        own_clock: the runtime counts heartbeats by `HeartbeatDue`; they are counted with the rounds otherwise.
-        authenticator: signs what this robot says and checks what others say; without one nothing is signed.
+        time_out: rounds without a heartbeat after which a robot counts as dead.
+        gaps: report slots that no living robot can take, or plan again.
+        on_event: let the planner answer with a path, and ask again only after an unforeseen event.
+        own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
+        authenticator: signs this robot's messages and checks those of others; without one nothing is signed.
     """
 
     def __init__(
@@ -112,11 +113,11 @@ class Agent:
             replanning=self._replanning,
             all_to_all=all_to_all,
         )
-        self._exchange = Exchange(
+        self._messaging = Messaging(
             robot, self._agreement, validator=validator, liveness=liveness, channel=channel, all_to_all=all_to_all
         )
         self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
-        self._connectivity = ConnectivityRecovery(self._agreement, liveness, all_to_all)
+        self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
         self._asked: PlanQuestion | None = None
@@ -124,27 +125,27 @@ class Agent:
 
     @property
     def position(self) -> Point:
-        """Where it believes it is [units; world frame]; empty before the first round."""
+        """Own believed position [units; world frame]; empty before the first round."""
         return () if self._scene is None else self._scene.position
 
     @property
     def on_path(self) -> bool:
-        """Whether this round's step was foreseen, and nobody asked for it."""
+        """Whether this round's step follows the committed path, so the planner was not asked."""
         return self._pilot.on_path
 
     @property
     def mission(self) -> Mission:
-        """The mission in force, as this robot knows it."""
+        """The mission in force, as far as this robot knows."""
         return self._agreement.mission
 
     @property
     def mission_counter(self) -> int:
-        """How many missions came before it, as this robot knows."""
+        """Number of missions before the one in force, as far as this robot knows."""
         return self._agreement.stamp.counter
 
     @property
     def plan(self) -> Plan | None:
-        """The plan it follows, in the frame of the mission: where its places are when the centre is at `center`."""
+        """The plan it follows [units; frame of the mission, whose centre is at `center`]."""
         return self._agreement.plan
 
     @property
@@ -154,18 +155,18 @@ class Agent:
 
     @property
     def claim(self) -> Claim:
-        """The place it claims in the plan, and all that goes with it."""
+        """The slot it claims in the plan, with bids and offer."""
         return self._agreement.claim
 
     @property
     def neighbors(self) -> int:
-        """Robots within its radio range, |N_i|."""
+        """Number of robots within its radio range, |N_i|."""
         return self._agreement.neighbors
 
     @property
     def rejected(self) -> Counter[str]:
         """Messages and claims refused on receipt, by reason."""
-        return self._exchange.rejected
+        return self._messaging.rejected
 
     @property
     def influence(self) -> float:
@@ -181,7 +182,7 @@ class Agent:
         return moved(self.plan.points[self.claim.slot], ahead)
 
     def handle(self, event: Event) -> list[Effect]:
-        """Take one event; return what is to be done about it, in order.
+        """Take one event; returns the effects to carry out, in order.
 
         Raises:
             IllegalEvent: the event is not in TRANSITIONS for the present phase.
@@ -195,7 +196,7 @@ class Agent:
             case Received():
                 phase, effects = self.phase, self._receive(event)
             case CommRoundBegan():
-                phase, effects = self.phase, [Broadcast(self._exchange.broadcast())]
+                phase, effects = self.phase, [Broadcast(self._messaging.broadcast())]
             case CommRoundEnded():
                 phase, effects = self._settle()
             case Sensed():
@@ -203,7 +204,7 @@ class Agent:
             case HeartbeatDue():
                 phase, effects = self.phase, self._begin_period(event.period)
             case MissionGiven():
-                phase, effects = self.phase, [self._exchange.give_mission(event.mission, event.authorization)]
+                phase, effects = self.phase, [self._messaging.give_mission(event.mission, event.authorization)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -245,47 +246,47 @@ class Agent:
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
-        """What questions are about: an answer is of use as long as this is the same."""
+        """What a question is about: its answer is useful as long as this stays the same."""
         return self._agreement.stamp, self.plan, self.claim.slot
 
     def _begin_period(self, number: int) -> list[Effect]:
-        """Count a heartbeat, look who is alive, and greet who is near."""
+        """Count a heartbeat, find silent robots, and greet neighbours."""
         assert self._seen is not None, "a robot looks before it greets"
         agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
         self._liveness.begin_round(number, near)
         agreement.begin_round(event.neighbors)
-        self._exchange.begin_round(near)
+        self._messaging.begin_round(near)
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
         )
         return []
 
     def _look_about(self, event: Sensed) -> list[Effect]:
-        """Another look, in whatever phase; a step that is being decided on is flown from what is seen now."""
+        """Take sensor values between rounds; a pending step will be flown from these."""
         self._look(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
             self._pilot.look(self._scene)
         return []
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
-        """Decide on what was heard. A step in question whose plan or place has changed by that is asked for anew."""
-        notes: list[Effect] = [*self._agreement.settle(self._exchange.drain())]
+        """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
+        notes: list[Effect] = [*self._agreement.settle(self._messaging.drain())]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()
         return phase, [*notes, Note("stale_question", {"about": "step"}), *effects]
 
     def _take_step(self, answer: StepAnswer | NoAnswer) -> tuple[Phase, list[Effect]]:
-        """Fly what was answered, unless the answer is about a mission, plan or place of before."""
+        """Fly the answer, unless mission, plan or slot have changed since the question."""
         if self._topic == self._asked_about:
             return Phase.MOVING, self._pilot.take(answer)
         phase, effects = self._decide()
         return phase, [Note("stale_answer", {"about": "step"}), *effects]
 
     def _look(self, number: int, event: RoundBegan | Sensed) -> None:
-        """See the world of this round, and see it again from the frame of a mission that has come up since."""
+        """Take sensor values, in the frame of the mission in force."""
         mission = self.mission
         moving = mission.velocity is not None
         self._scene = scene = Observation(
@@ -302,13 +303,13 @@ class Agent:
 
     def _receive(self, event: Received) -> list[Effect]:
         before = self.mission
-        notes: list[Effect] = [*self._exchange.receive(event.payload, event.sender)]
+        notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
         if self.mission is not before and self._seen is not None:
             self._look(*self._seen)
         return notes
 
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
-        """A proposal of one's own; what the planner sees in the world is kept in the frame of the mission."""
+        """Propose the answer; the plan is in the world frame and is moved to the frame of the mission."""
         assert self._asked is not None and self._scene is not None, "only a robot that asked is answered"
         if self._topic[:2] != self._asked_about:
             return [Note("stale_answer", {"about": "plan"})]
@@ -330,8 +331,13 @@ class Agent:
             target = waiting_place(self.mission, scene.here, plan, others, blocked)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            target, notes = self._connectivity.where_to(scene.here, plan, slot)
-            effects.extend(notes)
+            agreement = self._agreement
+            route = self._connectivity.route(
+                self.mission, plan, slot, self.claim.table, scene.here, placed=agreement.placed
+            )
+            agreement.count_search(route.visited)
+            target = route.target
+            effects.extend(route.notes)
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]

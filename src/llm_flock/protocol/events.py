@@ -1,4 +1,4 @@
-"""What happens to a robot, what it wants done about it, and which event is legal when.
+"""Events that a robot takes, effects that it returns, and the phases in which each event is legal.
 
 `TRANSITIONS` is the table of the state machine in `llm_flock.protocol.agent`; the documentation draws it.
 """
@@ -18,7 +18,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 
 
 class Phase(StrEnum):
-    """Where a robot is in its motion round."""
+    """Phase of a robot's motion round."""
 
     IDLE = "idle"
     PLANNING = "planning"
@@ -29,7 +29,7 @@ class Phase(StrEnum):
 
 
 class Origin(StrEnum):
-    """Who made the waypoint that is flown."""
+    """The source of a waypoint that is flown."""
 
     START = "start"
     MODEL = "model"
@@ -43,13 +43,13 @@ class Origin(StrEnum):
 
 
 class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
-    """A new motion round, with what the sensors say.
+    """A motion round begins, with the values of the sensors.
 
     Attributes:
         round: number of the round, from 1.
         position: own believed position [units; world frame].
-        neighbors: how many robots are within radio range, |N_i| (paper, line 129); the radio knows, not the sensors.
-        sensed: believed positions of the robots within sensing range, by id.
+        neighbors: number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
+        sensed: believed positions of the robots within sensing range, by id [units; world frame].
         observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
     """
 
@@ -61,7 +61,7 @@ class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Sensed(msgspec.Struct, frozen=True, kw_only=True):
-    """What the sensors say between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
+    """Sensor values between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
 
     position: Point
     neighbors: int
@@ -70,20 +70,20 @@ class Sensed(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HeartbeatDue(msgspec.Struct, frozen=True):
-    """A new heartbeat period, after a look, of a robot whose heart beats by its clock and not by its rounds.
+    """A heartbeat period begins.
 
-    `period` counts from 1.
+    Send it after `Sensed` to a robot whose heartbeats follow its clock instead of its rounds; `period` counts from 1.
     """
 
     period: int
 
 
 class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator gives this robot another mission; the others hear of it from this robot.
+    """The operator gives this robot another mission; the robot passes it on.
 
     Attributes:
-        mission: what it is.
-        authorization: the operator's signature, where robots accept nothing else.
+        mission: the new mission.
+        authorization: the operator's signature, required in teams with keys.
     """
 
     mission: Mission
@@ -97,15 +97,15 @@ class Planned(msgspec.Struct, frozen=True):
 
 
 class CommRoundBegan(msgspec.Struct, frozen=True):
-    """Time to broadcast."""
+    """A communication round begins: time to broadcast."""
 
 
 class Received(msgspec.Struct, frozen=True):
-    """Bytes came in over the radio, from anybody.
+    """A payload arrived by radio, from any sender.
 
     Attributes:
         payload: the bytes.
-        sender: the robot that has signed them, where the transport knows.
+        sender: the robot that signed the transmission, where the transport knows.
     """
 
     payload: bytes
@@ -113,11 +113,11 @@ class Received(msgspec.Struct, frozen=True):
 
 
 class CommRoundEnded(msgspec.Struct, frozen=True):
-    """All messages of this communication round are in: decide on them together (snapshot semantics)."""
+    """All messages of this communication round have arrived: decide on them together."""
 
 
 class AgreementEnded(msgspec.Struct, frozen=True):
-    """No more exchanges before the move."""
+    """No more communication rounds before the move."""
 
 
 class Decided(msgspec.Struct, frozen=True):
@@ -127,7 +127,7 @@ class Decided(msgspec.Struct, frozen=True):
 
 
 class Arrived(msgspec.Struct, frozen=True):
-    """The body finished the move, or does so while the planner is asked for the next one."""
+    """The body has finished the move, or will finish it while the planner is asked for the next one."""
 
 
 class Stopped(msgspec.Struct, frozen=True):
@@ -165,13 +165,13 @@ class AskStep(msgspec.Struct, frozen=True):
 
 
 class Broadcast(msgspec.Struct, frozen=True):
-    """Send these bytes to whoever is in radio range."""
+    """Send these bytes to every robot in radio range."""
 
     payload: bytes
 
 
 class MoveTo(msgspec.Struct, frozen=True, kw_only=True):
-    """Fly to `waypoint`; `proposed` is what the planner asked for, where it answered."""
+    """Fly to `waypoint`; `proposed` is the planner's own waypoint, if it answered."""
 
     waypoint: Point
     proposed: Point | None
@@ -188,7 +188,8 @@ class Note(msgspec.Struct, frozen=True):
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
 
 AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, CommRoundBegan, Received, CommRoundEnded)
-"""A robot sends, receives and senses in every phase, while its model thinks and while its body flies as well."""
+"""Events that are legal in every phase: a robot communicates and senses also while its model thinks and while its
+body flies."""
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
     (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.AGREEING}),
@@ -200,4 +201,4 @@ TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
     (Phase.DECIDING, CommRoundEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
     **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
 }
-"""Every legal (phase, event) and the phases it may lead to; anything else is a fault of the runtime."""
+"""Every legal (phase, event), and the phases it may lead to; any other event is a fault of the runtime."""

@@ -1,4 +1,4 @@
-"""A formation plan: where the team should stand, in an order that gives each place its number."""
+"""A formation plan: target positions in a fixed order, compared by content."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from llm_flock.arrays import Point, Points
 
 DECIMALS = 6
-"""Coordinates are rounded to this many decimals, so that equal plans are equal everywhere."""
+"""Decimals of plan coordinates, so that equal plans are equal on every robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,8 +19,9 @@ class Plan:
     """N target positions p_1 .. p_N (paper, section 3.1), hashable and comparable by content.
 
     Attributes:
-        points: N positions of d coordinates each [units; world frame], canonically rounded.
-        digest: 16 hexadecimal digits that stand for the content.
+        points: N positions of d coordinates each [units; world frame], rounded to DECIMALS.
+        digest: 16 hexadecimal digits that identify the content.
+        array: the same positions, shape (n, d), read-only [units].
     """
 
     points: tuple[Point, ...]

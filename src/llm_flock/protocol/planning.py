@@ -1,4 +1,4 @@
-"""The two questions a robot's mind asks, and the answers it takes; who answers is not its business."""
+"""The two questions of a robot's decision process, and their answers. Any planner may answer them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ class PlanQuestion:
     """Propose a whole formation and your own place in it.
 
     Attributes:
-        mission: what the question is about, as it is at the end of this round and for as many places as are asked for.
-        robot: who asks (0-based id).
-        round: motion round in which it asks.
-        position: where the robot believes it is [units; world frame].
-        neighbors: believed positions of the robots it observes, in ascending order of their ids.
-        still: positions of bodies in sight that do not move any more: no place may be on one [units; world frame].
+        mission: the mission as it stands at the end of this round, with as many places as the plan should have.
+        robot: own id, from 0.
+        round: motion round of the question.
+        position: own believed position [units; world frame].
+        neighbors: believed positions of observed robots, in ascending order of their ids [units; world frame].
+        still: positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
     """
 
     mission: Mission
@@ -33,13 +33,13 @@ class PlanQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepQuestion:
-    """Choose the next waypoint on the way to the goal, or several; fields as in PlanQuestion, and the agreed plan.
+    """Choose the next waypoint, or several. Fields as in PlanQuestion, and further ones.
 
     Attributes:
         plan: the plan that is followed, as it stands at the end of this round.
-        slot: own place in it; None for a spare robot, which goes to wait at `target`.
-        target: where to go instead of the own place (a search is under way), None otherwise [units; world frame].
-        horizon: so many waypoints may be given, one for each round; with 1 it is the paper's question.
+        slot: own slot in it; None for a spare robot, which goes to wait at `target`.
+        target: where to go instead of the own place, for example on a search; None otherwise [units; world frame].
+        horizon: largest number of waypoints in the answer, one for each round; 1 is the paper's question.
     """
 
     mission: Mission
@@ -54,7 +54,7 @@ class StepQuestion:
 
     @property
     def goal(self) -> Point:
-        """Where the robot is to go: its own place in the plan, or `target` [units; world frame]."""
+        """Where to go: the own place, or `target` [units; world frame]."""
         if self.target is not None:
             return self.target
         assert self.slot is not None, "a robot without a place is told where to wait"
@@ -63,12 +63,12 @@ class StepQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanAnswer:
-    """A usable plan and the index of the place that the planner chose for its own robot.
+    """A usable plan, and the slot that the planner chose for its own robot.
 
     Attributes:
         plan: the formation.
-        slot: the planner's own choice of a place.
-        instead_of: the failure that this fallback stands in for; None where the planner itself answered.
+        slot: index of the chosen place.
+        instead_of: the failure that this fallback replaces; None where the planner itself answered.
     """
 
     plan: Plan
@@ -82,7 +82,7 @@ class StepAnswer:
 
     Attributes:
         waypoint: the next one [units; world frame].
-        path: those that follow it, one for each round after this.
+        path: the waypoints after it, one for each round.
         instead_of: as in PlanAnswer.
     """
 
@@ -93,12 +93,12 @@ class StepAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoAnswer:
-    """The planner could not help this time.
+    """The planner could not answer this time.
 
     Attributes:
         cause: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
-        reason: the whole story in words, for the record.
-        waypoint: the last one that could be read but was rejected [units; world frame], None without one.
+        reason: the full reason in words, for the record.
+        waypoint: the last waypoint that could be read but was rejected [units; world frame]; None without one.
     """
 
     cause: str
@@ -118,5 +118,5 @@ class Planner(Protocol):
         ...
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Propose a waypoint, or `question.horizon` of them at most."""
+        """Propose a waypoint, or up to `question.horizon` of them."""
         ...

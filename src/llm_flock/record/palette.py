@@ -12,6 +12,6 @@ PALETTE: tuple[str, ...] = (
     "#F0E442",
     "#7F7F7F",
 )
-"""Colours that people of any colour vision tell apart (Okabe, Ito 2008), grey in place of their black."""
+"""Colours that can be told apart with any colour vision (Okabe, Ito 2008), with grey in place of their black."""
 
 NO_PLAN = "#FFFFFF"

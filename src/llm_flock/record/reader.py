@@ -1,24 +1,18 @@
-"""Reads records, also those whose end is missing because the run was killed."""
+"""Reads whole records, also those whose end is missing because the run was killed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from io import BufferedReader
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
-from mcap.records import Channel, Footer, Message
-from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from llm_flock.errors import RecordError
-from llm_flock.record.raw import RawMessage, WholeReads, entry_of
 from llm_flock.record.schema import (
     CHANNELS,
-    ROUND_NS,
     BodySample,
     Entry,
     FlightEvent,
@@ -30,28 +24,29 @@ from llm_flock.record.schema import (
     RoundEnd,
     RunInfo,
     State,
-    Summary,
+    SummaryMessage,
 )
+from llm_flock.record.stream import RawMessage, RecordStream
 
 E = TypeVar("E", bound=Entry)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRecord:
-    """One run, read into memory: its complete rounds, and what a clean end added.
+    """One run, read into memory: its complete rounds, and the summary of a clean end.
 
     Attributes:
         path: the file.
-        run: where it came from.
-        missions: every mission it had, oldest first.
+        run: configuration, versions and seed.
+        missions: every mission, oldest first.
         plans: every plan, in the order in which they were first seen.
         states: the team after each round; the first is the start.
         events: what robots decided or met.
         llm: model calls.
-        metrics: the figures of each round.
-        bodies: of a flight, every drone some ten times a second, measured and commanded [m].
-        flight: of a flight, what happened to it.
-        result: what the run reported; None when it did not end cleanly.
+        metrics: the measurements of each round.
+        bodies: of a real flight, every drone about ten times a second, measured and commanded [m].
+        flight: of a real flight, its events.
+        result: the run's summary; None when it did not end cleanly.
         positions: true positions, shape (rounds + 1, n, d) [units; world frame].
     """
 
@@ -91,21 +86,19 @@ class RunRecord:
 
     @property
     def models(self) -> tuple[str, ...]:
-        """The models that were asked, each once, in order of their first call."""
+        """The models that were called, each once, in the order of their first calls."""
         return tuple(dict.fromkeys(entry.model for entry in self.llm))
 
 
 def iter_messages(path: Path) -> Iterator[RawMessage]:
     """Every whole message of a record in the order of writing; ends quietly where a killed run broke off.
 
+    Call it for records that do not fit into memory, or to see messages as they stand in the file.
+
     Raises:
         RecordError: there is no such file, it is no MCAP file, or it is damaged other than at its end.
     """
-    try:
-        with path.open("rb") as file:
-            yield from _messages(path, file, path.stat().st_size)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
+    yield from _open(path).messages()
 
 
 def read_record(path: Path) -> RunRecord:
@@ -116,12 +109,9 @@ def read_record(path: Path) -> RunRecord:
     """
     found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
     kept = dict.fromkeys(found, 0)
-    for message in iter_messages(path):
-        model = CHANNELS.get(message.topic)
-        if model is None:
-            continue  # the scene repeats the states for viewers; channels of others are theirs
-        found[model].append(entry_of(path, model, message))
-        if model in (RoundEnd, Summary):
+    for entry in _open(path).entries():
+        found[type(entry)].append(entry)
+        if isinstance(entry, RoundEnd | SummaryMessage):
             # Everything up to here belongs to complete rounds, or to a run that ended cleanly within one.
             kept = {kind: len(entries) for kind, entries in found.items()}
 
@@ -134,7 +124,7 @@ def read_record(path: Path) -> RunRecord:
     states, metrics = all_of(State)[:rounds], all_of(MetricsRow)[:rounds]
     if not runs or not missions or len(states) != rounds:
         raise RecordError(f"{path}: not a record of a run (/run, /mission or /state is missing)")
-    results = all_of(Summary)
+    results = all_of(SummaryMessage)
     return RunRecord(
         path=path,
         run=runs[0],
@@ -151,22 +141,11 @@ def read_record(path: Path) -> RunRecord:
     )
 
 
-def _messages(path: Path, file: BufferedReader, size: int) -> Iterator[RawMessage]:
+def _open(path: Path) -> RecordStream:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
     if size == 0:
         raise RecordError(f"{path}: empty file")
-    topics: dict[int, str] = {}
-    # No record can be longer than the file; without the limit, room for a broken length would be asked for.
-    stream = StreamReader(WholeReads(file), record_size_limit=size)  # pyright: ignore[reportArgumentType]
-    try:
-        for record in stream.records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                topic = topics[record.channel_id]
-                yield RawMessage(topic=topic, round=record.log_time // ROUND_NS, data=record.data)
-            elif isinstance(record, Footer):
-                return
-    except (EndOfFile, RecordLengthLimitExceeded):
-        return  # a killed run broke off within this record; what came before is whole
-    except (McapError, KeyError, UnicodeDecodeError) as error:
-        raise RecordError(f"{path}: not a readable MCAP file ({error})") from error
+    return RecordStream(path)

@@ -22,7 +22,7 @@ DECIMALS = 3
 
 
 def rgba(colour: str, alpha: float = 1.0) -> dict[str, float]:
-    """A colour such as #0072B2 as Foxglove writes it, each part from 0 to 1."""
+    """A colour such as #0072B2 in Foxglove's form, each part from 0 to 1."""
     red, green, blue = (round(int(colour[i : i + 2], 16) / 255, DECIMALS) for i in (1, 3, 5))
     return {"r": red, "g": green, "b": blue, "a": alpha}
 
@@ -39,10 +39,10 @@ _LINE_LIST = 2
 
 
 class SceneDrawer:
-    """Turns states into scenes; remembers which plan has which colour.
+    """Turns states into scenes, and keeps the colour of every plan.
 
     Args:
-        mission: gives the robots' size and the radio range.
+        mission: has the robots' size and the radio range.
     """
 
     def __init__(self, mission: MissionInfo) -> None:
@@ -51,13 +51,13 @@ class SceneDrawer:
         self._plans: dict[str, int] = {}
 
     def know(self, plan_ids: Iterable[str | None]) -> None:
-        """Give each plan not seen before the next colour."""
+        """Give each new plan the next colour."""
         for plan_id in plan_ids:
             if plan_id is not None:
                 self._plans.setdefault(plan_id, len(self._plans))
 
     def draw(self, state: State) -> bytes:
-        """One scene: robots and their ids, goals, and who is in whose radio range."""
+        """One scene: robots and their ids, goals, and radio links."""
         self.know(state.plan_ids)
         points = [_xyz(row) for row in state.positions]
         colours = [None if p is None else self._plans[p] % len(PALETTE) for p in state.plan_ids]
@@ -137,7 +137,7 @@ def _cube(edge: float) -> dict[str, float]:
 
 
 def _entity(name: str, time: dict[str, int], **primitives: list[dict[str, Any]]) -> dict[str, Any]:
-    """An entity that replaces the last one of its name; viewers expect every list of primitives to be there."""
+    """An entity that replaces the last one of its name; viewers expect every list of primitives."""
     return {
         "timestamp": time,
         "frame_id": FRAME,

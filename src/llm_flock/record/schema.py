@@ -1,4 +1,4 @@
-"""What a record holds: one model a channel, and the JSON schema that is written into the file for it."""
+"""The channels of a record: a model for each, and the JSON schema that is written into the file."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from llm_flock.renamed import RECORD_FIELDS
 
 
 def renamed_field(topic: str, name: str) -> AliasChoices:
-    """A field under its name and those that it had before."""
+    """A field under its name and its former names."""
     return AliasChoices(name, *(old for old, new in RECORD_FIELDS[topic].items() if new == name))
 
 
 FORMAT_VERSION = 1
-"""Raised whenever a reader of older records would misread a newer one."""
+"""Increased whenever a reader of older records would misread a newer one."""
 
 ROUND_NS = 1_000_000_000
-"""Log time of one round [ns]: a record plays one round a second, whatever the run took."""
+"""Log time of one round [ns]: a record plays one round a second, however long the run took."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Row = list[Finite]
 """One position, d coordinates [units; world frame]."""
 
 _VOLATILE: dict[str, Any] = {"volatile": True}
-"""Marks what may differ between two runs of one seed."""
+"""Marks fields that may differ between two runs of one seed."""
 
 VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record", "flight"})
 """Keys of the summary's result that may differ between two runs of one seed."""
 
 
 DEAD, ASLEEP = "dead", "asleep"
-"""Stand for the phase of a robot that is not awake: after it died, and before it began."""
+"""Phase of a robot after it died, and before it began."""
 
 SILENT = frozenset({DEAD, ASLEEP})
 
 
 class Entry(BaseModel):
-    """Common rules of everything that is recorded. Optional fields that are None are left out of the file."""
+    """Base of all recorded messages. Optional fields that are None are left out of the file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
     def encoded(self) -> bytes:
-        """The message as it stands in the file: compact JSON in UTF-8."""
+        """The message as it is written: compact JSON in UTF-8."""
         return self.__pydantic_serializer__.to_json(self, exclude_none=True)
 
 
@@ -88,8 +88,8 @@ class State(Entry):
     slots: list[int | None] = Field(description="Its number in the plan, null without one")
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
-    waypoints: list[Row | None] = Field(description="What was commanded this round [units], null at the start")
-    origins: list[str] = Field(description="Who made the waypoint: start, model, shield, fallback, detour or hold")
+    waypoints: list[Row | None] = Field(description="Commanded this round [units], null at the start")
+    origins: list[str] = Field(description="Origin of the waypoint: start, model, shield, fallback, detour or hold")
     phases: list[str] = Field(description="Phase of each robot's state machine; dead or asleep without one")
 
 
@@ -191,7 +191,7 @@ class FlightEvent(Entry):
     round: int = Field(description="Motion round")
     time_s: Finite = Field(description="Since the flight began [s]", json_schema_extra=_VOLATILE)
     kind: str = Field(description="What happened: connected, take_off, landing, landed, cut, link_lost, ...")
-    robot: int | None = Field(None, description="Whose body; left out where it is about everybody's")
+    robot: int | None = Field(None, description="The drone's robot; left out where the event is about the whole team")
     detail: dict[str, Any] = Field(description="What belongs to this kind of event", json_schema_extra=_VOLATILE)
 
 
@@ -201,7 +201,7 @@ class RoundEnd(Entry):
     round: int = Field(description="The round that is complete")
 
 
-class Summary(Entry):
+class SummaryMessage(Entry, title="Summary"):
     """What the run reports. Written at a clean end only, also after an interruption."""
 
     result: dict[str, Any] = Field(description="The figures of the run, as `llm-flock run --json` prints them")
@@ -218,9 +218,9 @@ CHANNELS: dict[str, type[Entry]] = {
     "/body": BodySample,
     "/flight": FlightEvent,
     "/round": RoundEnd,
-    "/summary": Summary,
+    "/summary": SummaryMessage,
 }
-"""Model of every channel but `/scene`, whose messages are of Foxglove's making."""
+"""Model of every channel except `/scene`, whose messages Foxglove defines."""
 
 TOPICS: dict[type[Entry], str] = {model: topic for topic, model in CHANNELS.items()}
 
@@ -237,7 +237,7 @@ def volatile_fields(topic: str) -> frozenset[str]:
 
 
 def without_volatile(topic: str, message: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a message without what may differ between two runs of one seed."""
+    """A copy of a message without the fields that may differ between two runs of one seed."""
     kept = {key: value for key, value in message.items() if key not in volatile_fields(topic)}
     if topic == "/summary":
         kept["result"] = {key: value for key, value in kept["result"].items() if key not in VOLATILE_RESULTS}

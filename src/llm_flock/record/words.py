@@ -1,4 +1,4 @@
-"""What became of a language model's answer, in words and numbers."""
+"""Describes in a sentence how a language model's answer was used, or why it was not."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any, cast
 from llm_flock.record.schema import LlmEntry
 
 MOST_PLACES = 12
-"""Places of a plan that are listed."""
+"""Number of places of a plan that are listed."""
 
 
 def verdict(entry: LlmEntry) -> str:
-    """What became of an answer, in a sentence."""
+    """Whether an answer was used, refused, or never came, and why."""
     if entry.error is not None:
         return f"no answer: {entry.error}"
     if entry.rejected is not None:
@@ -21,7 +21,7 @@ def verdict(entry: LlmEntry) -> str:
 
 
 def understood(parsed: Mapping[str, Any]) -> str:
-    """What was understood of an answer: where to go, or which plan and which place of it, in words and numbers."""
+    """The parsed answer in words: the next waypoint and path, or the plan and the slot."""
     words: list[str] = []
     for name, value in parsed.items():
         rows = cast("list[object]", value) if isinstance(value, list) else None
@@ -41,7 +41,7 @@ def understood(parsed: Mapping[str, Any]) -> str:
 
 
 def _place(at: object) -> str:
-    """A point as people write it; anything else as it is: a record is a file from anywhere."""
+    """A point as people write it; anything else unchanged, since a record may come from anywhere."""
     if not isinstance(at, list):
         return str(at)
     parts = cast("list[object]", at)

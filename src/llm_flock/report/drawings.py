@@ -1,28 +1,29 @@
-"""The figures of a report: which of them there are, what is in each, and what is said below it."""
+"""The figures of a report: which there are, what is in each, and its caption."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 
 import numpy as np
 from matplotlib.font_manager import FontProperties
 
 from llm_flock.experiments.statistics import Estimate, Method, mean_bands
-from llm_flock.report.along import along_axes
+from llm_flock.report.axes import along_axes
 from llm_flock.report.drawing import INTERVALS, Drawing
 from llm_flock.report.findings import ERROR, CellLine, PairLine, cell_lines, known, pair_lines
-from llm_flock.report.results import Cell, Results, Team, TrialRow
+from llm_flock.report.results import ResultCell, Results, TrialRow
 from llm_flock.viz.charts import Curve, Dot, Facet, Sample, bands, boxes, dots, histograms
 
 COLUMNS = 4
 MOST_ROWS = 12
-"""Of so many rows curves are drawn; of more, those of the first condition, and the page says so."""
+"""With more rows, only curves of the first condition are drawn, and the page says so."""
 
 
 def draw_all(results: Results, reference: str, method: Method = "student") -> Iterator[Drawing]:
-    """Every figure that the results have something to say in; protocols are compared with the reference.
+    """Every figure for which the results have data; protocols are compared with the reference.
 
-    Figures go their own ways: where any model was simulated, each of them says so.
+    Figures are copied out of reports, so where any model was simulated, each of them says so.
     """
     for drawing in _draw_all(results, reference, method):
         if results.simulated:
@@ -46,13 +47,13 @@ def _draw_all(results: Results, reference: str, method: Method) -> Iterator[Draw
 
 def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
     """The error over time: of each model under every protocol, and of each protocol with every model."""
-    kinds: tuple[tuple[str, str, Sequence[str], Callable[[Cell], str], Callable[[Cell], str]], ...] = (
-        ("model", "Error over time, by model", results.models, _model, _protocol),
-        ("protocol", "With and without consensus", results.protocols, _protocol, _model),
-    )
+    model, protocol = attrgetter("model"), attrgetter("protocol")
     length = results.longest(results.trials)
-    for by, title, series, serial, rowed in kinds:
-        rows = list(dict.fromkeys((rowed(cell), cell.condition) for cell in results.cells))
+    for by, title, series, series_of, row_of in (
+        ("model", "Error over time, by model", results.models, model, protocol),
+        ("protocol", "With and without consensus", results.protocols, protocol, model),
+    ):
+        rows = list(dict.fromkeys((row_of(cell), cell.condition) for cell in results.cells))
         shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row[1] == results.conditions[0]]
         several = len({name for name, _ in rows}) > 1
         grid: list[tuple[str, list[Facet]]] = []
@@ -60,7 +61,11 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         for name, condition in shown:
             facets: list[Facet] = []
             for team in results.teams:
-                cells = {serial(c): t for c, t in results.cells.items() if _is(c, team, condition, rowed, name)}
+                cells = {
+                    series_of(cell): trials
+                    for cell, trials in results.cells.items()
+                    if (cell.team, cell.condition, row_of(cell)) == (team, condition, name)
+                }
                 curves, lost = _curves(results, cells, length, method)
                 missing, total = missing + lost, total + sum(map(len, cells.values()))
                 facets.append(Facet(title=str(team), marks=curves))
@@ -86,10 +91,6 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         )
 
 
-def _is(cell: Cell, team: Team, condition: str, rowed: Callable[[Cell], str], row: str) -> bool:
-    return (cell.team, cell.condition, rowed(cell)) == (team, condition, row)
-
-
 def _curves(results: Results, found: dict[str, list[TrialRow]], length: int, method: Method) -> tuple[list[Curve], int]:
     """A curve for each series, all of one length, and how many trials have none."""
     curves: list[Curve] = []
@@ -105,7 +106,7 @@ def _curves(results: Results, found: dict[str, list[TrialRow]], length: int, met
 
 
 def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
-    """The share that formed, of every cell."""
+    """The share of trials that formed, by cell."""
     return Drawing(
         name="success",
         section="success",
@@ -125,15 +126,10 @@ def compared(results: Results, reference: str, method: Method) -> Iterator[Drawi
     """Protocols against the reference on the same seeds: success, and the error at the end."""
     lines = pair_lines(results, reference, method)
     others = [name for name in results.protocols if name != reference]
+    formed, error = "formed, difference [% points]", "error at the end, difference [units]"
     kinds: tuple[tuple[str, str, str, Callable[[PairLine], Estimate | None], float], ...] = (
-        (
-            "success",
-            "formed, difference [% points]",
-            "Newcombe's 95 % interval",
-            lambda line: line.formed.difference,
-            100,
-        ),
-        ("error", "error at the end, difference [units]", INTERVALS[method], _error_difference, 1),
+        ("success", formed, "Newcombe's 95 % interval", lambda line: line.formed.difference, 100),
+        ("error", error, INTERVALS[method], _error_difference, 1),
     )
     for name, x, how, get, factor in kinds:
         found = [(line.cell, get(line)) for line in lines]
@@ -155,7 +151,7 @@ def _error_difference(line: PairLine) -> Estimate | None:
 
 
 def _limits(estimates: Sequence[Estimate | None], factor: float) -> tuple[float, float]:
-    """From the lowest to the highest end, zero among them, and a little more."""
+    """A range that contains all intervals and zero, with a margin."""
     ends = [end for e in estimates if e is not None for end in (e.value, e.low, e.high) if end is not None]
     low, high = factor * min(0.0, *ends, 0.0), factor * max(0.0, *ends, 0.0)
     if low == high:
@@ -184,7 +180,7 @@ def ratios(results: Results) -> Drawing:
         for team in results.teams
     ]
     known_ratios = known(trial.ratio for trial in results.trials)
-    # Who stands in formation from the start needed no round: its ratio is 0. Numbers at the right need room.
+    # A team in formation from the start has ratio 0. The counts at the right need room.
     least, most = min(1.0, *known_ratios) - 0.1, max(1.0, *known_ratios)
     return Drawing(
         name="rounds-over-bound",
@@ -245,9 +241,9 @@ def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Ite
 
 
 def _dot_panels(
-    results: Results, found: Sequence[tuple[Cell, Estimate | None]], factor: float, edge: float | None = None
+    results: Results, found: Sequence[tuple[ResultCell, Estimate | None]], factor: float, edge: float | None = None
 ) -> list[Facet]:
-    def dot(cell: Cell, estimate: Estimate | None) -> Dot:
+    def dot(cell: ResultCell, estimate: Estimate | None) -> Dot:
         ends = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
         value, low, high = (None if end is None else factor * end for end in ends)
         return Dot(series=cell.protocol, row=_row(results, cell), value=value, low=low, high=high)
@@ -259,22 +255,14 @@ def _dot_panels(
     ]
 
 
-def _row(results: Results, cell: Cell) -> str:
-    """What tells the rows of a panel apart: model and condition, where there are several."""
+def _row(results: Results, cell: ResultCell) -> str:
+    """Name of a row: its condition, and its model where there are several."""
     model = cell.model if len(results.models) > 1 else ""
     return " · ".join(part for part in (model, cell.condition) if part)
 
 
-def _model(cell: Cell) -> str:
-    return cell.model
-
-
-def _protocol(cell: Cell) -> str:
-    return cell.protocol
-
-
 def _consensus_words(results: Results) -> str:
-    """Which rule each protocol chooses its plan by."""
+    """The rule by which each protocol chooses its plan, in words."""
     rules = {trial.cell.protocol: trial.figures["consensus"] for trial in results.trials if trial.figures["consensus"]}
     words = [
         f"{name}: {'without consensus' if rule == 'none' else f'{rule} consensus'}" for name, rule in rules.items()

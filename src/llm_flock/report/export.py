@@ -11,11 +11,11 @@ from llm_flock.experiments import tables
 def export_csv(folder: Path, out: Path) -> list[Path]:
     """Write `trials.csv` and `rounds.csv`; older ones in the same place are replaced.
 
-    Numbers are written so that reading them gives the same number; what is not known is an empty field.
+    Numbers are written with full precision; an unknown value is an empty field.
 
     Args:
         folder: the directory of results.
-        out: where the files go.
+        out: folder for the files.
 
     Returns:
         both files.

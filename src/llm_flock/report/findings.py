@@ -1,4 +1,4 @@
-"""What the trials say, in numbers: a line for each cell, and protocols compared on the same seeds."""
+"""Statistics of the trials: a line for each cell, and protocols compared on the same seeds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from llm_flock.experiments.paired import PairedMeans, PairedShares, paired_means, paired_shares
 from llm_flock.experiments.statistics import Estimate, Method, mean_interval, median, wilson
-from llm_flock.report.results import Cell, Results, TrialRow
+from llm_flock.report.results import ResultCell, Results, TrialRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,14 +15,14 @@ class CellLine:
     """The figures of one cell.
 
     Attributes:
-        cell: which.
-        trials: all of them.
+        cell: the cell.
+        trials: number of its trials.
         formed: share of all trials that formed, with Wilson's interval.
-        outcomes: how many trials ended in which way; they add up to `trials`.
+        outcomes: number of trials by outcome; they add up to `trials`.
         rounds: median of the rounds to the formation, over the trials that formed.
         ratio: median of these rounds over the lower bound, over the trials that formed.
         error: mean distance to the ideal shape at the end [units], over the trials that have one.
-        errors_known: so many have one.
+        errors_known: number of trials that have an error.
         min_separation: smallest in any trial [units].
         too_near: trials in which two robots were nearer than the safe distance.
         calls: model calls a robot and mission.
@@ -32,7 +32,7 @@ class CellLine:
         rejected: share of calls whose answer could not be used; None without calls.
     """
 
-    cell: Cell
+    cell: ResultCell
     trials: int
     formed: Estimate
     outcomes: Mapping[str, int]
@@ -54,13 +54,13 @@ class PairLine:
     """One protocol against the reference, on the same seeds.
 
     Attributes:
-        cell: the one that is compared.
+        cell: the cell that is compared.
         reference: the protocol that it is compared with.
         formed: difference of the shares that formed.
-        means: differences of the means, by what is compared; None where no pair has it.
+        means: differences of the means, by the names in `COMPARED`; None where no pair has the figure.
     """
 
-    cell: Cell
+    cell: ResultCell
     reference: str
     formed: PairedShares
     means: Mapping[str, PairedMeans | None]
@@ -74,7 +74,7 @@ COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
     "rounds to the formation": lambda trial: trial.figures["rounds_to_formed"] if trial.formed else None,
     "calls a robot": lambda trial: trial.per_robot("model_calls"),
 }
-"""What is compared pair by pair, besides success."""
+"""Figures that are compared pair by pair, besides success."""
 
 
 def cell_lines(results: Results, method: Method = "student") -> list[CellLine]:
@@ -82,7 +82,7 @@ def cell_lines(results: Results, method: Method = "student") -> list[CellLine]:
     return [cell_line(cell, trials, results.outcomes(trials), method) for cell, trials in results.cells.items()]
 
 
-def cell_line(cell: Cell, trials: Sequence[TrialRow], outcomes: Mapping[str, int], method: Method) -> CellLine:
+def cell_line(cell: ResultCell, trials: Sequence[TrialRow], outcomes: Mapping[str, int], method: Method) -> CellLine:
     """The line of one cell."""
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
     errors = known(trial.error for trial in trials)

@@ -1,4 +1,4 @@
-"""The worst trials, with pictures and with the conversation that explains what happened."""
+"""The worst trials, with snapshots and the conversations that explain what happened."""
 
 from __future__ import annotations
 
@@ -6,57 +6,43 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.experiments.store import TRIALS, read_trial
 from llm_flock.record.reader import RunRecord, read_record
-from llm_flock.record.schema import LlmEntry
-from llm_flock.report.guilt import Guilt, guilty
+from llm_flock.record.schema import ChatLine, LlmEntry
+from llm_flock.report.diagnosis import Cause, find_causes
 from llm_flock.report.results import OUTCOMES, Results, TrialRow
 from llm_flock.runtime.api import RECORD_NAME, run
 from llm_flock.runtime.config import RunConfig
 from llm_flock.viz.figures import snapshots
 
 MOST_FLOWN_AGAIN = 100
-"""Teams of more robots are not flown again for the gallery: it would take minutes."""
+"""Largest team that is flown again for the gallery; more robots would take minutes."""
 
 LONGEST = 6000
-"""Letters of a message that are shown."""
+"""Letters of a message that are shown at most."""
 
 SEVERITY = ("broke off", "no answers", "interrupted", "budget", "not formed", "formed")
 REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
-"""Figures that come out the same when the same trial is flown again by the same code."""
+"""Figures that are the same when the same code flies the same trial again."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
-    """One message of a conversation.
-
-    Attributes:
-        role: system, user or assistant; "verdict" for what was made of the answer.
-        text: as it was said, the middle left out where it is very long.
-    """
-
-    role: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Story:
+class Story(NamedTuple):
     """Something that went wrong in a trial.
 
     Attributes:
         sentence: what happened.
-        about: whose conversation this is, and when; empty without one.
-        talk: the conversation of the guilty robot.
+        about: whose conversation follows, and when; empty without one.
+        conversation: of the robot that caused it; the role "verdict" says what became of an answer.
     """
 
     sentence: str
     about: str
-    talk: tuple[Line, ...]
+    conversation: tuple[ChatLine, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,9 +50,9 @@ class Failure:
     """One trial of the gallery.
 
     Attributes:
-        trial: which.
+        trial: the trial.
         reason: why it is here.
-        source: where pictures and conversation come from, or why there are none.
+        source: origin of snapshots and conversations, or why there are none.
         stories: what happened; none without a record.
         figure: its snapshots; None without a record.
     """
@@ -84,10 +70,10 @@ class Failure:
 
 
 def worst(results: Results, most: int) -> list[TrialRow]:
-    """The trials that went worst: of each protocol and way to end one, then the next of each, and so on.
+    """The worst trials: the worst of each protocol and outcome, then the second worst of each, and so on.
 
-    Worse is: ended in a worse way, then farther from the shape at the end. Trials that formed are here only where
-    robots came too near.
+    A trial is worse if its outcome is worse, then if it ended farther from the shape. Trials that formed are included
+    only where robots came too near.
     """
     groups: dict[tuple[int, str], list[TrialRow]] = {}
     for trial in results.trials:
@@ -113,8 +99,8 @@ def gallery(results: Results, most: int, *, fly_again: bool = True) -> Iterator[
 
     Args:
         results: all trials.
-        most: so many at most.
-        fly_again: whether trials of simulated models that have no record are flown once more to have one.
+        most: largest number of trials.
+        fly_again: whether trials of simulated models without a record are flown again to get one.
     """
     for trial in worst(results, most):
         yield _failure(results, trial, fly_again)
@@ -131,27 +117,25 @@ def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
             return Failure(trial=trial, reason=reason, source=f"There are no pictures: {error}.")
         if record is None:
             return Failure(trial=trial, reason=reason, source=source)
-        faults = guilty(record)
-        told = {fault.round for fault in faults[:2] if fault.round is not None}
-        rounds = (
-            {0, record.rounds} | told if len({0, record.rounds} | told) > 2 else {0, record.rounds // 2, record.rounds}
-        )
+        causes = find_causes(record)
+        rounds = {0, record.rounds, *(cause.round for cause in causes[:2] if cause.round is not None)}
+        if len(rounds) <= 2:
+            rounds.add(record.rounds // 2)
         figure = snapshots(record, sorted(k for k in rounds if k <= record.rounds))
-        stories = tuple(map(_story, faults))
-        return Failure(trial=trial, reason=reason, source=source, stories=stories, figure=figure)
+        return Failure(trial=trial, reason=reason, source=source, stories=tuple(map(_story, causes)), figure=figure)
 
 
-def _story(fault: Guilt) -> Story:
+def _story(cause: Cause) -> Story:
     about = ""
-    if fault.entries:
-        last = fault.entries[-1]
+    if cause.entries:
+        last = cause.entries[-1]
         question = {"plan": "asked for a plan", "step": "asked for its next step"}.get(last.kind, last.kind)
         about = f"Robot {last.robot}, {question} in round {last.round}, {last.model}"
-    return Story(sentence=fault.sentence, about=about, talk=tuple(_talk(fault.entries)))
+    return Story(cause.sentence, about, tuple(_conversation(cause.entries)))
 
 
 def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[RunRecord | None, str]:
-    """The record that was kept, or one of the trial flown again in a folder; and what to say of it."""
+    """The kept record, or one of the trial flown again in `folder`; and a sentence about where it is from."""
     kept = trial.figures["record"]
     if kept is not None and (results.folder / kept).exists():
         return read_record(results.folder / kept), f"From its record, {kept}."
@@ -165,7 +149,7 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         summary: Mapping[str, Any] = run(config=config).summary.to_dict()
     except InputError:
         raise
-    except Exception as error:  # noqa: BLE001 - it may be the very error that broke the trial off; the page says so
+    except Exception as error:  # noqa: BLE001 - it may be the error that ended the trial; the page says so
         if not (folder / RECORD_NAME).exists():
             raise FlockError(f"flown again, it broke off at once: {error}") from None
         summary = {}
@@ -174,19 +158,21 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
     return read_record(folder / RECORD_NAME), f"No record was kept; flown again from its configuration.{odd}"
 
 
-def _talk(entries: Sequence[LlmEntry]) -> Iterator[Line]:
-    """The last question of a thread with all that went before it, the answer, and what was made of it."""
+def _conversation(entries: Sequence[LlmEntry]) -> Iterator[ChatLine]:
+    """The last call of a thread with all messages before it, the answer, and what became of it."""
     if not entries:
         return
     last = entries[-1]
     for message in last.messages:
-        yield Line(role=message.role, text=_short(message.text))
+        yield message.model_copy(update={"text": _short(message.text)})
     if last.text is not None:
-        yield Line(role="assistant", text=_short(last.text))
+        yield ChatLine(role="assistant", text=_short(last.text))
     if last.parsed is not None:
-        yield Line(role="verdict", text="The answer was taken.")
+        yield ChatLine(role="verdict", text="The answer was taken.")
     else:
-        yield Line(role="verdict", text=f"The answer was not used: {last.rejected or last.error or 'no answer came'}")
+        yield ChatLine(
+            role="verdict", text=f"The answer was not used: {last.rejected or last.error or 'no answer came'}"
+        )
 
 
 def _short(text: str) -> str:

@@ -12,23 +12,23 @@ from typing import Any, cast
 
 import jinja2
 from markupsafe import Markup, escape
+from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import METHODS, Method
 from llm_flock.report import sheets
-from llm_flock.report.drawing import Drawing
+from llm_flock.report.drawing import Drawing, inline_svg, page_colours
 from llm_flock.report.drawings import draw_all
-from llm_flock.report.findings import CellLine, cell_lines, pair_lines, usual_reference
-from llm_flock.report.gallery import Failure, Story, gallery
-from llm_flock.report.results import OUTCOMES, Results, TrialRow
+from llm_flock.report.findings import cell_lines, pair_lines, usual_reference
+from llm_flock.report.gallery import Failure, gallery
+from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import Sheet
-from llm_flock.report.svg import inline_svg, page_colours
 from llm_flock.viz.figures import save
 from llm_flock.viz.style import house_style
 
 FORMATS = ("svg", "pdf", "png")
 PICTURE_DPI = 130
-"""Of the snapshots on the page; the files have more."""
+"""Resolution of the snapshots on the page; the files have more."""
 
 SECTIONS = {
     "success": "Success",
@@ -43,37 +43,15 @@ SECTIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShownDrawing:
-    """A figure on the page."""
-
-    name: str
-    title: str
-    caption: str
-    svg: Markup
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShownFailure:
-    """A trial of the gallery on the page; `picture` is a data address, empty without snapshots."""
-
-    name: str
-    trial: TrialRow
-    reason: str
-    source: str
-    stories: tuple[Story, ...]
-    picture: str
-
-
 @dataclass(slots=True, kw_only=True)
-class Section:
-    """A part of the page."""
+class PageSection:
+    """A section of the page."""
 
     name: str
     title: str
-    drawings: list[ShownDrawing] = field(default_factory=list[ShownDrawing])
+    drawings: list[Drawing] = field(default_factory=list[Drawing])
     sheets: list[Sheet] = field(default_factory=list[Sheet])
-    failures: list[ShownFailure] = field(default_factory=list[ShownFailure])
+    failures: list[Failure] = field(default_factory=list[Failure])
     lines: list[str] = field(default_factory=list[str])
 
     @property
@@ -98,12 +76,12 @@ def write_report(
     Args:
         folder: the directory of results.
         out: where `report.html`, `report.md` and `figures/` go.
-        method: how the intervals of means are found.
-        reference: protocol that the others are compared with; the baseline, where it was flown, if left out.
+        method: method for the intervals of means.
+        reference: protocol that the others are compared with; by default the baseline, where it was flown.
         most: trials in the gallery of failures.
         formats: endings of the figures' files.
         fly_again: whether trials of simulated models without a record are flown again for the gallery.
-        on_step: told what has been made.
+        on_step: called with the name of everything that was made.
 
     Returns:
         the page, the Markdown, and every figure.
@@ -118,21 +96,25 @@ def write_report(
         raise InputError("reference", reference, f"a protocol of these results: {', '.join(results.protocols)}")
     written: list[Path] = []
 
-    def keep(figure: Any, name: str) -> None:
+    def keep(figure: Figure, name: str) -> None:
         for ending in formats:
             save(figure, out / "figures" / f"{name}.{ending}")
             written.append(out / "figures" / f"{name}.{ending}")
         on_step(name)
 
-    sections = {name: Section(name=name, title=title) for name, title in SECTIONS.items()}
+    sections = {name: PageSection(name=name, title=title) for name, title in SECTIONS.items()}
     reference = reference or usual_reference(results)
     for drawing in draw_all(results, reference, method):
-        sections[drawing.section].drawings.append(_shown(drawing))
+        sections[drawing.section].drawings.append(drawing)
         keep(drawing.figure, drawing.name)
     lines = cell_lines(results, method)
-    _fill_sheets(results, sections, lines, method, reference)
+    sections["success"].sheets.append(sheets.success_sheet(results, lines))
+    sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))
+    sections["spending"].sheets.append(sheets.spending_sheet(results, lines, method))
+    if pairs := pair_lines(results, reference, method):
+        sections["paired"].sheets += sheets.pair_sheets(results, pairs, method)
     for failure in gallery(results, most, fly_again=fly_again):
-        sections["failures"].failures.append(_pictured(failure))
+        sections["failures"].failures.append(failure)
         if failure.figure is not None:
             keep(failure.figure, failure.name)
     sections["failures"].lines += _failure_words(results, sections["failures"])
@@ -168,37 +150,16 @@ def _check(method: str, formats: Sequence[str]) -> None:
         raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
 
 
-def _fill_sheets(
-    results: Results, sections: dict[str, Section], lines: Sequence[CellLine], method: Method, reference: str
-) -> None:
-    pairs = pair_lines(results, reference, method)
-    sections["success"].sheets.append(sheets.success_sheet(results, lines))
-    sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))
-    sections["spending"].sheets.append(sheets.spending_sheet(results, lines, method))
-    if pairs:
-        sections["paired"].sheets += sheets.pair_sheets(results, pairs, method)
+def _svg(drawing: Drawing) -> Markup:
+    return inline_svg(drawing.figure, drawing.name, f"{drawing.title}. {drawing.caption}")
 
 
-def _shown(drawing: Drawing) -> ShownDrawing:
-    svg = inline_svg(drawing.figure, drawing.name, f"{drawing.title}. {drawing.caption}")
-    return ShownDrawing(name=drawing.name, title=drawing.title, caption=drawing.caption, svg=svg)
-
-
-def _pictured(failure: Failure) -> ShownFailure:
-    picture = ""
-    if failure.figure is not None:
-        image = io.BytesIO()
-        with house_style():
-            failure.figure.savefig(image, format="png", dpi=PICTURE_DPI)  # pyright: ignore[reportUnknownMemberType]
-        picture = f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
-    return ShownFailure(
-        name=failure.name,
-        trial=failure.trial,
-        reason=failure.reason,
-        source=failure.source,
-        stories=failure.stories,
-        picture=picture,
-    )
+def _data_address(figure: Figure) -> str:
+    """A figure as a PNG image in a data: URL."""
+    image = io.BytesIO()
+    with house_style():
+        figure.savefig(image, format="png", dpi=PICTURE_DPI)  # pyright: ignore[reportUnknownMemberType]
+    return f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
 
 
 def _subtitle(results: Results) -> str:
@@ -234,7 +195,7 @@ def _warnings(results: Results) -> Iterator[str]:
         yield f"The budget of the sweep ended {_counted(cut, 'trial')}: continue the sweep with a larger one."
 
 
-def _failure_words(results: Results, section: Section) -> list[str]:
+def _failure_words(results: Results, section: PageSection) -> list[str]:
     bad = [trial for trial in results.trials if not trial.formed or trial.too_near]
     if not bad:
         return ["Every trial formed, and no two robots came nearer than the safe distance."]
@@ -263,21 +224,21 @@ def _environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
     )
     filters = cast("dict[str, Any]", environment.filters)  # pyright: ignore[reportUnknownMemberType]
-    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced}
+    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced, "svg": _svg, "data": _data_address}
     return environment
 
 
 def _breakable(text: str) -> Markup:
-    """Words of a cell that may be broken behind the signs between their parts."""
+    """Text that may be broken after its separators."""
     return Markup(re.sub(r"(?<=[,:@/])", "<wbr>", str(escape(text))))
 
 
 def _markdown(text: str) -> str:
-    """Text as it stands, in Markdown: on one line, with no sign that means something there."""
+    """Plain text for Markdown: on one line, with special characters escaped."""
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(str(text).split()))
 
 
 def _fenced(text: str) -> str:
-    """Text as a block, whatever backticks are in it."""
+    """Text as a fenced block; it may contain backticks."""
     fence = "`" * max(3, 1 + max((len(run) for run in re.findall(r"`+", text)), default=0))
     return f"{fence}text\n{text}\n{fence}"

@@ -1,4 +1,4 @@
-"""The two tables of a sweep as the report reads them: cells, the trials of each, and the error of each over time."""
+"""The results of a sweep, read from its two tables: cells, their trials, and each trial's error over time."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ OUTCOMES: Mapping[str, str] = {
     "interrupted": "the run was stopped from outside",
     "broke off": "an error ended the run",
 }
-"""What can come of a trial; each trial is counted under exactly one of them."""
+"""Outcomes of trials; each trial has exactly one."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Team:
-    """Who flew what: panels of a figure are teams."""
+    """A shape and a team size; each has its own panel in figures."""
 
     n_robots: int
     shape: str
@@ -44,13 +44,13 @@ class Team:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
-    """Trials of one cell differ in their seed only.
+class ResultCell:
+    """A cell of the grid: its trials differ in their seed only.
 
     Attributes:
         team: shape and size.
         protocol: preset of rules; with the rules themselves where one preset was flown with several.
-        model: who thought, as configured.
+        model: language model, as configured.
         condition: the value of every further axis of the grid, in words; empty without any.
     """
 
@@ -69,14 +69,14 @@ class TrialRow:
 
     Attributes:
         id: name of the trial.
-        cell: what it is one of.
+        cell: its cell.
         seed: its seed.
         outcome: one of `OUTCOMES`.
         figures: its row, by the names of the columns.
     """
 
     id: str
-    cell: Cell
+    cell: ResultCell
     seed: int
     outcome: str
     figures: Mapping[str, Any] = field(repr=False)
@@ -111,15 +111,15 @@ class TrialRow:
 
 @dataclass(frozen=True)
 class Results:
-    """All that is in a directory of results.
+    """Everything in a directory of results.
 
     Attributes:
-        folder: where it is.
-        frame: a row a trial.
-        rounds: a row a round.
+        folder: the directory.
+        frame: a row for each trial.
+        rounds: a row for each round.
         name: of the sweep.
-        about: what it is about; empty where its file does not say.
-        planned: trials of the whole sweep; None where nobody knows.
+        about: description of the sweep; empty where its file has none.
+        planned: trials of the whole sweep; None where that is not known.
     """
 
     folder: Path
@@ -159,7 +159,7 @@ class Results:
         return tuple(
             TrialRow(
                 id=row["trial"],
-                cell=Cell(
+                cell=ResultCell(
                     team=Team(row["n_robots"], row["shape"]),
                     protocol=names[_rules(row)],
                     model=row["model"] or "",
@@ -175,17 +175,15 @@ class Results:
         )
 
     @cached_property
-    def cells(self) -> dict[Cell, list[TrialRow]]:
+    def cells(self) -> dict[ResultCell, list[TrialRow]]:
         """The trials of each cell: by team, condition, model and protocol."""
-        found: dict[Cell, list[TrialRow]] = {}
+        found: dict[ResultCell, list[TrialRow]] = {}
         for trial in self.trials:
             found.setdefault(trial.cell, []).append(trial)
-        order = {name: list(names) for name, names in (("condition", self.conditions), ("model", self.models))}
-        protocols = list(self.protocols)
 
-        def place(cell: Cell) -> tuple[Any, ...]:
-            where = (order["condition"].index(cell.condition), order["model"].index(cell.model))
-            return (cell.team, *where, protocols.index(cell.protocol))
+        def place(cell: ResultCell) -> tuple[Any, ...]:
+            order = (self.conditions, cell.condition), (self.models, cell.model), (self.protocols, cell.protocol)
+            return (cell.team, *(names.index(name) for names, name in order))
 
         return {cell: found[cell] for cell in sorted(found, key=place)}
 
@@ -229,7 +227,7 @@ class Results:
         return any(trial.figures["simulated"] for trial in self.trials)
 
     def outcomes(self, trials: Iterable[TrialRow] | None = None) -> dict[str, int]:
-        """How many trials ended in which way; every way is there, and they add up to all trials."""
+        """Number of trials by outcome; every outcome is there, and they add up to all trials."""
         counts = Counter(trial.outcome for trial in (self.trials if trials is None else trials))
         return {name: counts[name] for name in OUTCOMES}
 
@@ -264,7 +262,7 @@ class Results:
 
 
 def outcome_of(row: Mapping[str, Any]) -> str:
-    """What came of a trial, one of `OUTCOMES`."""
+    """The outcome of a trial, one of `OUTCOMES`."""
     if row["error"] is not None or row["stopped"] in (None, "failed"):
         return "broke off"
     if row["formed"]:

@@ -1,4 +1,4 @@
-"""The report's tables, in words: the same rows stand on the page and in Markdown."""
+"""The tables of the report as text; the page and the Markdown show the same rows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from llm_flock.experiments.paired import PairedMeans
 from llm_flock.experiments.statistics import Estimate, Method, median
 from llm_flock.report.drawing import INTERVALS
 from llm_flock.report.findings import COMPARED, CellLine, PairLine, known
-from llm_flock.report.results import OUTCOMES, Cell, Results
+from llm_flock.report.results import OUTCOMES, ResultCell, Results
 
 NOT_KNOWN = "-"
 MINUS = "\N{MINUS SIGN}"
@@ -20,11 +20,11 @@ class Sheet:
     """One table.
 
     Attributes:
-        title: what it shows.
+        title: its title.
         header: names of its columns.
-        rows: their cells.
-        words: so many columns at the left are words; the others are numbers.
-        note: how it is to be read.
+        rows: its cells.
+        words: number of columns with words, at the left; the others hold numbers.
+        note: how to read it.
     """
 
     title: str
@@ -59,7 +59,7 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
 
 
 def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
-    """How well and how fast."""
+    """How fast the trials formed, and their error."""
     return Sheet(
         title="Rounds and error",
         header=(*_cell_names(results), "formed", "rounds (median)", "over the bound (median)", "error [95 %]", "of"),
@@ -82,7 +82,7 @@ def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) ->
 
 
 def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
-    """What it took."""
+    """Calls, tokens and cost."""
     return Sheet(
         title="Calls, tokens and money",
         header=(
@@ -155,7 +155,7 @@ def pair_sheets(results: Results, lines: Sequence[PairLine], method: Method) -> 
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
-    """The most important numbers, each with what it is."""
+    """The most important numbers, each with its name."""
     total = len(results.trials)
     formed = results.outcomes()["formed"]
     costs = [trial.figures["cost_usd"] for trial in results.trials if trial.figures["model_calls"] is not None]
@@ -172,7 +172,7 @@ def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
 
 
 def number(value: float | None, digits: int) -> str:
-    """A number with so many decimals; trailing zeros of whole numbers are left out."""
+    """A number with the given decimals; trailing zeros of whole numbers are left out."""
     if value is None:
         return NOT_KNOWN
     return f"{value:,.0f}" if digits <= 1 and value == int(value) else f"{value:,.{digits}f}"
@@ -183,7 +183,7 @@ def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, sig
     if estimate is None:
         return NOT_KNOWN
     form = f"{'+' if signed else ''},.{digits}f"
-    # Adding zero, and rounding first, takes away a minus before nothing.
+    # Rounding first and adding zero removes the minus sign of a zero.
     value, *ends = (
         None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
         for x in (estimate.value, estimate.low, estimate.high)
@@ -209,7 +209,7 @@ def _cell_names(results: Results) -> tuple[str, ...]:
     return ("shape", "N", *(name for name, shown in _varied(results) if shown), "protocol")
 
 
-def _cell_words(results: Results, cell: Cell) -> tuple[str, ...]:
+def _cell_words(results: Results, cell: ResultCell) -> tuple[str, ...]:
     varied = dict(_varied(results))
     between = [word for name, word in (("model", cell.model), ("condition", cell.condition)) if varied[name]]
     return (cell.team.shape, str(cell.team.n_robots), *between, cell.protocol)

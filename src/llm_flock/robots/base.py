@@ -1,7 +1,7 @@
-"""What a robot's driver offers: the state of a body, and the few commands that a flight is made of.
+"""The interface of a robot's driver: the state of a body, and the few commands that a flight needs.
 
-All positions are [m; world frame of the localisation system, z up], all times [s]. A driver holds its own limits and
-says what it really sent. Conformance checks that any driver must pass: `llm_flock.testing.robots`.
+All positions are [m; world frame of the localisation system, z up], all times [s]. A driver enforces its limits and
+returns what it really sent. Every driver must pass the conformance checks of `llm_flock.testing.robots`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ derivatives vanish at both ends, s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: its d
 
 
 class RobotError(FlockError):
-    """A robot cannot do, or did not confirm, what it was told.
+    """A robot cannot follow a command, or did not confirm it.
 
     Attributes:
         name: the robot's name.
@@ -34,14 +34,14 @@ class RobotError(FlockError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotState:
-    """The newest that a driver knows of its robot.
+    """The newest state of a robot that its driver knows.
 
     Attributes:
         position: the estimate that the robot itself flies by [m].
-        stamp_s: when that estimate came, on this process's `time.monotonic`; stands still when none come any more.
-        battery_v: [V]; None where the robot does not say.
-        link: share of packets that were acknowledged, in [0, 1]; None where the link does not say.
-        link_lost: the driver gave the link up; the robot gets no command any more. Never false again without `connect`.
+        stamp_s: arrival of that estimate, on this process's `time.monotonic`; stands still when estimates stop coming.
+        battery_v: [V]; None if the robot does not report it.
+        link: share of packets acknowledged, in [0, 1]; None if the link does not report it.
+        link_lost: the driver gave the link up and sends no more commands; stays True until `connect`.
         armed: motors may turn.
         flying: in the air, as far as the driver knows.
         settled: the robot's estimator has converged.
@@ -59,7 +59,7 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Commanded:
-    """A set-point as it was really sent, after the driver's limits.
+    """A set-point as really sent, within the driver's limits.
 
     Attributes:
         target: [m].
@@ -71,9 +71,9 @@ class Commanded:
 
 
 class Robot(Protocol):
-    """One robot, driven. Commands return when they are sent, not when they are flown.
+    """Drives one robot. Commands return when they are sent, not when they are flown.
 
-    Every command raises `RobotError` where the robot is not connected, the link is lost or the robot refuses.
+    Every command raises `RobotError` if the robot is not connected, the link is lost, or the robot refuses.
     """
 
     @property
@@ -98,7 +98,7 @@ class Robot(Protocol):
         ...
 
     async def arm(self) -> None:
-        """Allow the motors to turn; returns when the robot says that it is armed."""
+        """Allow the motors to turn; returns once the robot reports that it is armed."""
         ...
 
     async def take_off(self, height_m: float, duration_s: float) -> Commanded:
@@ -108,8 +108,8 @@ class Robot(Protocol):
     async def go_to(self, target: Position, duration_s: float) -> Commanded:
         """Fly the straight segment from the last set-point to `target`, arriving at rest after `duration_s`.
 
-        A target outside the driver's limits is brought nearer along the segment, never aside and never later: a
-        shorter way on the same line keeps what the shield promised for the whole of it.
+        A target outside the driver's limits is brought nearer along the segment, never aside and never later: the
+        shield's guarantee for the whole segment holds for any part of it.
         """
         ...
 
@@ -118,15 +118,11 @@ class Robot(Protocol):
         ...
 
     async def land(self, height_m: float, duration_s: float) -> None:
-        """Sink straight down to `height_m` within `duration_s`; the motors stop there."""
+        """Land straight down to `height_m` within `duration_s`; the motors stop there."""
         ...
 
     async def stop_motors(self) -> bool:
-        """Emergency stop: cut the motors now, whatever the state; the robot falls.
-
-        Returns:
-            True when the robot confirmed it, False when no confirmation came in time.
-        """
+        """Emergency stop: cut the motors now, in any state; the robot falls. Returns whether the robot confirmed it."""
         ...
 
     async def close(self) -> None:
@@ -135,8 +131,8 @@ class Robot(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """What a driver never exceeds.
+class MotionLimits:
+    """Limits that a driver never exceeds.
 
     Attributes:
         low: lowest corner of the geofence box [m].
@@ -159,9 +155,9 @@ class Limits:
         return all(a <= x <= b for a, x, b in zip(self.low, position, self.high, strict=True))
 
     def clip(self, start: Position, target: Position, duration_s: float) -> Commanded:
-        """The farthest point towards `target` that keeps the box and the speed, in the same duration.
+        """The farthest point towards `target` within the box and the speed limit, in the same duration.
 
-        From a start outside the box the target is clamped axis by axis first: coming back goes before keeping the line.
+        From a start outside the box the target is first clamped axis by axis: returning matters more than the line.
 
         Raises:
             InputError: a duration that is not positive.

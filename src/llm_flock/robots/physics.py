@@ -1,9 +1,9 @@
 """Drones with the dynamics of real Crazyflies: crazyflow's identified models and Mellinger's controller.
 
-The high-level commander, arming and faults are the point mass's; only where the body is comes from the physics, so that
-it lags behind its set-point as a real one does. Batteries, estimators and downwash are not modelled.
-crazyflow is an extra of more than a gigabyte (`pip install 'llm-flock[physics]'`), imported when a world is built;
-it wants SCIPY_ARRAY_API=1 in the environment from the start of the process.
+The high-level commander, arming and faults are the point mass's; only the position comes from the physics, so the body
+lags behind its set-point as a real one does. Batteries, estimators and downwash are not modelled. crazyflow is an extra
+of more than a gigabyte (`pip install 'llm-flock[physics]'`), imported when a world is built; it needs SCIPY_ARRAY_API=1
+in the environment from the start of the process.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ import numpy as np
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.robots.base import Limits, Position
+from llm_flock.robots.base import MotionLimits, Position
 from llm_flock.robots.point_mass import FALL_HEIGHT, PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
 
 STEP_S = 0.01
-"""A new set-point so often, as from the firmware's high-level commander (`RATE_HL_COMMANDER`, 100 Hz)."""
+"""Time between two set-points, as from the firmware's high-level commander (`RATE_HL_COMMANDER`, 100 Hz) [s]."""
 
 SUBSTEPS = 5
 """Steps of the dynamics and the attitude controller in each of these, hence 500 Hz."""
 
 DRONE = "cf2x_L250"
-"""crazyflow's Crazyflie 2.1. Its Brushless, `cf21B_500`, flies 8 cm above its set-points: see docs/physics.md."""
+"""crazyflow's Crazyflie 2.1; its Brushless, `cf21B_500`, flies 8 cm too high (docs/explanation/physics.md)."""
 
 
 @dataclass(slots=True)
 class PhysicalBody(PointMass):
-    """A body whose place is the physics's while its motors turn.
+    """A body whose position comes from the physics while its motors turn.
 
     Attributes:
-        world: that it is part of.
-        index: which one it is.
+        world: the simulation.
+        index: of the body in it.
     """
 
     world: PhysicsWorld | None = None
@@ -56,7 +56,7 @@ class PhysicalBody(PointMass):
         return (x, y, z)
 
     def _motors_off(self, now: float) -> None:
-        """From where the physics has it: onto the ground, or falling."""
+        """From its position in the simulation: onto the ground, or falling."""
         if not self.flying:
             return
         x, y, z = self._place()
@@ -73,15 +73,15 @@ class PhysicalBody(PointMass):
 class PhysicsWorld:
     """All drones of a flight in one simulation.
 
-    Time passes only in `run_until`. Between `__enter__` and `__exit__` a thread calls it, at the pace of `clock`.
+    Time passes only in `run_until`. After `start`, or in its context, a thread calls it at the pace of `clock`.
 
     Args:
-        homes: where they stand at first [m], one each; the ground is at z = 0.
+        homes: position of each before take-off [m]; the ground is at z = 0.
         drone: crazyflow's name of the kind of drone.
-        clock: what tells the time [s].
+        clock: returns the time [s].
 
     Attributes:
-        bodies: one a drone, to be given to `SimulatedRobot`.
+        bodies: one per drone, for `SimulatedRobot`.
         positions: true positions at the last step, shape (n, 3) [m].
         targets: set-points of the same moment, shape (n, 3) [m].
 
@@ -93,12 +93,12 @@ class PhysicsWorld:
         self, homes: Sequence[Position], *, drone: str = DRONE, clock: Callable[[], float] = time.monotonic
     ) -> None:
         try:
-            control: Any = import_module("crazyflow.control")  # checked without it too: it is large and has no types
+            control: Any = import_module("crazyflow.control")  # untyped, and too large to be installed for type checks
             simulation: Any = import_module("crazyflow.sim")
         except ImportError:
             raise InputError("physics", "not installed", "possible with: pip install 'llm-flock[physics]'") from None
         except RuntimeError as error:
-            # It wants scipy's array API, which is chosen by the environment when scipy is first imported.
+            # It needs scipy's array API, which the environment selects when scipy is first imported.
             raise InputError("physics", str(error), "possible with SCIPY_ARRAY_API=1 in the environment") from None
         freq = round(SUBSTEPS / STEP_S)
         try:
@@ -119,13 +119,13 @@ class PhysicsWorld:
         self._warm_up()
         self.time_s = clock()
 
-    def robot(self, index: int, name: str, limits: Limits | None = None) -> SimulatedRobot:
+    def robot(self, index: int, name: str, limits: MotionLimits | None = None) -> SimulatedRobot:
         """A driver of one of the drones."""
         body = self.bodies[index]
         return SimulatedRobot(name, body.home, limits=limits, clock=self.clock, body=body)
 
     def run_until(self, time_s: float) -> None:
-        """Let time pass, in steps of `STEP_S`."""
+        """Let time pass until then, in steps of `STEP_S`."""
         while self.time_s + STEP_S <= time_s:
             with self._lock:
                 self._step()
@@ -137,7 +137,7 @@ class PhysicsWorld:
             self._write(self.positions, only=index)
 
     def start(self) -> None:
-        """Have time pass at the pace of the clock from now on, for as long as the process lives."""
+        """Let time pass at the pace of the clock from now on, for as long as the process lives."""
         self.time_s = self.clock()
         self._thread.start()
 
@@ -160,7 +160,7 @@ class PhysicsWorld:
         now = self.time_s
         for k, body in enumerate(self.bodies):
             body.advance(now)
-            # One on the ground holds its place there, so that its controller has nothing to correct when it starts.
+            # On the ground it holds its position, so that its controller has nothing to correct at take-off.
             rows = body.set_point(now) if body.flying else (body.position(now), (0.0,) * 3, (0.0,) * 3)
             commands[0, k, :9] = np.concatenate(rows)
         self._sim.state_control(commands)
@@ -182,7 +182,7 @@ class PhysicsWorld:
         )
 
     def _warm_up(self) -> None:
-        """Compile now all that will be needed: it takes seconds."""
+        """Compile everything now, which takes seconds."""
         data, positions = self._sim.data, self.positions.copy()
         for index in range(2):
             self._step()

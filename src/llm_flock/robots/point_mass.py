@@ -1,6 +1,6 @@
-"""A drone without dynamics: it follows its high-level commander exactly, and fails in ways that flights must survive.
+"""A drone without dynamics: it follows its high-level commander exactly, and can fail as flights must survive.
 
-Sans-IO: every call is given the time. The simulated robot flies it in the process, the stand-in behind a UDP socket.
+Sans-IO: every call takes the time. `SimulatedRobot` flies it in the process, the stand-in behind a UDP socket.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PULL = 4.0
 """How fast a robot whose estimate is suddenly off flies back to where it believes its set-point to be [1/s]."""
 
 FALL_HEIGHT = 0.1
-"""A landing that ends lower than this [m] ends on the ground."""
+"""A landing that ends below this height ends on the ground [m]."""
 
 SETTLED_VARIANCE = 1e-5
 """Of each axis of the position, while the localisation works [m^2]."""
@@ -30,10 +30,10 @@ STALL_GROWTH = 0.05
 """How fast that variance grows once the localisation is gone [m^2/s]."""
 
 REFUSED = 1
-"""What the firmware answers to a command that makes no sense now."""
+"""The firmware's answer to a command that is impossible now."""
 
 BUSY = 16
-"""What the firmware answers while motors may not run (EBUSY)."""
+"""The firmware's answer while motors may not run (EBUSY)."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -41,10 +41,10 @@ class PointMass:
     """One body. `estimate` is what the robot believes, `position` where it is.
 
     Attributes:
-        home: where it stands at first [m].
+        home: position before take-off [m].
         ground_m: height of the ground [m].
         auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
-        battery_v: [V]; a number that stays until somebody changes it.
+        battery_v: [V].
         drain_v_s: how fast the battery empties in flight [V/s].
     """
 
@@ -70,7 +70,7 @@ class PointMass:
         self._rest = self.home
         self.armed = self.auto_arm
 
-    # ------------------------------------------------------------ where it is
+    # ------------------------------------------------------------ state
 
     @property
     def flying(self) -> bool:
@@ -101,7 +101,7 @@ class PointMass:
         return (x, y, max(z, self.ground_m))
 
     def estimate(self, now: float) -> Position:
-        """Where the robot believes that it is [m]."""
+        """The position that the robot estimates [m]."""
         if self._stalled is not None:
             return self._stalled[1]
         x, y, z = (p + o for p, o in zip(self.position(now), self._offset, strict=True))
@@ -116,10 +116,10 @@ class PointMass:
             return self._rest[2]
         return max(self.ground_m, self._rest[2] - GRAVITY * (now - self._fell) ** 2 / 2.0)
 
-    # ------------------------------------------------------------ what it is told
+    # ------------------------------------------------------------ commands
 
     def arm(self, wanted: bool) -> bool:
-        """Returns whether it is as wanted."""
+        """Arm or disarm; returns whether it is as wanted."""
         if self.locked or (wanted and self.flying):
             return not wanted
         self.armed = wanted
@@ -137,7 +137,7 @@ class PointMass:
         return 0
 
     def go_to(self, target: Position, duration_s: float, now: float) -> int:
-        """0, or why not. From the last set-point with its velocity, as the firmware plans it."""
+        """Fly from the last set-point with its velocity, as the firmware plans it; returns 0, or why not."""
         self.advance(now)
         if not self.armed:
             return BUSY
@@ -156,18 +156,18 @@ class PointMass:
         return 0
 
     def stop(self, now: float) -> int:
-        """The high-level commander's stop: motors off, and the body falls."""
+        """Stop the motors, as the high-level commander does; the body falls."""
         self.advance(now)
         self._motors_off(now)
         return 0
 
     def emergency_stop(self, now: float) -> None:
-        """Motors off until it is started anew."""
+        """Stop the motors until a restart."""
         self.stop(now)
         self.locked, self.armed = True, False
 
     def set_point(self, now: float) -> tuple[Position, Position, Position]:
-        """Where the high-level commander wants it: position [m], velocity [m/s], acceleration [m/s^2]."""
+        """Set-point of the high-level commander: position [m], velocity [m/s], acceleration [m/s^2]."""
         if self._segment is None:
             return self.estimate(now), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         return self._segment.at(now - self._began)
@@ -182,7 +182,7 @@ class PointMass:
         self._set_error(here, now)
 
     def _set_error(self, here: Position, now: float) -> None:
-        """What remains between the body and where its set-point wants it."""
+        """Keep the distance between the body and its set-point, to be flown off."""
         believed, _, _ = self.set_point(now)
         x, y, z = (p + o - b for p, o, b in zip(here, self._offset, believed, strict=True))
         self._error, self._error_at = (x, y, z), now
@@ -197,10 +197,10 @@ class PointMass:
         self._segment = None
         self._fell = now if self._rest[2] > self.ground_m else None
 
-    # ------------------------------------------------------------ what goes wrong
+    # ------------------------------------------------------------ failures
 
     def jump(self, offset: Position, now: float) -> None:
-        """The estimate is off by that much from now on [m]; in flight the body then follows its wrong belief."""
+        """Shift the estimate from now on [m]; in flight the body then follows its wrong estimate."""
         here = self.position(now)
         x, y, z = (a + b for a, b in zip(self._offset, offset, strict=True))
         self._offset = (x, y, z)
@@ -208,5 +208,5 @@ class PointMass:
             self._set_error(here, now)
 
     def stall(self, now: float, stalled: bool = True) -> None:
-        """The estimate stands still from now on, and its variance grows; or works again."""
+        """Freeze the estimate from now on, with growing variance; or let it work again."""
         self._stalled = (now, self.estimate(now)) if stalled else None

@@ -1,8 +1,8 @@
-"""The way a Crazyflie's high-level commander flies from one point to another: one polynomial of degree 7 for each axis.
+"""The trajectory of a Crazyflie's high-level commander between two points: a polynomial of degree 7 for each axis.
 
-It starts with the given position, velocity and acceleration, ends at the target at rest, and has no jerk at either end
-(firmware: `piecewise_plan_7th_order_no_jerk` in `src/modules/src/pptraj.c`). From rest the way is the straight line,
-and the share of it flown depends on the share of the duration alone: robots that start together stay in step.
+It starts with the given position, velocity and acceleration, ends at rest at the target, and has no jerk at either end
+(firmware: `piecewise_plan_7th_order_no_jerk` in `src/modules/src/pptraj.c`). From rest it is a straight line, and the
+share of it flown depends only on the share of the duration: robots that start together stay in step.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _coefficients(start: float, velocity: float, acceleration: float, end: float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segment:
-    """One way to fly.
+    """One trajectory to a target.
 
     Attributes:
         start: where it begins [m].
@@ -78,9 +78,9 @@ class Segment:
 
 
 def stopping_point(segment: Segment, time_s: float, within_s: float) -> Position | None:
-    """Where a robot on the segment can be at rest `within_s` later without turning back [m].
+    """Where a robot on the segment can come to rest `within_s` later without turning back [m].
 
-    None where it comes to rest at the target about as soon: the nearest stop is then the target itself.
+    None if it comes to rest at the target about as soon: the target is then the nearest stop.
     """
     if time_s + within_s >= segment.duration_s:
         return None

@@ -1,4 +1,4 @@
-"""Simulated bodies in one arena: point masses that fly straight to their waypoint within a round, and their sensors."""
+"""Simulated bodies in an arena: point masses that fly straight to their waypoint within a round, and their sensors."""
 
 from __future__ import annotations
 
@@ -17,22 +17,34 @@ from llm_flock.obstacles import clearance
 StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
 MAX_DRAWS = 10_000
+"""Tries to place one robot before the arena counts as full."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensing:
-    """What one robot's sensors say: its own believed position and those of the others in range, by id [units]."""
+    """One robot's sensor readings: its own position, and those of the robots in sensing range by id [units]."""
 
     position: Point
     sensed: Mapping[int, Point]
 
 
+def start_positions(
+    mission: Mission, given: Sequence[Sequence[float]] | None, rule: StartRule, rng: np.random.Generator
+) -> Points:
+    """Start positions, given or else drawn, shape (n, d) [units].
+
+    Raises:
+        InputError: the given positions cannot be used, or no room was found.
+    """
+    return draw_start(mission, rule, rng) if given is None else check_start(mission, given)
+
+
 def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> Points:
     """Random start positions, in the arena (paper, line 184) and clear of obstacles, shape (n, d) [units].
 
-    `separated` draws a robot again while it is nearer than the safe distance to one placed before; `uniform` is the
-    paper's raw draw, which may start in violation. Both are uniform. `connected` is like `separated`, with every robot
-    drawn within radio range of one placed before, each of these as likely, so that the radio graph is connected.
+    `separated` redraws a robot that is nearer than the safe distance to one placed before; `uniform` is the paper's raw
+    draw, which may start in violation. Both are uniform. `connected` is `separated` with each robot drawn within radio
+    range of a robot placed before, chosen at random, so that the radio graph is connected.
 
     Raises:
         InputError: no room was found.
@@ -59,7 +71,7 @@ def _nearest(placed: Points, draw: Vector) -> float:
 
 
 def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
-    """A point uniform in the ball of radius `reach` about one of the points placed."""
+    """A uniform point in the ball of radius `reach` about a random one of the points placed."""
     about = placed[int(rng.integers(len(placed)))]
     while True:
         offset = np.array([rng.uniform(-reach, reach) for _ in about])
@@ -68,7 +80,7 @@ def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
 
 
 def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Points:
-    """Given start positions as an array, shape (n, d).
+    """Start positions that a user gave, as an array of shape (n, d).
 
     Raises:
         InputError: wrong shape, a number that is not finite, or a robot outside the arena.
@@ -94,12 +106,12 @@ def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Point
 
 
 class SimulatedTeam:
-    """True positions of all bodies, and what each robot's sensors say of them.
+    """True positions of all bodies, and every robot's sensor readings of them.
 
     Args:
         mission: gives the ranges.
         positions: true start positions, shape (n, d) [units; world frame].
-        noise: largest localisation error [units]; each reading is off by a vector uniform in the ball of that radius.
+        noise: largest localisation error [units]: each reading adds a uniform vector in the ball of that radius.
         rng: source of the noise.
     """
 
@@ -108,10 +120,10 @@ class SimulatedTeam:
         self._noise = noise
         self._rng = rng
         self.positions = positions.copy()
-        self._look()
+        self._measure()
 
-    def _look(self) -> None:
-        """Who is within which range, once for the whole round."""
+    def _measure(self) -> None:
+        """Compute the ranges, once per round."""
         self._distances: Pairwise = graph.distances(self.positions)
         self._rows: list[Point] = [tuple(row) for row in self.positions.tolist()]
         self.in_radio_range = self._within(self._mission.comm_range)
@@ -125,19 +137,19 @@ class SimulatedTeam:
         return [tuple(np.flatnonzero(row).tolist()) for row in close]
 
     def connected(self, robots: Sequence[int]) -> bool:
-        """Whether the radio graph of these robots is one piece."""
+        """Whether the radio graph of these robots is connected."""
         close = self._distances <= self._mission.comm_range
         return graph.is_connected(close if len(robots) == len(close) else close[np.ix_(robots, robots)])
 
     def sense(self, robot: int) -> Sensing:
-        """One robot's readings, new errors at every call."""
+        """One robot's readings, with new errors at every call."""
         if self._noise == 0.0:
             rows = self._rows
             return Sensing(position=rows[robot], sensed={j: rows[j] for j in self.in_sense_range[robot]})
         readings = {j: self._reading(j) for j in (robot, *self.in_sense_range[robot])}
         return Sensing(position=readings.pop(robot), sensed=readings)
 
-    def everybody(self, robot: int) -> tuple[Point, ...]:
+    def others(self, robot: int) -> tuple[Point, ...]:
         """Readings of all other robots, in ascending order of ids, whatever their range (`observe = "all"`)."""
         return tuple(self._reading(j) for j in range(len(self._rows)) if j != robot)
 
@@ -153,4 +165,4 @@ class SimulatedTeam:
     def move(self, displacements: Points) -> None:
         """Fly every robot by its displacement, shape (n, d) [units], all at once."""
         self.positions = self.positions + displacements
-        self._look()
+        self._measure()

@@ -1,17 +1,18 @@
-"""A simulated robot behind the protocol of `llm_flock.robots.base`: for tests of flights, and for trying one out."""
+"""A simulated robot with the interface of `llm_flock.robots.base`: for tests, and to try out a flight."""
 
 from __future__ import annotations
 
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
-from llm_flock.robots.base import Commanded, Limits, Position, RobotError, RobotState
+from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.segment import Segment, stopping_point
 
 HOLD_S = 1.0
-"""Time in which a robot that shall hold comes to rest [s]."""
+"""Time in which a robot comes to rest on `hold` [s]."""
 
 
 class SimulatedRobot:
@@ -19,10 +20,10 @@ class SimulatedRobot:
 
     Args:
         name: for reports and errors.
-        home: where it stands at first [m].
+        home: position before take-off [m].
         limits: what the driver never exceeds.
-        clock: what tells the time [s].
-        body: the point mass itself, for tests that make it fail; built from `home` where none is given.
+        clock: returns the time [s]; `time.monotonic` if not given.
+        body: the point mass, for tests that make it fail; made from `home` if not given.
     """
 
     def __init__(
@@ -30,14 +31,14 @@ class SimulatedRobot:
         name: str,
         home: Position,
         *,
-        limits: Limits | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        limits: MotionLimits | None = None,
+        clock: Callable[[], float] | None = None,
         body: PointMass | None = None,
     ) -> None:
         self.body = body or PointMass(home=home)
         self._name = name
-        self._limits = limits or Limits()
-        self._clock = clock
+        self._limits = limits or MotionLimits()
+        self._clock = clock or time.monotonic
         self._set_point = home
         self._segment: tuple[Segment, float] | None = None
         self._seen: RobotState | None = None
@@ -50,7 +51,7 @@ class SimulatedRobot:
         return self._name
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link; a simulated one opens at once, unless it was made to fail with `lose_link`."""
+        """Open the link: at once, unless `lose_link` was called."""
         if self._lost:
             await asyncio.sleep(timeout_s)
             raise RobotError(self._name, f"no answer within {timeout_s:g} s")
@@ -59,7 +60,7 @@ class SimulatedRobot:
         self._look()
 
     def state(self) -> RobotState:
-        """The newest state; the last one that came where the link is lost."""
+        """The newest state; with a lost link, the last one that arrived."""
         if self._seen is None:
             raise RobotError(self._name, "was never connected")
         if self._open and not self._lost:
@@ -117,37 +118,27 @@ class SimulatedRobot:
             self._segment, self._set_point = None, stop
 
     async def land(self, height_m: float, duration_s: float) -> None:
-        """Sink straight down; one that stands on the ground stays there."""
+        """Land straight down; on the ground, do nothing."""
         self._need_link()
         if self.body.flying:
             self._need_success(self.body.land(height_m, duration_s, self._clock()), "landing")
             self._segment = None
 
     async def stop_motors(self) -> bool:
-        """Cut the motors; confirmed at once while there is a link."""
+        """Cut the motors; confirmed at once, unless the link is lost."""
         if not self._open or self._lost:
             return False
         self.body.emergency_stop(self._clock())
         return True
 
     async def close(self) -> None:
-        """Close the link; the body goes on with what it does."""
+        """Close the link; the body flies on."""
         self._open = False
 
     def lose_link(self) -> None:
-        """For tests: nothing gets through any more, in either direction."""
+        """For tests: lose every packet from now on, in both directions."""
         if self._seen is not None and not self._lost:
-            seen = self._look()
-            self._seen = RobotState(
-                position=seen.position,
-                stamp_s=seen.stamp_s,
-                battery_v=seen.battery_v,
-                link=0.0,
-                link_lost=True,
-                armed=seen.armed,
-                flying=seen.flying,
-                settled=seen.settled,
-            )
+            self._seen = replace(self._look(), link=0.0, link_lost=True)
         self._lost = True
 
     def _fly(self, start: Position, sent: Commanded, now: float) -> Commanded:

@@ -1,4 +1,4 @@
-"""The Python entry point: a mission in, a result out."""
+"""The Python entry point: flies one mission and returns its result."""
 
 from __future__ import annotations
 
@@ -8,29 +8,28 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from llm_flock.arrays import Points
 from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.replay import CassetteWriter
-from llm_flock.llm.sharing import Lane
+from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentRule
 from llm_flock.protocol.agreement.consensus import ConsensusRule
-from llm_flock.record.schema import RunInfo
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.robots.simulated import check_start, draw_start
-from llm_flock.runtime import versions
-from llm_flock.runtime.bodies import AtOnce
-from llm_flock.runtime.config import RunConfig, build_config
+from llm_flock.robots.simulated import start_positions
+from llm_flock.runtime.bodies import Bodies, InstantBodies
+from llm_flock.runtime.config import RECORD_NAME, RunConfig
+from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
-from llm_flock.runtime.roster import Roster
-from llm_flock.runtime.rules import assignment_rule, consensus_rule
+from llm_flock.runtime.roster import Roster, make_agent
+from llm_flock.runtime.rules import Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.team import Thinkers
 from llm_flock.runtime.trial import Steer, Trial, TrialProgress
 from llm_flock.transport.memory import MemoryTransport
 
-RECORD_NAME = "run.mcap"
+__all__ = ["RECORD_NAME", "build_trial", "open_outputs", "run", "run_async"]
 
 
 def run(mission: Mission | None = None, **options: Any) -> RunResult:
@@ -46,21 +45,21 @@ async def run_async(
     config: RunConfig | None = None,
     on_round: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
-    lane: Lane | None = None,
+    lane: CallLane | None = None,
     steer: Steer | None = None,
     **options: Any,
 ) -> RunResult:
     """Run one trial.
 
     Args:
-        mission: what the team is asked to do; the paper's circle of ten if left out.
-        consensus: name of a rule, or a rule of one's own.
-        assignment: name of a rule, or a rule of one's own.
+        mission: the team's task; the paper's circle of ten if left out.
+        consensus: name of a rule, or a rule object.
+        assignment: name of a rule, or a rule object.
         config: a whole configuration instead of a mission and options.
-        on_round: told after each round.
-        sink: takes note of all that a record would hold, whether there is one or not.
-        lane: the way to what this run shares with others: a budget, rates of providers, connections.
-        steer: asked before each round, and free to change what is to happen.
+        on_round: called after each round.
+        sink: takes every message of a record, whether a record is written or not.
+        lane: access to what this run shares with others: a budget, rates of providers, connections.
+        steer: awaited before each round, and free to change the schedule, the links and the planners.
         options: any field of the configuration by its name (`model=`, `rounds=`, `seed=`, `loss=`, `out=`, ...).
 
     Returns:
@@ -77,7 +76,7 @@ async def run_async(
             for field, rule in (("consensus", consensus), ("assignment", assignment))
         }
         base = {} if mission is None else {"mission": mission.model_dump(exclude_none=True)}
-        config = build_config(base, **names, **options)
+        config = RunConfig.build(base, **names, **options)
     elif mission is not None or options:
         raise InputError("config", "given", "either config, or mission and options")
     protocol = config.protocol
@@ -85,103 +84,78 @@ async def run_async(
         consensus = consensus_rule(protocol.consensus or "")
     if assignment is None or isinstance(assignment, str):
         assignment = assignment_rule(protocol.assignment or "")
-    rules = consensus, assignment
 
-    return await _fly(config, minds(config, *rules), on_round, sink, lane, steer)
-
-
-def minds(config: RunConfig, consensus: ConsensusRule, assignment: AssignmentRule) -> Callable[[int], Agent]:
-    """What makes the mind of each robot."""
-    protocol = config.protocol
-
-    def mind(robot: int) -> Agent:
-        return Agent(
-            robot,
-            config.mission,
-            consensus,
-            assignment,
-            shield_on=bool(protocol.shield),
-            verify=bool(protocol.verify),
-            on_event=config.model.decide == "on-event",
-            noise_bound=config.trial.noise,
-            time_out=protocol.time_out,
-            gaps=protocol.gaps,
-        )
-
-    return mind
-
-
-async def _fly(
-    config: RunConfig,
-    mind: Callable[[int], Agent],
-    on_round: Callable[[TrialProgress], None] | None,
-    sink: RecordSink | None,
-    lane: Lane | None,
-    steer: Steer | None,
-) -> RunResult:
-    """Build every part, refusing what is wrong; only then open files, and fly."""
-    mission, seed = config.mission, config.trial.seed
-    given = config.trial.start_positions
-    rule = config.trial.start
-    start = draw_start(mission, rule, stream(seed, Stream.START)) if given is None else check_start(mission, given)
-    bodies = AtOnce(mission, start, config.trial.noise, stream(seed, Stream.NOISE))
-    transport = MemoryTransport(mission.n_robots, config.links, stream(seed, Stream.LINKS))
-    thinkers = Thinkers(config, lane)
-    schedule = config.schedule()
-    roster = Roster(mind, mission.n_robots, schedule.asleep)
-    with open_books(config, thinkers, sink) as (journal, record):
-        journal.mission_given(mission, 0, start)
-        trial = Trial(config, schedule, roster, thinkers, bodies, transport, journal, on_round, steer)
+    # Build every part, and so refuse whatever is wrong; only then open files, and fly.
+    seed, given = config.trial.seed, config.trial
+    start = start_positions(config.mission, given.start_positions, given.start, stream(seed, Stream.START))
+    bodies = InstantBodies(config.mission, start, given.noise, stream(seed, Stream.NOISE))
+    planners = TeamPlanners(config, lane)
+    with open_outputs(config, planners, sink) as (journal, record):
+        trial = build_trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
         try:
             await trial.run()
         except BaseException:
-            with suppress(FlockError):  # the record's own trouble must not hide what happened
+            with suppress(FlockError):  # trouble with the record must not hide the first error
                 trial.finish(record)
             raise
         finally:
-            await thinkers.close()
+            await planners.close()
         return trial.finish(record)
 
 
+def build_trial(
+    config: RunConfig,
+    rules: Rules,
+    planners: TeamPlanners,
+    bodies: Bodies,
+    journal: Journal,
+    start: Points,
+    on_round: Callable[[TrialProgress], None] | None = None,
+    steer: Steer | None = None,
+) -> Trial:
+    """A trial of these bodies and planners, ready to run.
+
+    Args:
+        config: the run.
+        rules: for consensus and assignment.
+        planners: one planner per robot.
+        bodies: the bodies and their sensors.
+        journal: counts and records.
+        start: start positions, shape (n, d) [units].
+        on_round: called after each round.
+        steer: awaited before each round.
+    """
+    mission, schedule = config.mission, config.schedule()
+    roster = Roster(lambda robot: make_agent(config, rules, robot), mission.n_robots, schedule.asleep)
+    transport = MemoryTransport(mission.n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
+    journal.mission_given(mission, 0, start)
+    return Trial(config, schedule, roster, planners, bodies, transport, journal, on_round, steer)
+
+
 @contextmanager
-def open_books(
-    config: RunConfig, thinkers: Thinkers, sink: RecordSink | None = None
+def open_outputs(
+    config: RunConfig, planners: TeamPlanners, sink: RecordSink | None = None
 ) -> Generator[tuple[Journal, str | None]]:
-    """Open everything that a run is written to: its journal, and the path of its record.
+    """Open the files that a run writes: its journal, and the path of its record.
 
     Raises:
-        InputError: a file is in the way, or cannot be made.
+        InputError: a file exists already, or cannot be made.
     """
     with ExitStack() as stack:
-        path = None if config.trial.out is None else Path(config.trial.out) / RECORD_NAME
+        path = config.record
         cassette = None if config.model.record_llm is None else Path(config.model.record_llm)
         if cassette is not None:
-            thinkers.listen(stack.enter_context(CassetteWriter(cassette)))
+            planners.listen(stack.enter_context(CassetteWriter(cassette)))
         try:
             writer = stack.enter_context(NullWriter() if path is None else RecordWriter(path))
         except InputError:
             if cassette is not None:
-                cassette.unlink()  # this run made it a moment ago, and nothing is in it
+                cassette.unlink()  # created just now, and still empty
             raise
         journal = Journal(
             config.mission, writer if sink is None else Tee(writer, sink), replans=config.protocol.gaps == "replan"
         )
-        thinkers.listen(journal.attempt)
-        if path is not None:  # a record says where it came from; asking git takes longer than many a round
-            writer.run(_run_info(config, thinkers))
+        planners.listen(journal.attempt)
+        if path is not None:  # only a record needs it, and asking git takes longer than many rounds
+            writer.write(run_info(config, simulated=planners.simulated, weights=planners.weights))
         yield journal, None if path is None else str(path)
-
-
-def _run_info(config: RunConfig, thinkers: Thinkers) -> RunInfo:
-    # Where files are put is not part of what was run: the same run elsewhere leaves the same record.
-    places = {"trial": {"out"}, "model": {"record_llm"}}
-    return RunInfo(
-        format_version=1,
-        config=config.model_dump(mode="json", exclude=places),
-        versions={**versions.versions(), **thinkers.weights},
-        git_revision=versions.git_revision(),
-        seed=config.trial.seed,
-        simulated=thinkers.simulated,
-        created_at=versions.now(),
-        environment=versions.environment(),
-    )

@@ -10,11 +10,11 @@ from llm_flock.robots.simulated import Sensing, SimulatedTeam
 
 
 class Bodies(Protocol):
-    """Positions and sensors of all robots, in mission units, and one motion of all of them."""
+    """Positions and sensors of all robots, in mission units, and their joint motion."""
 
     @property
     def positions(self) -> Points:
-        """Where everybody is, as the record has it, shape (n, d) [units; world frame]."""
+        """Positions of all robots, as recorded, shape (n, d) [units; world frame]."""
         ...
 
     @property
@@ -23,14 +23,14 @@ class Bodies(Protocol):
         ...
 
     def connected(self, robots: Sequence[int]) -> bool:
-        """Whether the radio graph of these robots is one piece."""
+        """Whether the radio graph of these robots is connected."""
         ...
 
     def sense(self, robot: int) -> Sensing:
-        """What one robot's sensors say."""
+        """One robot's sensor readings."""
         ...
 
-    def everybody(self, robot: int) -> tuple[Point, ...]:
+    def others(self, robot: int) -> tuple[Point, ...]:
         """Positions of all other robots, in ascending order of ids, whatever their range."""
         ...
 
@@ -39,9 +39,9 @@ class Bodies(Protocol):
         ...
 
 
-class AtOnce(SimulatedTeam):
-    """Simulated bodies for which a motion takes no time."""
+class InstantBodies(SimulatedTeam):
+    """Simulated bodies whose motions take no time."""
 
     async def fly(self, displacements: Points) -> None:
-        """Move, and be there."""
+        """Move at once."""
         self.move(displacements)

@@ -1,4 +1,4 @@
-"""The part of a run in which one mission is in force: when it formed, its shape error, its lower bound."""
+"""The part of a run in which one mission is in force: when the team formed, its shape error, its lower bound."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from llm_flock.protocol.plan import Plan
 
 
 class Episode:
-    """One mission, from the moment at which it was given to some robot.
+    """One mission, from the moment at which the first robot received it.
 
     Args:
-        mission: what the team is asked to do.
+        mission: the mission.
         flown: rounds flown before; the mission is given at the start of the next one.
-        positions: where the bodies were then, shape (n, d) [units].
+        positions: true positions then, shape (n, d) [units].
 
     Attributes:
         bound: lower bound of the rounds it takes, known when the mission is over; None without one plan.
@@ -38,7 +38,7 @@ class Episode:
         self._measured: tuple[Points, metrics.ShapeError | None] | None = None
 
     def disturb(self, flown: int) -> None:
-        """A robot died or joined: the team has to form once more."""
+        """A robot died or joined, so the team has to form again."""
         self.tracker = metrics.FormedTracker(spacing=self.mission.spacing)
         self._disturbed = flown
 
@@ -53,12 +53,12 @@ class Episode:
         return None if self.formed_at is None else self.formed_at - self.flown
 
     def in_time(self, bound: int | None) -> bool:
-        """Whether the team formed within three times the lower bound plus 20 rounds of what last disturbed it."""
+        """Whether the team formed in three times the lower bound plus 20 rounds, counted from the last disturbance."""
         formed = self.formed_at
         return formed is not None and bound is not None and metrics.within_limit(formed - self._disturbed, bound)
 
     def error(self, positions: Points) -> metrics.ShapeError | None:
-        """Distance from the ideal shape of as many robots as there are, shape (m, d); None where none is known."""
+        """Distance from the ideal shape of as many robots as `positions`, shape (m, d), has; None without an ideal."""
         # A team that has arrived stays where it is.
         if self._measured is None or not np.array_equal(self._measured[0], positions):
             count = len(positions)
@@ -73,7 +73,7 @@ class Episode:
             return None
         try:
             ideal = self.mission.resized(count).ideal
-        except InputError:  # the shape does not exist for so many
+        except InputError:  # the shape does not exist for this number of robots
             return None
         return None if ideal is None else metrics.ShapeTarget(np.array(ideal))
 
@@ -87,7 +87,7 @@ class Episode:
         return agent.provenance is not None and agent.provenance.mission_digest == self.mission.digest
 
     def fits(self, plan: Plan, robots: int) -> bool:
-        """Whether a plan has the places that one remade for so many robots would have, if there is such a shape."""
+        """Whether a plan has as many places as a new plan for this number of robots would have."""
         wanted = min(robots, self.mission.n_places)
         try:
             return len(plan) == self.mission.resized(wanted).n_places
@@ -99,7 +99,7 @@ class Episode:
 
         Args:
             awake: robots that count.
-            agents: their minds.
+            agents: their agents.
         """
         self.bound = self._lower_bound(awake, agents)
 
@@ -120,7 +120,7 @@ class Episode:
 
 
 def blocked_places(agents: Sequence[Agent]) -> frozenset[int]:
-    """Places that belong to nobody because a body that does not move is on them, as any of these robots knows."""
+    """Slots without an owner because an obstructing body lies on them, as known to any of these agents."""
     found: set[int] = set()
     for agent in agents:
         table = agent.claim.table

@@ -1,4 +1,4 @@
-"""What a run reports."""
+"""The result of a run, and its summary."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from llm_flock.runtime.config import RunConfig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionOutcome:
-    """What came of one mission of a run.
+    """The outcome of one mission of a run.
 
     Attributes:
         round: round at whose start it was given to a robot, 0 for the first one.
@@ -37,15 +37,15 @@ class FlightFigures:
     """The figures of a flight. Distances are those of estimates, while both drones were in the air.
 
     Attributes:
-        ended: what ended it: the mission, or the kind of trouble.
-        reason: that trouble in words.
-        ends: by name, how each drone ended: landed, never took off, cut, out of reach, ...
+        ended: why it ended: the mission, or the kind of failure.
+        reason: the failure in words.
+        ends: how each drone ended, by name: landed, never took off, cut, out of reach, ...
         safe: whether each drone landed, never took off, or confirmed that its motors were cut.
         air_s: from the first take-off until the last drone was down [s].
         min_separation_m: smallest distance of two drones, heights scaled by the vertical rule [m]; None for one alone.
         tracking_rms_m: distance of the drones from their moving set-points, root of the mean square [m].
         tracking_max_m: the largest [m].
-        fan_out_ms: longest time to tell all drones where to go [ms]; None where none was told.
+        fan_out_ms: longest time to send all drones their targets [ms]; None where none was sent.
     """
 
     ended: str
@@ -73,7 +73,7 @@ class Summary:
         consensus: rule that chose the plan.
         assignment: rule that chose the slots.
         shield: whether the safety shield was on.
-        models: the models that thought for the robots, each once.
+        models: the language models, each once.
         simulated: whether any of them was a simulated stand-in.
         stopped: why the run ended: formed, rounds, budget, no_answers (every model call of three rounds on end
             failed), interrupted or failed.
@@ -106,7 +106,7 @@ class Summary:
         tokens_cached: the part of tokens_input that the provider had in its cache.
         cost_usd: cost where the price of every call is known, else None [US dollars].
         latency_mean_s: mean duration of a call, waits included [s]; None without calls.
-        waypoints: waypoints flown by who made them: model, shield, fallback, detour, hold.
+        waypoints: waypoints flown, by origin: model, shield, fallback, detour, hold.
         messages_sent: broadcasts.
         bytes_per_robot_round: bytes broadcast per robot and round.
         messages_rejected: messages refused on receipt, by reason.
@@ -115,8 +115,8 @@ class Summary:
         killed: robots that died, and in which round: `3@12`.
         joined: robots that joined late or again, in the same form.
         missions: every mission of the run, the first one first.
-        gaps: places of the plan that are nobody's at the end; None without one plan.
-        spares: robots awake at the end that have no place in it; None without one plan.
+        gaps: slots of the plan that no robot owns at the end; None without one plan.
+        spares: robots awake at the end without a slot; None without one plan.
         flight: the figures of a flight; None in simulation.
     """
 
@@ -177,14 +177,14 @@ class RunResult:
     """One finished trial.
 
     Attributes:
-        mission: what was asked.
+        mission: the mission.
         config: everything that defined the run.
         summary: its figures.
         positions: true positions, shape (rounds + 1, n, d) [units; world frame]; row 0 is the start.
         errors: mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal
             shape, and in teams over 300 while not all were at their goals.
         plans: each robot's plan at the end.
-        slots: each robot's place in it.
+        slots: each robot's slot in its plan.
     """
 
     mission: Mission

@@ -1,21 +1,57 @@
-"""Who is awake: the minds of a team, those that died, and those that have not begun yet."""
+"""The agents of a team, and which of them are awake: some have died, some have not begun yet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
 from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.signed.certificates import Authenticator
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.runtime.bodies import Bodies
+from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.rules import Rules
+
+
+def make_agent(
+    config: RunConfig,
+    rules: Rules,
+    robot: int,
+    *,
+    own_clock: bool = False,
+    authenticator: Authenticator | None = None,
+) -> Agent:
+    """A new agent of one robot.
+
+    Args:
+        config: the run.
+        rules: for consensus and assignment.
+        robot: id.
+        own_clock: heartbeats come from a clock of the robot, not from lockstep rounds.
+        authenticator: its keys; None in an unsigned team.
+    """
+    protocol = config.protocol
+    return Agent(
+        robot,
+        config.mission,
+        *rules,
+        shield_on=bool(protocol.shield),
+        verify=bool(protocol.verify),
+        on_event=config.model.decide == "on-event",
+        noise_bound=config.trial.noise,
+        time_out=protocol.time_out,
+        gaps=protocol.gaps,
+        own_clock=own_clock,
+        authenticator=authenticator,
+    )
 
 
 class Roster:
-    """One mind a robot, and which of them are awake. A body is there in any case.
+    """One agent a robot, and which robots are awake. A silent robot still has its body.
 
     Args:
-        make: makes the mind of a robot, anew each time.
+        make: makes a new agent for a robot.
         n_robots: team size N.
-        asleep: robots that begin later.
+        asleep: robots that join later.
     """
 
     def __init__(self, make: Callable[[int], Agent], n_robots: int, asleep: Iterable[int] = ()) -> None:
@@ -23,33 +59,33 @@ class Roster:
         self._silent = dict.fromkeys(asleep, ASLEEP)
         self.agents = [make(robot) for robot in range(n_robots)]
         self.awake: list[int] = []
-        self._count()
+        self._update()
 
-    def _count(self) -> None:
+    def _update(self) -> None:
         self.awake = [robot for robot in range(len(self.agents)) if robot not in self._silent]
 
     def kill(self, robot: int) -> None:
-        """From now on the robot neither thinks, moves, sends nor receives."""
+        """Silence a robot: from now on it neither plans, moves, sends nor receives."""
         self._silent[robot] = DEAD
-        self._count()
+        self._update()
 
     def join(self, robot: int) -> Agent:
-        """The robot begins, or begins again, and remembers nothing; returns its mind of before."""
+        """Let a robot begin, with a new agent; returns its former one."""
         del self._silent[robot]
         before, self.agents[robot] = self.agents[robot], self._make(robot)
-        self._count()
+        self._update()
         return before
 
-    def minds(self) -> list[Agent]:
-        """Minds of the robots that are awake, by id."""
+    def awake_agents(self) -> list[Agent]:
+        """Agents of the robots that are awake, by id."""
         return [self.agents[robot] for robot in self.awake]
 
     def phase(self, robot: int) -> str:
-        """Phase of a robot's state machine, or what stands for it."""
+        """Phase of a robot's agent; `ASLEEP` or `DEAD` for a silent robot."""
         return self._silent.get(robot) or self.agents[robot].phase.value
 
     def hears(self, team: Bodies, robot: int) -> tuple[int, ...]:
-        """Robots that are awake within radio range of one that is; none for one that is not."""
+        """Awake robots within radio range of one that is awake; empty for a silent robot."""
         if not self._silent:
             return team.in_radio_range[robot]
         if robot in self._silent:

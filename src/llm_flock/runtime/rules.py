@@ -1,11 +1,11 @@
-"""Names of rules and presets of rules; a rule of one's own is named by `package.module:Class`."""
+"""Rules by name, and presets of rules; `package.module:Class` names a user's rule."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from llm_flock.errors import InputError
 from llm_flock.protocol.agreement.assignment import (
@@ -18,6 +18,9 @@ from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
 
 Rule = TypeVar("Rule")
+
+Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
+"""The two rules of an agent."""
 
 CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
     {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}

@@ -1,11 +1,11 @@
-"""What happens to a team in flight: robots that die, robots that join late, missions that change."""
+"""Events in flight: robots that die, robots that join late, missions that change."""
 
 from __future__ import annotations
 
 import itertools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -15,16 +15,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
+from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 
 RANDOM_ROUNDS = 20
-"""Random deaths and late joins happen in a round from 1 to this: about twice what a team of ten needs to form."""
+"""Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
 
 Turn: TypeAlias = tuple[int, int]
 """A robot and a round."""
 
 
 class Change(BaseModel):
-    """A mission given to one robot at the start of a round; the others hear of it from there."""
+    """A mission given to one robot at the start of a round; the others receive it from there."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -35,12 +36,12 @@ class Change(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """What happens at the start of which round.
+    """Events at the start of rounds.
 
     Attributes:
-        asleep: robots that are not awake at the start.
+        asleep: robots that are not awake at the start of the run.
         kills: by round, the robots that die.
-        joins: by round, the robots that begin, or begin again.
+        joins: by round, the robots that join, for the first time or again.
         missions: by round, the robot that is given a mission, and the mission.
     """
 
@@ -51,7 +52,7 @@ class Schedule:
 
     @property
     def last(self) -> int:
-        """The last round in which something happens; 0 if nothing does."""
+        """The round of the last event; 0 without any."""
         return max((*self.kills, *self.joins, *self.missions), default=0)
 
 
@@ -66,13 +67,13 @@ def build_schedule(
     rounds: int,
     rng: np.random.Generator,
 ) -> Schedule:
-    """Everything that is to happen, checked as a whole.
+    """All events, checked as a whole.
 
-    Robots that are named nowhere else die or join at random, each in a round from 1 to RANDOM_ROUNDS.
+    Robots that are named in no event die or join at random, each in a round from 1 to RANDOM_ROUNDS.
 
     Raises:
-        InputError: no such robot, no such round, a robot dies twice or joins while it is awake, nobody is left, or a
-            mission cannot be changed like that.
+        InputError: no such robot, no such round, a robot dies twice or joins while it is awake, no robot is left awake,
+            or a mission cannot be changed like that.
     """
     killed = _turns("kill", kill, mission.n_robots, rounds)
     joined = _turns("join", join, mission.n_robots, rounds)
@@ -90,12 +91,7 @@ def build_schedule(
         killed, joined = killed + turns[:kill_random], joined + turns[kill_random:]
     asleep = _asleep(mission.n_robots, killed, joined)
     schedule = Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions={})
-    return Schedule(
-        asleep=asleep,
-        kills=schedule.kills,
-        joins=schedule.joins,
-        missions=_missions(mission, changes, schedule, rounds),
-    )
+    return replace(schedule, missions=_missions(mission, changes, schedule, rounds))
 
 
 def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Turn]:
@@ -124,7 +120,7 @@ def _by_round(turns: Sequence[Turn]) -> dict[int, tuple[int, ...]]:
 
 
 def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> frozenset[int]:
-    """Who is not awake at the start: robots whose first event is to join. Checks the order of each robot's events."""
+    """Robots whose first event is to join. Checks the order of each robot's events."""
     events: defaultdict[int, list[tuple[int, str]]] = defaultdict(list)
     for field, turns in (("kill", killed), ("join", joined)):
         for robot, when in turns:
@@ -139,12 +135,8 @@ def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> fr
         for when, field in found:
             steps[when] += 1 if field == "join" else -1
     asleep = frozenset(robot for robot, found in events.items() if found[0][1] == "join")
-    awake = n_robots - len(asleep)
-    for when in sorted(steps):
-        if awake < 1:
-            break
-        awake += steps[when]
-    if awake < 1:
+    awake = itertools.accumulate((steps[when] for when in sorted(steps)), initial=n_robots - len(asleep))
+    if min(awake) < 1:
         field, value = ("join", sorted(joined)) if len(asleep) == n_robots else ("kill", sorted(killed))
         raise InputError(field, value, "at least one robot that is awake, at any time")
     return asleep
@@ -153,7 +145,7 @@ def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> fr
 def _missions(
     mission: Mission, changes: Sequence[Change], schedule: Schedule, rounds: int
 ) -> dict[int, tuple[int, Mission]]:
-    """Each mission made from the one before, as it is in that round."""
+    """The mission of each change, made from the one before as it is in that round."""
     found: dict[int, tuple[int, Mission]] = {}
     for change in sorted(changes, key=lambda change: change.round):
         when, robot = change.round, change.robot
@@ -166,33 +158,44 @@ def _missions(
             raise InputError("changes", value, "one change a round")
         if not _awake(schedule, robot, when):
             raise InputError("changes", value, f"a robot that is awake in round {when}")
+        fields = dict(change.set)
         try:
-            new = mission.at(when).change(**_fields(change.set), since=when)
+            if "since" in fields:
+                reason = "not given: a changed mission counts from the round of the change"
+                raise InputError("since", fields["since"], reason)
+            load_points(fields)
+            new = mission.at(when).change(**fields, since=when)
         except InputError as error:
             raise InputError("changes", value, str(error)) from None
-        refused = mission.refuses(new)
-        if refused is not None:
-            raise InputError("changes", value, f"a change that robots take: {refused}")
+        _check_accepted(mission, new, value)
         found[when], mission = (robot, new), new
     return found
 
 
-def _fields(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a change, with `shape = "points:FILE"` resolved."""
-    if "since" in given:
-        raise InputError("since", given["since"], "not given: a changed mission counts from the round of the change")
-    fields = dict(given)
+def _check_accepted(mission: Mission, new: Mission, value: Mapping[str, Any]) -> None:
+    """Check that only those fields change that robots accept by radio: their limits and surroundings are fixed."""
+    for field in Mission.model_fields:
+        if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
+            allowed = ", ".join(sorted(MISSION_FIELDS - {"since"}))
+            raise InputError("changes", value, f"only fields that a robot accepts by radio ({allowed}), not {field}")
+
+
+def load_points(fields: dict[str, Any]) -> bool:
+    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
     shape = fields.get("shape")
-    if isinstance(shape, str) and shape.startswith("points:"):
-        fields.update(shape="points", points=formations.load_points(Path(shape.removeprefix("points:"))))
-    return fields
+    if not isinstance(shape, str) or not shape.startswith("points:"):
+        return False
+    fields.update(shape="points", points=formations.load_points(Path(shape.removeprefix("points:"))))
+    return True
 
 
 def _awake(schedule: Schedule, robot: int, when: int) -> bool:
-    awake = robot not in schedule.asleep
-    for number in range(1, when + 1):
-        if robot in schedule.kills.get(number, ()):
-            awake = False
-        if robot in schedule.joins.get(number, ()):
-            awake = True
-    return awake
+    kills = [number for number, robots in schedule.kills.items() if robot in robots and number <= when]
+    joins = [number for number, robots in schedule.joins.items() if robot in robots and number <= when]
+    if not kills and not joins:
+        return robot not in schedule.asleep
+    return max(joins, default=0) > max(kills, default=0)

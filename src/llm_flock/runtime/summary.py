@@ -1,4 +1,4 @@
-"""The figures of a run, from its books."""
+"""Puts the summary of a run together from its journal."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Mapping
 
 from llm_flock import metrics
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.entries import finite
 from llm_flock.runtime.episode import Episode
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
-from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.memory import Traffic
 
 
@@ -19,7 +20,7 @@ def summarize(
     config: RunConfig,
     schedule: Schedule,
     roster: Roster,
-    thinkers: Thinkers,
+    planners: TeamPlanners,
     traffic: Traffic,
     journal: Journal,
     *,
@@ -33,21 +34,21 @@ def summarize(
 
     Args:
         config: everything that defined it.
-        schedule: what happened in flight.
-        roster: the minds at the end.
-        thinkers: who was asked.
-        traffic: what was sent.
-        journal: the books.
+        schedule: scheduled deaths, joins and missions.
+        roster: the agents at the end.
+        planners: the planners.
+        traffic: messages and bytes sent.
+        journal: counts and measurements.
         stopped: why it ended, and the last failure.
         rounds: motion rounds flown.
         wall_s: how long it took [s].
         record: path of the record.
-        flight: the figures of a flight; None in simulation.
+        flight: figures of a real flight; None in simulation.
     """
-    minds, episode = roster.minds(), journal.episode
-    plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
-    slots = [a.claim.slot for a in minds]
-    plan, owned = episode.plan(minds), {slot for slot in slots if slot is not None}
+    agents, episode = roster.awake_agents(), journal.episode
+    plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
+    slots = [a.claim.slot for a in agents]
+    plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
     journal.close_episode(roster)
     bound = episode.bound
     error = journal.errors[-1]
@@ -58,8 +59,8 @@ def summarize(
         consensus=config.protocol.consensus or "",
         assignment=config.protocol.assignment or "",
         shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(thinkers.names)),
-        simulated=thinkers.simulated,
+        models=tuple(dict.fromkeys(planners.names)),
+        simulated=planners.simulated,
         stopped=stopped[0],
         reason=stopped[1],
         rounds=rounds,
@@ -68,11 +69,11 @@ def summarize(
         lower_bound_rounds=bound,
         procrustes_mean=None if error is None else error[0],
         procrustes_mean_squared=None if error is None else error[1],
-        min_separation=_finite(journal.min_separation),
+        min_separation=finite(journal.min_separation),
         start_violations=journal.start.start_violations,
         rounds_to_separate=journal.start.separated_at,
-        min_separation_after_start=_finite(journal.start.smallest),
-        min_clearance=_finite(journal.min_clearance),
+        min_separation_after_start=finite(journal.start.smallest),
+        min_clearance=finite(journal.min_clearance),
         plans_in_use=metrics.plans_in_use(plan_ids),
         distinct_goals=metrics.distinct_goals(plan_ids, slots),
         robots_without_plan=plan_ids.count(None),
@@ -102,7 +103,7 @@ def summarize(
 
 
 def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
-    """What happened up to a round, as it is given on the command line."""
+    """What happened up to a round, in the notation of the command line."""
     return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)
 
 
@@ -114,8 +115,3 @@ def _outcome(episode: Episode) -> MissionOutcome:
         formed=episode.formed_at,
         lower_bound_rounds=episode.bound,
     )
-
-
-def _finite(value: float) -> float | None:
-    """None for an infinite distance, which JSON cannot say."""
-    return value if value < float("inf") else None

@@ -33,14 +33,15 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.record.schema import SummaryMessage
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
 from llm_flock.runtime.summary import summarize
-from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.memory import MemoryTransport
 
 T = TypeVar("T")
@@ -75,7 +76,7 @@ class Trial:
         config: everything that defines the run.
         schedule: what happens to robots and mission in flight.
         roster: one mind per robot, and who is awake.
-        thinkers: one planner per robot, and what the models have used.
+        planners: one planner per robot, and what the models have used.
         bodies: the bodies and their sensors.
         transport: carries the messages.
         journal: counts and records.
@@ -88,7 +89,7 @@ class Trial:
         config: RunConfig,
         schedule: Schedule,
         roster: Roster,
-        thinkers: Thinkers,
+        planners: TeamPlanners,
         bodies: Bodies,
         transport: MemoryTransport,
         journal: Journal,
@@ -98,7 +99,7 @@ class Trial:
         self.config = config
         self.schedule = schedule
         self.roster = roster
-        self.thinkers = thinkers
+        self.planners = planners
         self.bodies = bodies
         self.transport = transport
         self.journal = journal
@@ -126,7 +127,7 @@ class Trial:
                 if self._done:
                     self.stopped = "formed"
                     break
-                if self.thinkers.exhausted:
+                if self.planners.exhausted:
                     self.stopped = "budget"
                     break
                 if self.journal.silent_rounds >= SILENT_ROUNDS:
@@ -145,8 +146,7 @@ class Trial:
     def begin(self) -> None:
         """Record the start, where everybody is before the first round; once, whoever asks for it first."""
         if not self.journal.positions:
-            self.journal.state(0, self.bodies, self.roster, None, self.transport.traffic)
-            self.journal.writer.end_round(0)
+            self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
 
     @property
     def _done(self) -> bool:
@@ -186,8 +186,7 @@ class Trial:
         await self._move(moves)
         for robot, agent in self._minds():
             self._perform(number, None, robot, agent.handle(Arrived()))
-        self.journal.state(number, self.bodies, self.roster, moves, self.transport.traffic)
-        self.journal.writer.end_round(number)
+        self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
 
     def _minds(self) -> list[tuple[int, Agent]]:
         """The robots that are awake, and their minds, by id."""
@@ -199,7 +198,7 @@ class Trial:
         everybody = self.config.model.observe == "all"
         for robot, agent in self._minds():
             seen = self.bodies.sense(robot)
-            observed = self.bodies.everybody(robot) if everybody else tuple(seen.sensed.values())
+            observed = self.bodies.others(robot) if everybody else tuple(seen.sensed.values())
             began = RoundBegan(
                 round=number,
                 position=seen.position,
@@ -209,7 +208,7 @@ class Trial:
             )
             for effect in self._perform(number, None, robot, agent.handle(began)):
                 if isinstance(effect, AskPlan):
-                    asking[robot] = self.thinkers.planners[robot].plan(effect.question)
+                    asking[robot] = self.planners[robot].plan(effect.question)
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
@@ -240,7 +239,7 @@ class Trial:
         for robot, agent in self._minds():
             for effect in self._perform(number, None, robot, agent.handle(AgreementEnded())):
                 if isinstance(effect, AskStep):
-                    asking[robot] = self.thinkers.planners[robot].step(effect.question)
+                    asking[robot] = self.planners[robot].step(effect.question)
                 elif isinstance(effect, MoveTo):
                     moves[robot] = effect
         answers = await _all(asking)
@@ -269,7 +268,7 @@ class Trial:
         if self._on_round is None:
             return
         journal = self.journal
-        minds = self.roster.minds()
+        minds = self.roster.awake_agents()
         plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
         error = journal.errors[-1]
         self._on_round(
@@ -296,7 +295,7 @@ class Trial:
             self.config,
             self.schedule,
             self.roster,
-            self.thinkers,
+            self.planners,
             self.transport.traffic,
             self.journal,
             stopped=(self.stopped, self.reason),
@@ -305,7 +304,7 @@ class Trial:
             record=record,
             flight=flight,
         )
-        self.journal.writer.summary(summary.to_dict())
+        self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,
             config=self.config,

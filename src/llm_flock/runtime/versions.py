@@ -1,4 +1,4 @@
-"""Where a run came from: versions, revision of the code, machine."""
+"""Provenance of a run: versions, revision of the code, machine."""
 
 from __future__ import annotations
 

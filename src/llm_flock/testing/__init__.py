@@ -1,4 +1,4 @@
-"""Conformance tests for parts of one's own: call them from a test; they raise AssertionError with what is wrong.
+"""Conformance tests for your own rules, shapes, models and drivers. Call them in a test: they raise AssertionError.
 
 from llm_flock.testing import check_assignment_rule, check_consensus_rule, check_model, check_prompts, check_shape
 

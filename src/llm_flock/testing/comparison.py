@@ -1,4 +1,4 @@
-"""Conformance tests for what a comparison is made of: shapes, prompt sets and models."""
+"""Conformance tests for shapes, prompt sets and models."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from llm_flock import formations
 from llm_flock.errors import InputError
+from llm_flock.llm.prompt_values import number_text, place_text
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.wording import number_text, place_text
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
@@ -30,7 +30,7 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
     Args:
         shape: as on the command line: `circle`, `polygon:5`, `points:my-shape.csv`.
         sizes: team sizes; the shape's own examples if left out. Points say themselves how many they are.
-        fly: whether a mission is flown with each size.
+        fly: whether to fly a mission with each size.
     """
     custom = shape.startswith("points:")
     for n in _sizes(shape, sizes):
@@ -54,7 +54,7 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
 
 
 def check_prompts(folder: Path | str) -> None:
-    """Check that a folder of templates tells a model everything that it has to know.
+    """Check that a folder of templates tells a model everything that it needs.
 
     The templates compile and use known variables; in both answer formats the numbers of the mission are in what a
     model is told, the plan message has the robot's id, the position update has position, neighbours, plan and goal,
@@ -96,7 +96,7 @@ def check_model(model: str, **options: Any) -> None:
     A triangle of three flies three rounds: about a dozen calls, which a provider may charge for.
 
     Args:
-        model: `provider:model`.
+        model: `provider:model` to ask.
         options: any other field of the configuration: base_url, answers, temperature, prompts, ...
     """
     settings = {"shape": "triangle", "n_robots": 3, "rounds": 3, **options}

@@ -1,4 +1,4 @@
-"""Conformance tests for drivers of robots: a short flight of one robot, every promise of `Robot` looked at."""
+"""Conformance tests for drivers: a short flight of one robot that checks every promise of `Robot`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from llm_flock.robots.base import Position, Robot, RobotError, RobotState
 
 PATIENCE_S = 3.0
-"""How long an estimate may lag behind what was sent [s]."""
+"""Longest delay between a command and the estimate [s]."""
 
 
 async def wait_until(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -42,13 +42,13 @@ async def check_robot(
     link stays closed after `close`, twice.
 
     Args:
-        robot: not connected yet, standing on free ground, its link working.
-        height_m: how high to fly, above where it stands.
-        step_m: length of the segments; as much has to be free on the side of increasing x and y.
-        tolerance_m: how far the estimate may be from where the robot was sent.
-        beyond: a target that the driver's limits do not allow; None leaves that out.
+        robot: not connected yet, on free ground, with a working link.
+        height_m: flight height above the start.
+        step_m: length of the segments; needs as much free space towards increasing x and y.
+        tolerance_m: largest distance of the estimate from the target.
+        beyond: a target outside the driver's limits; None skips that check.
         connect_timeout_s: given to `connect`.
-        patience_s: how long the robot may take beyond the duration of a command.
+        patience_s: largest delay beyond the duration of a command.
     """
     assert isinstance(robot.name, str) and robot.name, "a robot has a name"
     await _check_unconnected(robot)
@@ -154,7 +154,7 @@ async def _arrives(robot: Robot, target: Position, timeout_s: float, tolerance_m
 
 
 async def _check_hold(robot: Robot, target: Position, step_m: float, patience_s: float) -> None:
-    """Half way, hold: the robot has to come to rest before the target."""
+    """Hold half way: the robot has to come to rest before the target."""
     await robot.go_to(target, 3.0)
     await asyncio.sleep(1.2)
     await robot.hold()
@@ -167,7 +167,7 @@ async def _check_hold(robot: Robot, target: Position, step_m: float, patience_s:
 
 
 async def _check_cut(robot: Robot, beyond: Position) -> None:
-    """A target beyond the limits: what is sent lies between the set-point and the target, in the same duration."""
+    """A target beyond the limits is brought nearer on the same line, in the same duration."""
     here = robot.state().position
     sent = await robot.go_to(beyond, 3.0)
     assert sent.target != beyond, "a target beyond the limits has to be brought nearer"

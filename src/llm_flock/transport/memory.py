@@ -13,17 +13,20 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class LinkFaults(BaseModel):
-    """What goes wrong on the way, for each message on each link independently."""
+    """Faults of the links, drawn for each message on each link independently."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
     delay: int = Field(
-        default=0, ge=0, le=1000, description="Longest delay [comm_rounds]; each message draws 0..delay uniformly"
+        default=0,
+        ge=0,
+        le=1000,
+        description="Longest delay [communication rounds]; messages draw 0..delay",
     )
     duplicate: Share = Field(default=0.0, description="Probability that a message arrives twice")
     reorder: Share = Field(
-        default=0.0, description="Probability that a robot gets a comm_round's messages in random order"
+        default=0.0, description="Probability that a robot gets the messages of a communication round in random order"
     )
 
     @property
@@ -34,7 +37,7 @@ class LinkFaults(BaseModel):
 
 @dataclass(slots=True)
 class Traffic:
-    """Totals since the start: broadcasts made, their bytes, and what the links did with them."""
+    """Totals since the start: broadcasts, their bytes, and messages delivered and lost on the links."""
 
     sent: int = 0
     bytes: int = 0
@@ -47,8 +50,8 @@ class MemoryTransport:
 
     Args:
         n_robots: team size.
-        faults: what goes wrong on the links.
-        rng: source of all of it.
+        faults: of the links.
+        rng: draws them.
     """
 
     def __init__(self, n_robots: int, faults: LinkFaults, rng: np.random.Generator) -> None:

@@ -1,8 +1,8 @@
-"""Who is in range: the one place where the radio's and the sensors' reach are enforced.
+"""Enforces the ranges of radio and sensors: the only place that does.
 
-A network of processes reaches everybody. So each receiver drops what a radio would not have carried: messages of a
-sender that is farther away than the radio range of the mission, by the sender's own last beacon. A real radio replaces
-`Radio.carries`, and real sensors replace `Radio.frame`. Loss, duplicates and delays may be injected here for tests.
+A network of processes reaches every robot. So each receiver drops messages that a radio would not have carried: those
+of a sender beyond the mission's radio range, by the sender's last beacon. A real radio replaces `Radio.carries`, and
+real sensors replace `Radio.frame`. Loss, duplicates and delays can be injected here for tests.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from llm_flock.protocol.motion.shield_async import Sighting
 from llm_flock.transport.memory import LinkFaults
 
 FRESH_BEACONS = 5.0
-"""A neighbour is one whose last beacon is at most so many beacon periods old."""
+"""Largest age of a neighbour's last beacon, in beacon periods."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Where a body was.
+    """Position of a body at one time.
 
     Attributes:
-        stamp: when, by the wall clock [s].
-        position: where [units; world frame].
-        end: end of the segment that it was flying and had announced, where that is known.
+        stamp: by the wall clock [s].
+        position: [units; world frame].
+        end: end of the segment that it was flying, if it announced one.
     """
 
     stamp: float
@@ -38,16 +38,16 @@ class Seen:
 
 
 class Radio:
-    """What one robot hears and sees of the others.
+    """What one robot receives and senses of the others.
 
     Args:
         robot: own id.
         mission: its ranges.
-        faults: what goes wrong on the way, `delay` in units of `delay_s`.
-        rng: source of that.
+        faults: injected faults, `delay` in units of `delay_s`.
+        rng: draws them.
         beacon_s: time between two beacons [s].
         delay_s: unit of delays [s].
-        clock_error_s: largest difference of two wall clocks of the swarm [s].
+        clock_error_s: largest difference between two wall clocks of the swarm [s].
     """
 
     def __init__(
@@ -75,19 +75,19 @@ class Radio:
         self._beacons: dict[int, Seen] = {}
         self._heard: dict[int, Seen] = {}
         self._sensed: dict[int, Seen] = {}
-        self._looked = -math.inf
+        self._read_s = -math.inf
 
     # ---------------------------------------------------------------- the air
 
     def carries(self, sender: int) -> bool:
-        """Whether a radio carries a message of this sender to this robot now, by where both are."""
+        """Whether a radio would carry a message of this sender to this robot now, by their positions."""
         there = self._beacons.get(sender)
         if self.position is None or there is None or sender in self.cut:
             return False
         return math.dist(self.position, there.position) <= self._reach
 
     def fate(self) -> list[float]:
-        """What becomes of one message: the delays of the copies that arrive [s]."""
+        """Injected faults of one message: the delays of the copies that arrive [s]."""
         faults, rng = self._faults, self._rng
         if not faults.any:
             return [0.0]
@@ -99,7 +99,7 @@ class Radio:
     def deliver(
         self, sender: int, hand_over: Callable[[], None], later: Callable[[float, Callable[[], None]], object]
     ) -> None:
-        """Hand a message over if the radio carries it, now or when its injected delay is over."""
+        """Hand a message over if the radio carries it, now or after its injected delay."""
         if not self.carries(sender):
             return
         for delay_s in self.fate():
@@ -111,19 +111,19 @@ class Radio:
     # ---------------------------------------------------------------- beacons and sensors
 
     def place(self, sender: int, beacon: Seen) -> None:
-        """Where a sender is, for the air's own use: a receiver that does not hear it learns nothing from this."""
+        """Place a sender, for `carries` only: a robot out of its range learns nothing from this."""
         self._beacons[sender] = beacon
 
     def beacon(self, sender: int, beacon: Seen) -> None:
-        """A beacon that was heard."""
+        """Take a beacon that the radio carried."""
         known = self._heard.get(sender)
         if known is None or beacon.stamp > known.stamp:
             self._heard[sender] = beacon
 
     def frame(self, stamp: float, positions: Sequence[Point]) -> None:
-        """What the sensors see: the own position, and the bodies within sensing range; the rest is not looked at."""
+        """Take the sensors' reading: the own position, and the bodies within sensing range; the rest is ignored."""
         here = self.position = positions[self._robot]
-        self._looked = stamp
+        self._read_s = stamp
         for j, there in enumerate(positions):
             if j != self._robot and math.dist(here, there) <= self._sight:
                 self._sensed[j] = Seen(stamp=stamp, position=there)
@@ -131,7 +131,7 @@ class Radio:
                 self._sensed.pop(j, None)
 
     def neighbors(self, now: float) -> int:
-        """How many robots are heard within radio range, |N_i|."""
+        """Number of robots heard within radio range, |N_i|."""
         here = self.position
         if here is None:
             return 0
@@ -139,25 +139,25 @@ class Radio:
         return sum(math.dist(here, seen.position) <= self._reach for seen in fresh)
 
     def sensed(self) -> dict[int, Point]:
-        """Where the bodies in sight are, by id."""
+        """Positions of the bodies in sight, by id."""
         return {j: self._sensed[j].position for j in sorted(self._sensed)}
 
     def sightings(self, now: float) -> list[Sighting]:
-        """The newest that is known of each body, with its age, for the shield.
+        """The newest position of each body, with its age, for the shield.
 
-        A body that was not in sight at the last look, and has not been heard since, is not among them: it was out of
-        sight `unseen_s` ago.
+        A body that was out of sight at the last reading, and has not been heard since, is left out: it was out of sight
+        `unseen_s` ago.
         """
         found: list[Sighting] = []
         for j in self._sensed.keys() | self._heard.keys():
             known = [seen for seen in (self._sensed.get(j), self._heard.get(j)) if seen is not None]
             newest = max(known, key=lambda seen: seen.stamp)
-            if newest.stamp < self._looked:
+            if newest.stamp < self._read_s:
                 continue
             age_s = max(0.0, now - newest.stamp) + self._clock_error_s
             found.append(Sighting(position=newest.position, age_s=age_s, committed=newest.end))
         return found
 
     def unseen_s(self, now: float) -> float:
-        """How long ago the last look was: whoever is not seen was out of sight then [s]."""
-        return max(0.0, now - self._looked) + self._clock_error_s
+        """Age of the last reading: a body that is not among the sightings was out of sight then [s]."""
+        return max(0.0, now - self._read_s) + self._clock_error_s

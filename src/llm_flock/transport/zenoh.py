@@ -1,11 +1,11 @@
 """A network of peers: eclipse-zenoh sessions without router, multicast or server.
 
-Every process is a peer that listens on its own endpoint and connects to a few others (a seed is enough): zenoh's gossip
-tells it the rest, and all link up with all. So a seed that dies takes nobody with it. A lease of two seconds ends a
-link whose other side says nothing any more; a process that ends is noticed within milliseconds.
+Every process is a peer that listens on its own endpoint and connects to a few others (one is enough): zenoh's gossip
+names the rest, and all peers connect to each other, so no peer is a single point of failure. A lease of two seconds
+ends a link whose other side has fallen silent; the end of a process is noticed within milliseconds.
 
-zenoh calls back from its own threads, straight from where the bytes came in: a thread in between for each subscription
-would be woken for each message. `Link` hands everything over to the event loop, where payloads are opened.
+zenoh calls back in the thread that received the bytes: one more thread per subscription would be woken for every
+message. `ZenohLink` hands everything over to the event loop, where payloads are opened.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 ROOT = "llm-flock"
 MAX_SEALED_BYTES = 1 << 20
-"""Nothing larger is opened [bytes]; what robots say to each other has a limit of its own, far below."""
+"""Largest sealed message that is opened [bytes]; protocol messages have a far lower limit."""
 
 THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), app: (handover: tx))"
-"""zenoh's threads: one that receives and one for all else. With more, each message wakes two or three of them."""
+"""zenoh's threads: one to receive and one for all else. With more, each message wakes two or three of them."""
 
 KEEP_ALIVES = 4
-"""So many signs of life per lease."""
+"""Signs of life per lease."""
 
 Handler: TypeAlias = Callable[[int, bytes], None]
-"""Takes a sender and what it sent."""
+"""Takes a sender and its payload."""
 
 
 def settings(
@@ -47,7 +47,7 @@ def settings(
         listen: own endpoints, such as `tcp/127.0.0.1:7447`; port 0 takes a free one.
         connect: endpoints of peers that may be there already.
         lease_s: silence after which a link is given up [s].
-        security: more of the configuration: certificates, what is asked of the other side.
+        security: more of the configuration, for TLS.
     """
     return {
         "mode": "peer",
@@ -84,7 +84,7 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
 
 
 def _straight(take: Callable[[zenoh.Sample], None]) -> Any:
-    """A handler that is called in the thread in which a sample came in, and has to be quick."""
+    """A handler that is called in the thread that received a sample, and must be quick."""
     import zenoh
 
     return zenoh.handlers.Callback(take, indirect=False)
@@ -92,28 +92,28 @@ def _straight(take: Callable[[zenoh.Sample], None]) -> Any:
 
 @dataclass(slots=True)
 class LinkTraffic:
-    """What one process has sent, each payload once, and what it refused to open."""
+    """Payloads that one process has sent, each counted once, and those that it refused to open."""
 
     sent: Counter[str] = field(default_factory=Counter[str])
     bytes: Counter[str] = field(default_factory=Counter[str])
     refused: Counter[str] = field(default_factory=Counter[str])
 
 
-class Link:
-    """One process's part in a swarm's network: topics out, topics in.
+class ZenohLink:
+    """Connects one process to a swarm's network. A topic is `kind/id`.
 
-    A topic is `kind/id`. What is sent is dropped rather than waited with when a receiver does not keep up.
+    A payload is dropped, not delayed, where a receiver does not keep up.
 
     Args:
         session: an open zenoh session; closed by `close`.
-        swarm: name of the swarm; others on the same network are not heard.
-        own: own id, as `seal` tells it: own messages are not heard.
+        swarm: name of the swarm; others on the same network are ignored.
+        own: own id: messages of its own are ignored.
         seal: closes and opens payloads.
         loop: where handlers run.
     """
 
     def __init__(
-        self, session: zenoh.Session, *, swarm: str, own: int | None, seal: Seal, loop: asyncio.AbstractEventLoop
+        self, session: zenoh.Session, *, swarm: str, own: int, seal: Seal, loop: asyncio.AbstractEventLoop
     ) -> None:
         self.traffic = LinkTraffic()
         self._session: Any = session
@@ -128,7 +128,7 @@ class Link:
         self._called = False
 
     def publish(self, kind: str, number: int, payload: bytes) -> None:
-        """Send to all who listen to `kind` of this number, or of all."""
+        """Send to every process that listens to `kind` with this number, or with all."""
         topic = f"{kind}/{number}"
         publisher = self._publishers.get(topic)
         if publisher is None:
@@ -143,10 +143,10 @@ class Link:
         publisher.put(sealed)
 
     def listen(self, kind: str, number: int | None, handler: Handler) -> None:
-        """Hand over, in the event loop, what comes in of a kind, for one number or for all.
+        """Have a handler called in the event loop for every message of a kind, for one number or for all.
 
-        What was published under the number of another sender than the one that its seal names is refused, unless the
-        topic belongs to the receiver (`number` is given).
+        A message under another number than that of the sender that its seal names is refused, unless the topic belongs
+        to the receiver (`number` is given).
         """
 
         def take(sample: zenoh.Sample) -> None:
@@ -156,7 +156,7 @@ class Link:
         self._kept.append(self._session.declare_subscriber(key, _straight(take)))
 
     def _call(self, function: Callable[..., None], *args: Any) -> None:
-        """From a thread of zenoh's: have the loop call this; it is woken once for all that comes meanwhile."""
+        """From a thread of zenoh's: have the event loop call this; many calls wake it once."""
         self._came.append((function, args))
         if self._called or self._closed:
             return
@@ -167,7 +167,7 @@ class Link:
             self._closed = True
 
     def _take_all(self) -> None:
-        self._called = False  # first: what comes from now on may be left to the next call
+        self._called = False  # first: later calls may be left to the next time
         for _ in range(len(self._came)):
             function, args = self._came.popleft()
             self._loop.call_soon(function, *args)
@@ -187,12 +187,12 @@ class Link:
         if sender != self._own:
             handler(sender, payload)
 
-    def be_alive(self, number: int) -> None:
-        """Declare that this number is there, as long as the process runs."""
+    def declare_alive(self, number: int) -> None:
+        """Announce this number for as long as the process runs."""
         self._kept.append(self._session.liveliness().declare_token(f"{self._root}/alive/{number}"))
 
     def watch_alive(self, handler: Callable[[int, bool], None]) -> None:
-        """Hand over who comes and who goes; those that are there already come at once."""
+        """Have a handler called when a number comes (True) or goes (False), at once for those already there."""
         import zenoh
 
         def take(sample: zenoh.Sample) -> None:
@@ -204,7 +204,7 @@ class Link:
         self._kept.append(self._session.liveliness().declare_subscriber(key, _straight(take), history=True))
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network; harmless when called twice."""
         if not self._closed:
             self._closed = True
             self._session.close()

@@ -1,4 +1,4 @@
-"""Who may speak: keys, signatures and certificates of a team whose robots are processes of their own.
+"""Keys, signatures and certificates of a team whose robots are separate processes.
 
-The `network` extra. Nothing below the command line and the networked runtime imports it.
+Needs the `network` extra. Only the command line and the networked runtime import it.
 """

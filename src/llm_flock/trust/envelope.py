@@ -1,8 +1,8 @@
-"""A signed envelope around everything that is sent: who says it, to whom of the topics, and that it is new.
+"""A signed envelope around every payload: proves its sender and topic, and that it is new.
 
 One byte for the version, a MessagePack array (sender, session, sequence, payload), and the sender's Ed25519 signature
 on the team's name, the topic and all of that. A session is one start of a process; within it every envelope has a
-number. A receiver takes each number once, in any order within a window, and nothing from a session before the newest.
+number. A receiver accepts each number once, in any order within a window, and nothing from before the newest session.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from llm_flock.errors import MessageError
 ENVELOPE_VERSION = 1
 SIGNATURE_BYTES = 64
 WINDOW = 1024
-"""So many numbers behind the newest are still taken, if they were not taken before."""
+"""Numbers up to this far behind the newest are still accepted, once."""
 
 OVERHEAD = 128
 """No envelope is larger than its payload by more than this [bytes]."""
@@ -26,7 +26,7 @@ Number = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 
 
 class Signer(Protocol):
-    """Holds keys: signs as itself, and checks what others signed."""
+    """Holds keys: signs statements, and checks signatures of others."""
 
     @property
     def member(self) -> int:
@@ -54,15 +54,15 @@ _DECODER = msgspec.msgpack.Decoder(_Letter)
 
 
 class _Heard:
-    """Which numbers of one sender were taken."""
+    """Numbers of one sender that were accepted."""
 
     def __init__(self) -> None:
         self.session = -1
         self.newest = -1
-        self.taken = 0  # bit k: newest - k was taken
+        self.taken = 0  # bit k: newest - k was accepted
 
     def objection(self, letter: _Letter) -> str | None:
-        """Why this letter is no news, or None."""
+        """Why this letter is not new, or None."""
         if letter.session != self.session:
             return "old_session" if letter.session < self.session else None
         behind = self.newest - letter.sequence
@@ -71,7 +71,7 @@ class _Heard:
         return "replayed" if behind >= 0 and self.taken >> behind & 1 else None
 
     def take(self, letter: _Letter) -> None:
-        """Remember a letter that is good."""
+        """Remember an accepted letter."""
         if letter.session != self.session:
             self.session, self.newest, self.taken = letter.session, letter.sequence, 1
             return
@@ -85,10 +85,10 @@ class _Heard:
 
 
 class Envelope:
-    """Seals what one process sends, opens what it receives, and counts what it refuses.
+    """Seals payloads of one process, opens those of others, and counts refusals.
 
     Args:
-        keys: own secret key and everybody's public ones.
+        keys: own secret key, and the public keys of all members.
         session: number of this start of the process, higher than that of every start before.
         max_payload: largest payload that is opened [bytes].
     """
@@ -102,18 +102,18 @@ class Envelope:
         self._heard: dict[int, _Heard] = {}
 
     def seal(self, payload: bytes, topic: str = "") -> bytes:
-        """The payload in an envelope that can be opened once by each receiver of that topic."""
+        """The payload in an envelope that each receiver of the topic can open once."""
         letter = _ENCODER.encode(_Letter(self._keys.member, self._session, self._sequence, payload))
         self._sequence += 1
         body = bytes([ENVELOPE_VERSION]) + letter
         return body + self._keys.sign(_statement(topic, body))
 
     def open(self, sealed: bytes, topic: str = "") -> tuple[int, bytes]:
-        """Who sent it, and the payload.
+        """The sender, and the payload.
 
         Raises:
             MessageError: with reason `oversized`, `version`, `malformed`, `own_id`, `old_session`, `too_old`,
-                `replayed` or `bad_signature` (an unknown sender has none that is good).
+                `replayed` or `bad_signature` (also of an unknown sender).
         """
         try:
             return self._open(sealed, topic)
@@ -125,7 +125,7 @@ class Envelope:
         if len(sealed) > self._max_payload + OVERHEAD:
             raise MessageError("oversized", f"{len(sealed)} bytes")
         if sealed[:1] != bytes([ENVELOPE_VERSION]):
-            raise MessageError("version", f"envelopes of version {ENVELOPE_VERSION} are opened here")
+            raise MessageError("version", f"this program opens envelopes of version {ENVELOPE_VERSION}")
         body, signature = sealed[:-SIGNATURE_BYTES], sealed[-SIGNATURE_BYTES:]
         try:
             letter = _DECODER.decode(memoryview(body)[1:])
@@ -133,7 +133,7 @@ class Envelope:
             raise MessageError("malformed", str(error)) from None
         if letter.sender == self._keys.member:
             raise MessageError("own_id", "an envelope from outside in one's own name")
-        # What is cheap comes before the signature, but nothing is remembered before it.
+        # Cheap checks come before the signature, but nothing is remembered before it.
         heard = self._heard.get(letter.sender) or _Heard()
         objection = heard.objection(letter)
         if objection is not None:
@@ -146,6 +146,6 @@ class Envelope:
 
 
 def _statement(topic: str, body: bytes) -> bytes:
-    """What is signed: its kind and the topic have their length said, so no two statements run into each other."""
+    """The signed bytes: the length of the topic is included, so no two statements have the same bytes."""
     name = topic.encode()
     return b"envelope\0" + len(name).to_bytes(4) + name + body

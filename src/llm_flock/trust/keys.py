@@ -1,9 +1,9 @@
-"""Keys of a team in a folder: made once, each member's part handed to its machine.
+"""Keys of a team in a folder: made once, then each member's part is copied to its machine.
 
-    DIR/team.json         name of the team and everybody's public keys; public
+    DIR/team.json         name of the team and the public keys of all members; public
     DIR/ca.pem            the team's certificate authority; public
-    DIR/authority/ca.key  signs certificates; nobody needs it in flight
-    DIR/robot-3/          sign.key, tls.key: secret, that robot's alone; tls.pem: its certificate
+    DIR/authority/ca.key  signs certificates; not needed in flight
+    DIR/robot-3/          sign.key, tls.key: secret, for that robot only; tls.pem: its certificate
 
 A robot's machine needs team.json, ca.pem and its own folder, and nothing else.
 """
@@ -27,8 +27,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from llm_flock.errors import InputError
+from llm_flock.members import member_name, members
 from llm_flock.mission import MAX_ROBOTS
-from llm_flock.trust.members import member_name, members
 
 SIGNATURE_BYTES = 64
 PRIVATE = 0o600
@@ -38,7 +38,7 @@ PUBLIC = 0o644
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Keyring:
-    """What one member holds: its own secret key and everybody's public ones.
+    """The keys of one member: its secret key, and the public keys of all.
 
     Attributes:
         swarm: name of the team, drawn when its keys were made; part of every signature.
@@ -68,20 +68,20 @@ class Keyring:
 
     @property
     def robots(self) -> int:
-        """How many robots the team has keys for."""
+        """Number of robots that the team has keys for."""
         return sum(member >= 0 for member in self.public)
 
 
 def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
-    """Make the keys and certificates of a team; nothing that exists is ever written over.
+    """Make the keys and certificates of a team; never overwrites a file.
 
     Args:
-        folder: where to; may exist if it is empty.
+        folder: to write to; new or empty.
         n_robots: team size N.
-        days: how long the certificates are valid.
+        days: validity of the certificates.
 
     Raises:
-        InputError: too many robots, or the folder holds something.
+        InputError: too many robots, or the folder is not empty.
     """
     if not 1 <= n_robots <= MAX_ROBOTS:
         raise InputError("robots", n_robots, f"1 to {MAX_ROBOTS}")
@@ -92,7 +92,7 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
     _folder(folder)
     swarm = secrets.token_bytes(16)
     authority = ec.generate_private_key(ec.SECP256R1())
-    issuer = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"llm-flock {swarm.hex()[:8]}")])
+    issuer = _common_name(f"llm-flock {swarm.hex()[:8]}")
     ends = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=days)
     _write(_folder(folder / "authority") / "ca.key", _pem(authority), PRIVATE)
     _write(folder / "ca.pem", _authority_certificate(authority, issuer, ends), PUBLIC)
@@ -110,10 +110,10 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
 
 
 def load_keyring(folder: Path, member: int) -> Keyring:
-    """What a member needs in flight.
+    """The keys that a member needs in flight.
 
     Raises:
-        InputError: a file is missing, damaged, does not fit the others, or is a secret that others can read.
+        InputError: a file is missing, damaged, does not fit the others, or is secret but readable by other users.
     """
     path = folder / "team.json"
     try:
@@ -139,7 +139,7 @@ def load_keyring(folder: Path, member: int) -> Keyring:
 
 
 def next_session(folder: Path, member: int, clock_s: float) -> int:
-    """A number for this start of a member, higher than that of every start before, whatever its clock says.
+    """The session number of this start of a member: higher than that of every start before, whatever the clock.
 
     Args:
         folder: of the keys; the number is kept beside the member's own.
@@ -166,7 +166,7 @@ def _folder(path: Path) -> Path:
 
 
 def _write(path: Path, content: bytes, mode: int) -> None:
-    # Created with its final mode: there is no moment in which others could open a secret.
+    # Created with its final mode: other users cannot open a secret at any moment.
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     with os.fdopen(descriptor, "wb") as file:
         file.write(content)
@@ -178,27 +178,22 @@ def _pem(key: Ed25519PrivateKey | ec.EllipticCurvePrivateKey) -> bytes:
     )
 
 
-def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, ends: datetime.datetime
-) -> x509.CertificateBuilder:
-    # Clocks of robots may be behind: a certificate is good from a day ago on.
+def _certificate(
+    subject: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    issuer: x509.Name,
+    authority: ec.EllipticCurvePrivateKey,
+    ends: datetime.datetime,
+    *extensions: tuple[x509.ExtensionType, bool],
+) -> bytes:
+    """A certificate signed by the authority; `extensions` with whether each is critical."""
+    is_authority = subject == issuer
+    # Clocks of robots may be behind: a certificate is valid from a day ago on.
     begins = datetime.datetime.now(datetime.UTC) - datetime.timedelta(days=1)
-    return (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(begins)
-        .not_valid_after(ends)
-    )
-
-
-def _usage(*, authority: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not authority,
-        key_cert_sign=authority,
-        crl_sign=authority,
+    usage = x509.KeyUsage(
+        digital_signature=not is_authority,
+        key_cert_sign=is_authority,
+        crl_sign=is_authority,
         content_commitment=False,
         key_encipherment=False,
         data_encipherment=False,
@@ -206,17 +201,25 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begins)
+        .not_valid_after(ends)
+        .add_extension(x509.BasicConstraints(ca=is_authority, path_length=0 if is_authority else None), critical=True)
+        .add_extension(usage, critical=True)
+    )
+    for extension, critical in extensions:
+        builder = builder.add_extension(extension, critical=critical)
+    return builder.sign(authority, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
 
 
 def _authority_certificate(key: ec.EllipticCurvePrivateKey, name: x509.Name, ends: datetime.datetime) -> bytes:
-    certificate = (
-        _builder(name, name, key, ends)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_usage(authority=True), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    return certificate.public_bytes(serialization.Encoding.PEM)
+    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+    return _certificate(name, key, name, key, ends, (identifier, False))
 
 
 def _member_certificate(
@@ -226,15 +229,17 @@ def _member_certificate(
     issuer: x509.Name,
     ends: datetime.datetime,
 ) -> bytes:
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    roles = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-    certificate = (
-        _builder(subject, issuer, key, ends)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_usage(authority=False), critical=True)
-        .add_extension(x509.ExtendedKeyUsage(roles), critical=False)
-        .add_extension(x509.SubjectAlternativeName([x509.DNSName(name)]), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.public_key()), critical=False)
-        .sign(authority, hashes.SHA256())
+    return _certificate(
+        _common_name(name),
+        key,
+        issuer,
+        authority,
+        ends,
+        (x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), False),
+        (x509.SubjectAlternativeName([x509.DNSName(name)]), False),
+        (x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.public_key()), False),
     )
-    return certificate.public_bytes(serialization.Encoding.PEM)
+
+
+def _common_name(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])

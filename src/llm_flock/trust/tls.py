@@ -1,4 +1,4 @@
-"""Mutual TLS between the processes of a team, as zenoh's configuration wants it."""
+"""Mutual TLS between the processes of a team, as zenoh configuration."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError
-from llm_flock.trust.members import member_name
+from llm_flock.members import member_name
 
 
 def tls_config(folder: Path, member: int) -> dict[str, Any]:
-    """The part of a zenoh configuration that lets in only who has a certificate of this team.
+    """The part of a zenoh configuration that admits only processes with a certificate of this team.
 
-    Endpoints are `tls/HOST:PORT`. Only the team's own authority is trusted, and it signs nothing but members, so the
-    name in a certificate need not be that of the machine: any member may run anywhere. Which member speaks is told by
-    the signature on each envelope.
+    Endpoints are `tls/HOST:PORT`. Only the team's authority is trusted, and it signs only members, so the name in a
+    certificate need not be that of the machine: any member may run anywhere. The signature on each envelope tells which
+    member sent it.
 
     Args:
         folder: of the keys.
@@ -24,7 +24,7 @@ def tls_config(folder: Path, member: int) -> dict[str, Any]:
         Keys are zenoh's paths into its configuration, values are plain.
 
     Raises:
-        InputError: a file is missing, or others can read the secret one.
+        InputError: a file is missing, or other users can read the secret one.
     """
     own = folder / member_name(member)
     authority, certificate, key = folder / "ca.pem", own / "tls.pem", own / "tls.key"

@@ -1,4 +1,4 @@
-"""`llm-flock view`: looks at runs in a browser. Apart from the other commands, so that it need not load them."""
+"""`llm-flock view`: shows runs in a browser. A module of its own, so that it need not load the other commands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def view(
         ),
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Follow records that are still written [the newest one in --runs]")
+        bool, typer.Option("--live", help="Follow records that are still being written [the newest one in --runs]")
     ] = False,
     connect: Annotated[
         str | None,
@@ -49,22 +49,26 @@ def view(
     base_url: Annotated[
         str | None, typer.Option(help="Address that replaces the provider's own", show_default=False)
     ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen at; another than this machine's own needs a token")] = (
+    host: Annotated[str, typer.Option(help="Address to listen at; any but this machine's own needs a token")] = (
         "127.0.0.1"
     ),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = DEFAULT_PORT,
     token: Annotated[
-        str | None, typer.Option(help="What a browser has to show [made anew for another address]", show_default=False)
+        str | None,
+        typer.Option(
+            help="Token that a browser must show [random, where one is needed]",
+            show_default=False,
+        ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")] = True,
 ) -> None:
-    """Watch runs in a browser: replay records, follow one that is written, watch a swarm; or fly simulated runs.
+    """Watch runs in a browser: replay records, follow one that is being written, watch a swarm, or fly simulated runs.
 
     Without a record, the page opens with the form that starts runs.
     """
-    from llm_flock.viewer.named import FIRST_KEY, RECORD_NAME, newest_in, records_in, title_of
+    from llm_flock.viewer.paths import FIRST_KEY, RECORD_NAME, newest_in, records_in, title_of
+    from llm_flock.viewer.preview import preview_page
     from llm_flock.viewer.server import listen, open_browser
-    from llm_flock.viewer.sketch import sketch_page
 
     found = list(records or [])
     if live:
@@ -73,27 +77,27 @@ def view(
         found = records_in(found)
     watched = None
     if connect is not None or config is not None:
-        from llm_flock.runtime.config import load_config_of
         from llm_flock.runtime.network.config import SwarmConfig
 
-        watched = load_config_of(SwarmConfig, config, connect=connect, swarm=swarm)
+        watched = SwarmConfig.load(config, connect=connect, swarm=swarm)
     address = listen(host, port, token)
     if len(found) == 1 and watched is None and address.token is None:
-        # The one run that the page will show is drawn at once; with a token, nothing is shown to anybody without it.
-        address.greeter.show(sketch_page(FIRST_KEY, title_of(found[0])), address.hosts)
+        # A single run is drawn at once. With a token, nothing is shown before the browser has shown it.
+        address.startup.show(preview_page(FIRST_KEY, title_of(found[0])), address.hosts)
     typer.echo(address.url)
     typer.echo("Ctrl-C ends the viewer", err=True)
     if browser:
         open_browser(address)
-    # Only now comes what takes its time to load: the browser starts meanwhile, and is greeted.
-    from llm_flock.viewer.show import Shown, show
+    # The heavy libraries come last: the browser starts meanwhile, and the startup server answers it.
+    from llm_flock.viewer.app import ViewerOptions, run_viewer
 
     models = tuple(model or ())
-    show(address, Shown(records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url))
+    options = ViewerOptions(records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url)
+    run_viewer(address, options)
 
 
 def main() -> None:
-    """Entry point of this command alone; errors end it as they end the others."""
+    """Entry point of this command alone; it reports errors as the other commands do."""
     app = typer.Typer(pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]})
     app.command("view")(view)
     app.callback()(lambda: None)

@@ -1,50 +1,136 @@
-"""What the drawn parts of a page fetch: one run's rounds and figures as JSON, by its key."""
+"""JSON for the canvases of a page: one run's rounds and measurements, by its key.
+
+The startup server and the web application answer with the same bytes, so this module needs no web framework.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from fastapi import APIRouter, HTTPException, Query
-from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import Response
+from pydantic_core import to_json
 
-from llm_flock.viewer import told
-from llm_flock.viewer.gallery import Gallery
-from llm_flock.viewer.reel import Reel
+from llm_flock.record.schema import ASLEEP, DEAD, State
+from llm_flock.viewer.library import Library
+from llm_flock.viewer.recording import Recording
+from llm_flock.viz.style import plan_look
 
-Count = Annotated[int, Query(ge=0, le=told.MOST)]
+DECIMALS = 3
+MOST_FRAMES = 256
+LARGEST = 10_000_000
+"""Largest number that a request may contain."""
 
-
-def routes(gallery: Gallery) -> APIRouter:
-    """Routes under /data."""
-    router = APIRouter(prefix="/data", default_response_class=Response)
-
-    def found(key: str) -> Reel:
-        reel = gallery.get(key)
-        if reel is None:
-            raise HTTPException(404, "no such run")
-        return reel
-
-    @router.get("/open")
-    async def is_open() -> Response:
-        # Asked by a page that was painted before there was a server; see greeter.py.
-        return Response(status_code=204, headers={"cache-control": "no-store"})
-
-    @router.get("/{key}/about")
-    async def about(key: str) -> Response:
-        return _json(told.about(found(key)))
-
-    @router.get("/{key}/news")
-    async def news(key: str, rounds: Count = 0, plans: Count = 0, missions: Count = 0) -> Response:
-        return _json(told.news(found(key), rounds, plans, missions))
-
-    @router.get("/{key}/frames")
-    async def frames(key: str, first: Count = 0, count: Count = 1) -> Response:
-        # A thousand robots take a while: the pages of others go on meanwhile.
-        return _json(await run_in_threadpool(told.frames, found(key), first, count))
-
-    return router
+FIGURES = (
+    "procrustes_mean",
+    "plans_in_use",
+    "distinct_goals",
+    "robots_at_goal",
+    "segment_separation",
+    "model_calls",
+    "cost_usd",
+)
+"""Measurements for the plots, by their names in the record."""
 
 
-def _json(text: bytes) -> Response:
-    return Response(text, media_type="application/json", headers={"cache-control": "no-store"})
+def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
+    """The JSON for a request; None where there is no such run or no such resource.
+
+    Args:
+        library: the runs.
+        path: such as /data/1/news.
+        query: numbers by name; a number that is missing or not valid has its default.
+    """
+    parts = path.strip("/").split("/")
+    run = library.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
+    if run is None:
+        return None
+
+    def number(name: str, default: int = 0) -> int:
+        given = query.get(name, "")
+        return min(int(given), LARGEST) if given.isascii() and given.isdigit() and len(given) < 20 else default
+
+    match parts[2]:
+        case "about":
+            return to_json(about(run))
+        case "news":
+            return to_json(news(run, number("rounds"), number("plans"), number("missions")))
+        case "frames":
+            return to_json(frames(run, number("first"), number("count", 1)))
+        case _:
+            return None
+
+
+def about(run: Recording) -> dict[str, Any]:
+    """What a page needs before the first round; while there is none, why."""
+    if not run.ready:
+        return {"ready": False, "failure": run.failure}
+    fields = run.missions[0].mission
+    return {
+        "ready": True,
+        "key": run.key,
+        "title": run.title,
+        "live": run.live,
+        "simulated": run.simulated,
+        "robots": run.n_robots,
+        **{name: fields[name] for name in ("safe_distance", "comm_range", "max_step", "spacing")},
+        "arena": [list(corner)[:2] for corner in fields["arena"]],
+        "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
+    }
+
+
+def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
+    """What came after the rounds, plans and missions that the page knows, except the robots themselves.
+
+    Args:
+        run: the run.
+        rounds: number of known rounds, the start counted.
+        plans: number of known plans.
+        missions: number of known missions.
+    """
+    last = run.rounds
+    rows = run.rows[rounds : last + 1]
+    return {
+        "last": last,
+        "open": run.open,
+        "failure": run.failure,
+        "plans": [_look(number) for number in range(plans, len(run.plan_numbers))],
+        "missions": [
+            {"round": m.round, "text": f"{m.mission['shape']} of {m.mission['n_robots']}"}
+            for m in run.missions[missions:]
+        ],
+        "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
+        "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
+    }
+
+
+def frames(run: Recording, first: int, count: int) -> list[dict[str, Any]]:
+    """The robots in at most MOST_FRAMES rounds; fewer where the run has fewer."""
+    end = min(first + min(count, MOST_FRAMES), run.rounds + 1)
+    return [_frame(run, run.states[k]) for k in range(max(0, first), end)]
+
+
+def _frame(run: Recording, state: State) -> dict[str, Any]:
+    return {
+        "r": state.round,
+        "x": [_from_above(row) for row in state.positions],
+        "g": [None if row is None else _from_above(row) for row in state.goals],
+        "s": state.slots,
+        "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
+        "i": [round(share, 2) for share in state.influence],
+        "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],
+        "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
+        "h": [robot for robot, origin in enumerate(state.origins) if origin in ("shield", "detour", "fallback")],
+    }
+
+
+def _look(number: int) -> dict[str, str]:
+    look = plan_look(number)
+    return {"name": look.name, "fill": look.fill, "line": look.line, "ink": look.ink, "rim": look.rim}
+
+
+def _from_above(row: Sequence[float]) -> list[float]:
+    return [round(row[0], DECIMALS), round(row[1], DECIMALS)]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)

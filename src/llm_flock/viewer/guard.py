@@ -1,4 +1,4 @@
-"""Keeps strangers out: host and origin of every request and WebSocket, a token, and what a page may load."""
+"""Access control: host and origin of every request and WebSocket, a token, and a content security policy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""What a page may load: nothing but what this server gives. So no answer of a model can make it ask elsewhere."""
+"""A page may load from this server only, so no answer of a model can make it send a request elsewhere."""
 
 HEADERS = (
     (b"content-security-policy", POLICY.encode()),
@@ -32,18 +32,19 @@ HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
 )
+COOKIE = "flock_token"
 POLICY_VIOLATED = 1008
 """WebSocket close code of RFC 6455, section 7.4.1."""
 
 
-class Guard:
-    """Refuses what does not come from the viewer's own pages.
+class RequestGuard:
+    """Middleware that refuses requests which do not come from the viewer's own pages.
 
     Args:
-        app: what is guarded.
-        hosts: names and ports under which the viewer is asked for, such as 127.0.0.1:8080. A page of another site can
-            have its own name point to this machine; it cannot change the Host that is sent. Empty: any.
-        token: what a browser has to show once; None for nothing.
+        app: the application behind it.
+        hosts: accepted values of the Host header, such as 127.0.0.1:8080; empty: any. Another site can point its own
+            name at this machine, but it cannot change the Host that the browser sends.
+        token: a browser must show it once, then has a cookie; None for none.
     """
 
     def __init__(self, app: ASGIApp, *, hosts: Iterable[str] = (), token: str | None = None) -> None:
@@ -52,7 +53,7 @@ class Guard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request, WebSocket or life span."""
+        """Handle one request, WebSocket or life span event."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -77,23 +78,18 @@ class Guard:
             return PlainTextResponse("no origin", status_code=403)
         if self._token is None:
             return None
-        if self._shown(_cookie(headers.get("cookie", ""), self.cookie)):
+        if self._is_token(_cookie(headers.get("cookie", ""), COOKIE)):
             return None
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
-        if scope["type"] == "http" and scope["method"] == "GET" and self._shown(dict(query).get("token")):
+        if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(dict(query).get("token")):
             rest = urlencode([(name, value) for name, value in query if name != "token"])
-            # The address of the page does not keep the token: addresses are copied, logged and remembered.
+            # Addresses are copied, logged and kept in histories, so the token is taken out of this one.
             answer = RedirectResponse(_local(scope["path"]) + (f"?{rest}" if rest else ""), status_code=303)
-            answer.set_cookie(self.cookie, self._token, httponly=True, samesite="strict", path="/")
+            answer.set_cookie(COOKIE, self._token, httponly=True, samesite="strict", path="/")
             return answer
         return PlainTextResponse("This viewer needs the address with its token, as the command printed it.", 401)
 
-    @property
-    def cookie(self) -> str:
-        """Name of the cookie that holds the token."""
-        return "flock_token"
-
-    def _shown(self, given: str | None) -> bool:
+    def _is_token(self, given: str | None) -> bool:
         return (
             given is not None and self._token is not None and hmac.compare_digest(given.encode(), self._token.encode())
         )

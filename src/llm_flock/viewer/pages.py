@@ -1,24 +1,28 @@
-"""Addresses of the viewer, and the frame around every page."""
+"""The viewer's pages, their addresses, and the frame around each."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+import shutil
+import tempfile
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import HTTPException
-from nicegui import ui
+from nicegui import run, ui
 
-from llm_flock.viewer.exports import export_menu
-from llm_flock.viewer.gallery import Gallery
-from llm_flock.viewer.reel import Reel
-from llm_flock.viewer.sketch import css, sketch
-from llm_flock.viewer.stage import Stage
+from llm_flock.errors import FlockError
+from llm_flock.viewer.library import Library
+from llm_flock.viewer.player import Player
+from llm_flock.viewer.preview import css, preview
+from llm_flock.viewer.recording import Recording
 
 if TYPE_CHECKING:
-    from llm_flock.viewer.connect import Swarm
-    from llm_flock.viewer.launch import Cockpit
+    from llm_flock.viewer.launcher import Launcher
+    from llm_flock.viewer.swarm import SwarmSource
 
 SHELL = """
 <style>
@@ -29,16 +33,16 @@ body:has(#app > *) #flock-shell {{ display: none; }}
 </style>
 <div id="flock-shell">LLM-Flock <span style="font-weight: 600; font-size: 14px">{title} …</span></div>
 """
-"""What is painted first of a page without a run, while its scripts are loaded."""
+"""First paint of a page without a run, while its scripts load."""
 
 
 @contextmanager
 def framed(title: str, first: str | None = None) -> Generator[None]:
-    """The header of a page, with room for buttons that belong to the page.
+    """The header of a page; elements that are made inside become buttons and links of the header.
 
     Args:
-        title: what people read.
-        first: what is painted while the page's scripts are loaded; the title where None.
+        title: shown to people.
+        first: HTML that is painted while the page's scripts load; the title where None.
     """
     ui.add_css(css())
     ui.page_title(f"{title} · LLM-Flock")
@@ -58,34 +62,34 @@ def framed(title: str, first: str | None = None) -> Generator[None]:
 
 
 class Pages:
-    """Registers the pages.
+    """Builds the pages.
 
     Args:
-        gallery: the runs.
-        cockpit: starts runs.
+        library: the runs.
+        launcher: starts runs.
         swarm: the swarm that is watched, None without one.
     """
 
-    def __init__(self, gallery: Gallery, cockpit: Cockpit, swarm: Swarm | None = None) -> None:
-        self.gallery = gallery
-        self.cockpit = cockpit
+    def __init__(self, library: Library, launcher: Launcher, swarm: SwarmSource | None = None) -> None:
+        self.library = library
+        self.launcher = launcher
         self.swarm = swarm
 
     def register(self) -> None:
-        """Give every page its address."""
+        """Give every page its address. Call it once, before the server starts."""
         ui.page("/")(self.home)
         ui.page("/runs")(self.runs)
         ui.page("/run/{key}")(self.run)
         ui.page("/pair/{first}/{second}")(self.pair)
-        ui.page("/cockpit")(self.fly)
+        ui.page("/cockpit")(self.cockpit)
 
     def home(self) -> None:
-        """What was asked for on the command line: its only run, the list of its runs, or the cockpit."""
-        reels = list(self.gallery.reels.values())
-        if not reels:
-            self.fly()
-        elif len(reels) == 1 and reels[0].key not in self.cockpit.flights:
-            self._stage(reels)
+        """The only run of the command line, the list of runs, or the cockpit."""
+        runs = list(self.library.runs.values())
+        if not runs:
+            self.cockpit()
+        elif len(runs) == 1 and runs[0].key not in self.launcher.runs:
+            self._player(runs)
         else:
             self.runs()
 
@@ -95,47 +99,101 @@ class Pages:
             ui.link("Cockpit", "/cockpit")
         with ui.element("main").classes("flock-page"), ui.element("section").classes("flock-card"):
             ui.label("Runs").classes("flock-subtitle")
-            if not self.gallery.reels:
+            if not self.library.runs:
                 ui.label("None yet: the cockpit starts them.").classes("flock-hint")
             with ui.element("div").classes("flock-runs"):
-                for reel in self.gallery.reels.values():
-                    ui.link(reel.title, f"/run/{reel.key}")
-                    ui.label(reel.in_words.replace(",", ", ")).classes("flock-hint")
+                for run in self.library.runs.values():
+                    ui.link(run.title, f"/run/{run.key}")
+                    ui.label(run.description.replace(",", ", ")).classes("flock-hint")
 
     def run(self, key: str) -> None:
         """One run."""
-        self._stage([self._found(key)])
+        self._player([self._found(key)])
 
     def pair(self, first: str, second: str) -> None:
         """Two runs side by side, with one clock."""
-        self._stage([self._found(first), self._found(second)])
+        self._player([self._found(first), self._found(second)])
 
-    def fly(self) -> None:
+    def cockpit(self) -> None:
         """The form that starts runs."""
-        from llm_flock.viewer.cockpit import Form
+        from llm_flock.viewer.start_form import StartForm
 
         with framed("Cockpit"):
             ui.link("Runs", "/runs")
         with ui.element("main").classes("flock-page"):
-            Form(self.cockpit).build()
+            StartForm(self.launcher).build()
 
-    def _found(self, key: str) -> Reel:
-        reel = self.gallery.get(key)
-        if reel is None:
+    def _found(self, key: str) -> Recording:
+        run = self.library.get(key)
+        if run is None:
             raise HTTPException(404, "no such run")
-        return reel
+        return run
 
-    def _stage(self, reels: Sequence[Reel]) -> None:
-        first = sketch([(reel.key, reel.title) for reel in reels])
-        with framed(" and ".join(reel.title for reel in reels), first):
+    def _player(self, runs: Sequence[Recording]) -> None:
+        with framed(" and ".join(run.title for run in runs), preview([(run.key, run.title) for run in runs])):
             ui.link("Runs", "/runs")
             ui.link("Cockpit", "/cockpit")
-            if len(reels) == 1:
-                export_menu(self.gallery, reels[0].key)
-        flights = [self.cockpit.flights[reel.key] for reel in reels if reel.key in self.cockpit.flights]
-        steer = None
-        if flights or (self.swarm is not None and self.swarm.reel in reels):
-            from llm_flock.viewer.steering import Controls, SwarmControls
+            if len(runs) == 1 and runs[0].key in self.library.paths:
+                _export_menu(self.library.paths[runs[0].key])
+        Player(runs, self._controls(runs)).build()
 
-            steer = Controls(flights).build if flights else SwarmControls(self.swarm).build if self.swarm else None
-        Stage(reels, steer).build()
+    def _controls(self, runs: Sequence[Recording]) -> Callable[[], None] | None:
+        """Builds the controls of runs that can be steered; None where none can."""
+        steered = [self.launcher.runs[run.key] for run in runs if run.key in self.launcher.runs]
+        if steered:
+            from llm_flock.viewer.steering import RunControls
+
+            return RunControls(steered).build
+        if self.swarm is not None and self.swarm.recording in runs:
+            from llm_flock.viewer.steering import swarm_controls
+
+            return partial(swarm_controls, self.swarm)
+        return None
+
+
+def _export_menu(path: Path) -> None:
+    """A button with everything that can be saved of a record."""
+    kinds: list[tuple[str, str, Callable[[Path], bytes]]] = [
+        ("Record (MCAP)", "run.mcap", Path.read_bytes),
+        ("Figure (PNG)", "snapshots.png", _figure),
+        ("Animation (GIF)", "animation.gif", partial(_animation, ending=".gif")),
+    ]
+    if shutil.which("ffmpeg"):
+        kinds.append(("Animation (MP4)", "animation.mp4", partial(_animation, ending=".mp4")))
+    with ui.button("Export", icon="download").props("flat dense no-caps").mark("export"), ui.menu():
+        for label, name, make in kinds:
+            ui.menu_item(label, partial(_save, path, name, make))
+
+
+async def _save(path: Path, name: str, make: Callable[[Path], bytes]) -> None:
+    note = ui.notification("drawing …", spinner=True, timeout=None) if make is not Path.read_bytes else None
+    try:
+        content = await run.io_bound(make, path)
+    except (FlockError, OSError) as error:
+        ui.notify(f"error: {error}", type="negative")
+        return
+    finally:
+        if note is not None:
+            note.dismiss()
+    if content is not None:  # None when the viewer ends meanwhile
+        ui.download.content(content, name)
+
+
+def _figure(record: Path) -> bytes:
+    from llm_flock.record.reader import read_record
+    from llm_flock.viz import figures
+
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "figure.png"
+        figures.save(figures.snapshots(read_record(record), None), target)
+        return target.read_bytes()
+
+
+def _animation(record: Path, *, ending: str) -> bytes:
+    from llm_flock.record.reader import read_record
+    from llm_flock.viz.animation import animate
+
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / f"animation{ending}"
+        animate(read_record(record), target)
+        return target.read_bytes()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
-from llm_flock.viewer.greeter import Greeter
+from llm_flock.viewer.startup import StartupServer
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """Where a viewer is found.
+    """The address at which a viewer listens.
 
     Attributes:
-        sock: the socket that listens there.
-        host: as it was asked for.
+        sock: the listening socket.
+        host: as given on the command line.
         port: the port.
-        token: what a browser has to show; None on this machine's own address.
-        greeter: answers until the viewer does.
+        token: a browser must show it; None on a loopback address.
+        startup: answers until the viewer does.
     """
 
     sock: socket.socket
     host: str
     port: int
     token: str | None
-    greeter: Greeter
+    startup: StartupServer
 
     @property
     def shown_host(self) -> str:
@@ -44,13 +44,13 @@ class Address:
 
     @property
     def url(self) -> str:
-        """What to open, with the token."""
+        """The address to open, with the token."""
         token = "" if self.token is None else f"?token={self.token}"
         return f"http://{self.shown_host}:{self.port}/{token}"
 
     @property
     def hosts(self) -> Sequence[str]:
-        """Hosts that a browser may ask for; none where the machine is reached by names that are not known here."""
+        """Values of the Host header that are accepted; none (any) where the machine's names are not known here."""
         if self.host in ("0.0.0.0", "::"):
             return ()
         names = {self.shown_host} | ({"127.0.0.1", "localhost", "[::1]"} if is_loopback(self.host) else set[str]())
@@ -58,7 +58,7 @@ class Address:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is this machine only."""
+    """Whether a host is a loopback address."""
     if host == "localhost":
         return True
     try:
@@ -68,9 +68,9 @@ def is_loopback(host: str) -> bool:
 
 
 def listen(host: str, port: int, token: str | None) -> Address:
-    """Take the port, before anything else is loaded: a browser that asks early waits instead of failing.
+    """Open the port. Call it before anything heavy is loaded: a browser that comes early waits instead of failing.
 
-    Another address than this machine's own gets a token, made anew where none is given.
+    An address other than a loopback address gets a token, a random one where none is given.
 
     Raises:
         InputError: the address cannot be listened at, or the token is too short.
@@ -87,7 +87,7 @@ def listen(host: str, port: int, token: str | None) -> Address:
         sock.listen(64)
     except (OSError, OverflowError) as error:
         raise InputError("host and port", f"{host}:{port}", f"an address that can be listened at ({error})") from None
-    return Address(sock=sock, host=host, port=sock.getsockname()[1], token=token, greeter=Greeter(sock))
+    return Address(sock=sock, host=host, port=sock.getsockname()[1], token=token, startup=StartupServer(sock))
 
 
 def open_browser(address: Address) -> None:
@@ -100,7 +100,7 @@ def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> N
 
     Args:
         address: where.
-        build: registers pages and routes; returns what is to go on beside the server, in a thread of its own.
+        build: registers pages and routes; returns a function that runs in a thread beside the server.
 
     Raises:
         InputError: NiceGUI is not installed.
@@ -112,10 +112,10 @@ def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> N
     except ImportError as error:
         allowed = f'the viewer\'s libraries ({error.name} is missing): pip install "llm-flock[view]"'
         raise InputError("view", "not installed", allowed) from None
-    from llm_flock.viewer.guard import Guard
+    from llm_flock.viewer.guard import RequestGuard
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.add_middleware(Guard, hosts=address.hosts, token=address.token)
+    app.add_middleware(RequestGuard, hosts=address.hosts, token=address.token)
     work = build(app)
     ui.run_with(  # pyright: ignore[reportUnknownMemberType]
         app,
@@ -129,5 +129,5 @@ def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> N
     )
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
     threading.Thread(target=work, daemon=True).start()
-    address.greeter.stop()
+    address.startup.stop()
     server.run(sockets=[address.sock])

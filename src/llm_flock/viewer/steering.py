@@ -2,141 +2,151 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
 from llm_flock.errors import FlockError
-from llm_flock.viewer.cockpit import numbers
-from llm_flock.viewer.connect import Swarm
-from llm_flock.viewer.flight import Flight
-from llm_flock.viewer.form import check_shape
+from llm_flock.mission import Mission
+from llm_flock.viewer.start_form import numbers
+from llm_flock.viewer.steered_run import SteeredRun, check_shape
+
+if TYPE_CHECKING:
+    from llm_flock.viewer.swarm import SwarmSource
+
+ReadFields = Callable[[], dict[str, Any]]
+"""Reads the boxes of a form.
+
+Raises:
+    InputError: a box holds something else than it should.
+"""
+
+GIVEN = "mission given to robot {}; the others hear of it from there"
 
 
-class Controls:
+class RunControls:
     """The tab that steers one run, or several in the same way.
 
     Args:
-        flights: the runs.
+        runs: the runs.
     """
 
-    def __init__(self, flights: Sequence[Flight]) -> None:
-        self.flights = flights
+    def __init__(self, runs: Sequence[SteeredRun]) -> None:
+        self.runs = runs
 
     def build(self) -> None:
-        """All controls."""
-        mission = self.flights[0].config.mission
-        self._said = ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
+        """Build all controls."""
+        first, mission = self.runs[0], self.runs[0].config.mission
+        self._status = _status()
         with ui.row().classes("flock-choose flock-acts"):
-            pace = ui.number("Rounds / s", value=self.flights[0].pace, min=0.1, max=100).props("dense outlined")
-            pace.on_value_change(lambda event: self._pace(event.value))
+            pace = ui.number("Rounds / s", value=first.pace, min=0.1, max=100).props("dense outlined")
+            pace.on_value_change(lambda event: self._set_pace(event.value))
             pause = ui.button("Pause", icon="pause").props("no-caps outline dense").mark("pause-flight")
             ui.button("End run", icon="stop", on_click=self._end).props("no-caps outline dense").mark("end-flight")
 
-            def turn() -> None:
-                stopped = not self.flights[0].paused
-                for flight in self.flights:
-                    flight.paused = stopped
-                pause.set_text("Go on" if stopped else "Pause")
-                pause.props(f"icon={'play_arrow' if stopped else 'pause'}")
+            def toggle() -> None:
+                paused = not first.paused
+                for run in self.runs:
+                    run.paused = paused
+                pause.set_text("Go on" if paused else "Pause")
+                pause.props(f"icon={'play_arrow' if paused else 'pause'}")
 
-            pause.on_click(turn)
-        ui.label("Another mission").classes("flock-subtitle")
-        with ui.row().classes("flock-choose"):
-            shape = ui.input("Shape", value=mission.shape).props("dense outlined").mark("change-shape")
-            center = ui.input("Centre", value=", ".join(f"{x:g}" for x in mission.center)).props("dense outlined")
-            center.mark("change-center")
-            spacing = ui.number("Spacing [units]", value=mission.spacing).props("dense outlined").mark("change-spacing")
+            pause.on_click(toggle)
 
-        def change() -> None:
-            self._all(
-                lambda flight: flight.change(
-                    {"shape": shape.value, "center": numbers("center", str(center.value)), "spacing": spacing.value}
-                ),
-                "mission given to robot {}; the others hear of it from there",
-            )
+        async def change(read: ReadFields) -> None:
+            self._all(lambda run: run.change(read()), GIVEN)
 
-        ui.button("Give the mission", icon="flag", on_click=change).props("no-caps outline").mark("give-mission")
+        _mission_form(mission, change, spacing=True)
         ui.label("Faults").classes("flock-subtitle")
         with ui.row().classes("flock-choose flock-acts"):
             robot = ui.select(list(range(mission.n_robots)), label="Robot", value=0)
             robot.props("dense outlined options-dense").mark("fault-robot")
-            ui.button(
-                "Kill", icon="dangerous", on_click=lambda: self._all(lambda f: f.kill(int(robot.value)), "robot killed")
-            ).props("no-caps outline dense color=negative").mark("kill")
-            ui.button(
-                "Hallucinate",
-                icon="psychology_alt",
-                on_click=lambda: self._all(lambda f: f.hallucinate(int(robot.value)), "nonsense answers from now on"),
-            ).props("no-caps outline dense color=negative").mark("hallucinate")
+            for label, icon, order, done in (
+                ("Kill", "dangerous", SteeredRun.kill, "robot killed"),
+                ("Hallucinate", "psychology_alt", SteeredRun.hallucinate, "nonsense answers from now on"),
+            ):
+                inject = partial(self._all, lambda run, order=order: order(run, int(robot.value)), done)
+                button = ui.button(label, icon=icon, on_click=inject)
+                button.props("no-caps outline dense color=negative").mark(label.lower())
         ui.label("Messages lost").classes("flock-role")
-        loss = ui.slider(min=0, max=0.9, step=0.1, value=self.flights[0].config.links.loss).props(
+        loss = ui.slider(min=0, max=0.9, step=0.1, value=first.config.links.loss).props(
             'label snap markers aria-label="Messages lost"'
         )
         loss.mark("loss").on_value_change(lambda event: self._lose(float(event.value or 0.0)))
 
     def _lose(self, share: float) -> None:
-        self._all(lambda flight: flight.lose(share), f"{share:.0%} of messages are lost")
+        self._all(lambda run: run.lose(share), f"{share:.0%} of messages are lost")
 
-    def _all(self, order: Callable[[Flight], Any], said: str) -> None:
-        taken: list[Any] = []
+    def _all(self, order: Callable[[SteeredRun], Any], done: str) -> None:
+        """Give an order to every run that is not over, and say so; `done` may have room for the first result."""
+        results: list[Any] = []
         try:
-            for flight in self.flights:
-                if not flight.over:
-                    taken.append(order(flight))
+            for run in self.runs:
+                if not run.over:
+                    results.append(order(run))
         except FlockError as error:
             self._say(f"error: {error}", bad=True)
             return
-        if not taken:
+        if not results:
             self._say("error: the run is over", bad=True)
             return
-        self._say(said.format(taken[0]) + f" (round {self.flights[0].round + 1})")
+        self._say(done.format(results[0]) + f" (round {self.runs[0].round + 1})")
 
     def _say(self, text: str, *, bad: bool = False) -> None:
-        self._said.set_text(text)
-        self._said.classes(add="flock-error" if bad else "", remove="" if bad else "flock-error")
+        self._status.set_text(text)
+        self._status.classes(add="flock-error" if bad else "", remove="" if bad else "flock-error")
 
-    def _pace(self, value: float | None) -> None:
+    def _set_pace(self, value: float | None) -> None:
         if value is not None and 0.1 <= value <= 100:
-            for flight in self.flights:
-                flight.pace = float(value)
+            for run in self.runs:
+                run.pace = float(value)
 
     def _end(self) -> None:
-        for flight in self.flights:
-            flight.paused = False
-            flight.end()
+        for run in self.runs:
+            run.end()
         self._say("the run ends")
 
 
-class SwarmControls:
-    """The tab that gives a running swarm another mission.
+def swarm_controls(swarm: SwarmSource) -> None:
+    """Build the tab that gives a running swarm another mission."""
+    status = _status()
 
-    Args:
-        swarm: the swarm.
-    """
+    async def change(read: ReadFields) -> None:
+        try:
+            fields = read()
+            check_shape(fields["shape"])
+            taker = await swarm.change({name: value for name, value in fields.items() if value is not None})
+        except FlockError as error:
+            status.set_text(f"error: {error}")
+            return
+        status.set_text(GIVEN.format(taker))
 
-    def __init__(self, swarm: Swarm) -> None:
-        self.swarm = swarm
+    _mission_form(swarm.config.mission, change, spacing=False)
 
-    def build(self) -> None:
-        """All controls."""
-        mission = self.swarm.config.mission
-        said = ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
-        ui.label("Another mission").classes("flock-subtitle")
-        with ui.row().classes("flock-choose"):
-            shape = ui.input("Shape", value=mission.shape).props("dense outlined").mark("change-shape")
-            center = ui.input("Centre", value=", ".join(f"{x:g}" for x in mission.center)).props("dense outlined")
-            center.mark("change-center")
 
-        async def change() -> None:
-            try:
-                check_shape(shape.value)
-                fields = {"shape": shape.value, "center": numbers("center", str(center.value))}
-                taker = await self.swarm.change({k: v for k, v in fields.items() if v is not None})
-            except FlockError as error:
-                said.set_text(f"error: {error}")
-                return
-            said.set_text(f"mission given to robot {taker}; the others hear of it from there")
+def _status() -> ui.label:
+    """The line that reports what came of the last order."""
+    return ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
 
-        ui.button("Give the mission", icon="flag", on_click=change).props("no-caps outline").mark("give-mission")
+
+def _mission_form(mission: Mission, change: Callable[[ReadFields], Awaitable[None]], *, spacing: bool) -> None:
+    """Boxes for another mission, and the button that calls `change` with their values."""
+    ui.label("Another mission").classes("flock-subtitle")
+    with ui.row().classes("flock-choose"):
+        boxes: dict[str, Any] = {
+            "shape": ui.input("Shape", value=mission.shape),
+            "center": ui.input("Centre", value=", ".join(f"{x:g}" for x in mission.center)),
+        }
+        if spacing:
+            boxes["spacing"] = ui.number("Spacing [units]", value=mission.spacing)
+    for name, box in boxes.items():
+        box.props("dense outlined").mark(f"change-{name}")
+
+    def read() -> dict[str, Any]:
+        fields = {name: box.value for name, box in boxes.items()}
+        return {**fields, "center": numbers("center", str(fields["center"]))}
+
+    button = ui.button("Give the mission", icon="flag", on_click=partial(change, read))
+    button.props("no-caps outline").mark("give-mission")

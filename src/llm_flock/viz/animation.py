@@ -1,4 +1,4 @@
-"""A record as a moving picture: GIF by Pillow, MP4 by ffmpeg where it is installed."""
+"""Animates a record: GIF by Pillow, MP4 by ffmpeg where it is installed."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
@@ -20,16 +20,16 @@ from PIL import Image
 from scipy.spatial import KDTree
 
 from llm_flock.errors import InputError
+from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.scene import PALETTE
 from llm_flock.viz.panel import Panel
 from llm_flock.viz.style import heading, house_style, line_colour
 
 STEPS_A_ROUND = 2
-"""Frames of each round: robots fly straight, so what lies between two rounds is known."""
+"""Frames of each round; robots fly straight between rounds."""
 
 HOLD_S = 2.0
-"""How long the end is shown [s]."""
+"""Time that the end is shown [s]."""
 
 INCHES = 4.8
 HEAD_INCHES = 0.5
@@ -78,7 +78,7 @@ def frames(record: RunRecord) -> Iterator[Image.Image]:
         figure.suptitle(heading(record, INCHES), y=0.965, fontsize=8)
         panel.frame(axes)
         canvas.draw()
-        # What never changes is drawn once; each frame starts from a copy of it.
+        # The background is drawn once; each frame starts from a copy of it.
         background: Any = canvas.copy_from_bbox(figure.bbox)  # pyright: ignore[reportUnknownVariableType]
         caption = figure.text(0.5, 0.875, "", ha="center", fontsize=8.5)
     for k in range(record.rounds + 1):

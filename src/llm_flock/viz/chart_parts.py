@@ -1,4 +1,4 @@
-"""What the charts are put together from: looks, frames, legends, labels."""
+"""Parts of charts: looks, frames, legends, labels."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
@@ -68,15 +68,8 @@ def legend(
     handles: list[Line2D | Patch] = []
     for name in series:
         look = look_of(series, name)
-        marker = "" if line_only else look.marker
-        style: dict[str, Any] = {
-            "ls": "-" if solid else look.line,
-            "lw": 1.4,
-            "marker": marker,
-            "ms": 4.5,
-            "mec": INK,
-            "mew": 0.4,
-        }
+        style: dict[str, Any] = {"lw": 1.4, "ms": 4.5, "mec": INK, "mew": 0.4}
+        style |= {"ls": "-" if solid else look.line, "marker": "" if line_only else look.marker}
         handles.append(Line2D([], [], color=look.colour, label=shortened(name, 44), **style))
     if band:
         handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
@@ -84,7 +77,7 @@ def legend(
 
 
 def legend_columns(series: Sequence[str], columns: int) -> int:
-    """So many names have room beside each other above so many columns of panels."""
+    """Names that fit beside each other above the given columns of panels."""
     room = 2.3 * columns / (0.55 + LETTER_INCHES * max(map(len, series), default=1))
     return max(1, min(len(series) + 1, int(room)))
 
@@ -95,7 +88,7 @@ def legend_inches(series: Sequence[str], columns: int) -> float:
 
 
 def bins_for(values: Sequence[float], edge: float | None) -> Numbers:
-    """Forty bins at most, of a round width, one of which ends at the edge."""
+    """Edges of about thirty bins of equal width, one of which is the given edge."""
     top = max([*values, 1e-9 if edge is None else edge]) * 1.02
     step = top / 30
     if edge:
@@ -104,7 +97,7 @@ def bins_for(values: Sequence[float], edge: float | None) -> Numbers:
 
 
 def folded(text: str, width: int) -> str:
-    """A label on two lines at most, broken behind a sign between its parts where there is one."""
+    """A label on two lines at most, broken after a separator where there is one."""
     if "\n" in text:
         return "\n".join(folded(line, width) for line in text.split("\n"))
     if len(text) <= width:
@@ -115,7 +108,7 @@ def folded(text: str, width: int) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A text of so many letters at most."""
+    """A text, cut to at most this many letters."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 

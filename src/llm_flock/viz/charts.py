@@ -1,7 +1,4 @@
-"""Figures of many trials: bands over rounds, dots with intervals, boxes, histograms, and lines along an axis.
-
-They are drawn from plain numbers, and know nothing of where these come from.
-"""
+"""Charts of many trials, drawn from plain numbers: bands, dots with intervals, boxes, histograms, lines on an axis."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
@@ -33,15 +30,17 @@ from llm_flock.viz.chart_parts import (
 )
 from llm_flock.viz.style import FAINT, GRID, INK, house_style
 
+MOST_COLUMNS = 4
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Curve:
-    """A mean and its interval, round by round or along an axis.
+    """A mean and its interval, over rounds or along an axis.
 
     Attributes:
-        series: what it stands for; the same series looks the same in all panels.
-        x: where it is known.
-        mean: the values there.
+        series: its series, which looks the same in all panels.
+        x: rounds, or values of the axis.
+        mean: the means there.
         low: lower ends of the intervals, NaN without.
         high: upper ends.
     """
@@ -55,12 +54,12 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dot:
-    """A value and its interval; None where nothing is known.
+    """A value and its interval; None where they are not known.
 
     Attributes:
-        series: what it stands for.
-        row: the line of the panel that it is on.
-        value: where it is.
+        series: its series.
+        row: its row in the panel.
+        value: the value.
         low: lower end of its interval.
         high: upper end.
     """
@@ -77,10 +76,10 @@ class Sample:
     """Many values of a series.
 
     Attributes:
-        series: what they stand for.
-        row: the line of the panel that they are on; empty in histograms.
+        series: their series.
+        row: their row in the panel; empty in histograms.
         values: in any order.
-        note: said beside them.
+        note: a text beside them.
     """
 
     series: str
@@ -94,9 +93,9 @@ class Facet:
     """One panel.
 
     Attributes:
-        title: what it is about.
-        marks: what is drawn in it.
-        edge: a value that is marked by a line.
+        title: its title.
+        marks: the curves, dots or samples in it.
+        edge: a value that a line marks.
     """
 
     title: str
@@ -108,21 +107,21 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
     """Small multiples of curves with their bands; a row of panels for each entry of `rows`.
 
     Args:
-        rows: what a row is about, and its panels with `Curve`s.
+        rows: title of a row, and its panels with `Curve`s.
         series: all series in their order, which gives each its look.
-        x: what is along.
-        y: what is up.
+        x: label along.
+        y: label upward.
     """
     with house_style():
         columns = max(len(panels) for _, panels in rows)
         figure = new_figure(max(5.2, 0.7 + 2.3 * columns), 0.75 + 1.95 * len(rows) + legend_inches(series, columns))
         grid = figure.subplots(len(rows), columns, squeeze=False, sharex=True, sharey=True)
         for number, (name, panels) in enumerate(rows):
+            above = rows[number - 1][1] if number else ()
             for at, (axes, facet) in enumerate(zip(grid[number], panels, strict=False)):
                 frame(axes)
                 for curve in facet.marks:
                     _curve(axes, curve, series)
-                above = rows[number - 1][1] if number else ()
                 repeated = len(above) > at and above[at].title == facet.title
                 axes.set_title("" if repeated else folded(facet.title, 34))
                 axes.set_ylim(bottom=0)
@@ -130,21 +129,11 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
             for axes in grid[number][len(panels) :]:
                 axes.set_axis_off()
             if name:
-                last = grid[number][len(panels) - 1]
-                last.annotate(
-                    folded(name, 30),
-                    (1.03, 0.5),
-                    xycoords="axes fraction",
-                    rotation=270,
-                    ha="left",
-                    va="center",
-                    size=8,
-                )
+                at_the_right: dict[str, Any] = {"xycoords": "axes fraction", "rotation": 270, "ha": "left", "size": 8}
+                grid[number][len(panels) - 1].annotate(folded(name, 30), (1.03, 0.5), va="center", **at_the_right)
         for axes in grid[-1]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
-        figure.supxlabel(x, size=8)
-        figure.supylabel(y, size=8)
-        legend(figure, series, columns, band=True)
+        _finish(figure, series, columns, x, y, band=True)
         return figure
 
 
@@ -154,25 +143,17 @@ def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks:
     Where `ticks` names the places 0, 1, ..., these are words, and no line joins them.
     """
     with house_style():
-        columns = min(4, len(panels))
-        lines = math.ceil(len(panels) / columns)
-        figure = new_figure(max(5.2, 0.7 + 2.4 * columns), 0.7 + 2.1 * lines + legend_inches(series, columns))
-        grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, facet in zip(grid.ravel(), panels, strict=False):
+        figure, grid = _panels(panels, series, (0.7, 2.4), (0.7, 2.1))
+        for axes, facet in zip(grid, panels, strict=True):
             frame(axes)
             for number, curve in enumerate(facet.marks):
                 shift = 0.0 if ticks is None else 0.07 * (number - (len(facet.marks) - 1) / 2)
                 _whiskered(axes, curve, series, shift, joined=ticks is None)
-            axes.set_title(folded(facet.title, 34))
             axes.set_ylim(bottom=0)
             if ticks is not None:
                 turn: dict[str, Any] = {"rotation": 30, "ha": "right"} if max(map(len, ticks)) > 6 else {}
                 axes.set_xticks(range(len(ticks)), [shortened(tick, 24) for tick in ticks], **turn)
-        for axes in grid.ravel()[len(panels) :]:
-            axes.set_axis_off()
-        figure.supxlabel(x, size=8)
-        figure.supylabel(y, size=8)
-        legend(figure, series, columns, solid=ticks is not None)
+        _finish(figure, series, len(panels), x, y, solid=ticks is not None)
         return figure
 
 
@@ -213,15 +194,12 @@ def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[
 
 
 def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -> Figure:
-    """How often each value came, as outlines over each other; what lies below a panel's edge is shaded."""
+    """Counts of values as outlines over each other; the range below a panel's edge is shaded."""
     with house_style():
-        columns = min(4, len(panels))
-        lines = math.ceil(len(panels) / columns)
-        figure = new_figure(max(5.2, 0.7 + 2.4 * columns), 0.8 + 1.9 * lines + legend_inches(series, columns))
-        grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
-        everything = [value for facet in panels for mark in facet.marks for value in mark.values]
-        bins = bins_for(everything, next((f.edge for f in panels if f.edge is not None), None))
-        for axes, facet in zip(grid.ravel(), panels, strict=False):
+        figure, grid = _panels(panels, series, (0.7, 2.4), (0.8, 1.9))
+        values = [value for facet in panels for mark in facet.marks for value in mark.values]
+        bins: list[float] = bins_for(values, next((f.edge for f in panels if f.edge is not None), None)).tolist()
+        for axes, facet in zip(grid, panels, strict=True):
             frame(axes)
             if facet.edge is not None:
                 axes.axvspan(bins[0], facet.edge, color=GRID, alpha=0.6, linewidth=0, zorder=0)
@@ -230,15 +208,42 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
                 look = look_of(series, mark.series)
                 axes.hist(mark.values, bins=bins, histtype="stepfilled", color=look.colour, alpha=0.15)
                 axes.hist(mark.values, bins=bins, histtype="step", color=look.colour, ls=look.line, linewidth=1.4)
-            axes.set_title(folded(facet.title, 34))
             axes.margins(x=0)
-        for axes in grid.ravel()[len(panels) :]:
-            axes.set_axis_off()
-        grid[0][0].yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
-        figure.supxlabel(x, size=8)
-        figure.supylabel(y, size=8)
-        legend(figure, series, columns, line_only=True)
+        grid[0].yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
+        _finish(figure, series, len(panels), x, y, line_only=True)
         return figure
+
+
+def _panels(
+    panels: Sequence[Facet], series: Sequence[str], width: tuple[float, float], height: tuple[float, float]
+) -> tuple[Figure, list[Axes]]:
+    """A figure with titled panels in rows of four at most, and their axes.
+
+    Args:
+        panels: the panels.
+        series: all series, for which the legend needs room.
+        width: width beside all panels, and of each [inches].
+        height: height above and below all panels, and of each [inches].
+    """
+    columns = min(MOST_COLUMNS, len(panels))
+    lines = math.ceil(len(panels) / columns)
+    figure = new_figure(
+        max(5.2, width[0] + width[1] * columns), height[0] + height[1] * lines + legend_inches(series, columns)
+    )
+    grid: list[Axes] = list(figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel())
+    for axes in grid[len(panels) :]:
+        axes.set_axis_off()
+    for axes, facet in zip(grid, panels, strict=False):
+        axes.set_title(folded(facet.title, 34))
+    return figure, grid[: len(panels)]
+
+
+def _finish(figure: Figure, series: Sequence[str], columns: int, x: str, y: str = "", **options: bool) -> None:
+    """Label the axes, and put the legend above the panels."""
+    figure.supxlabel(x, size=8)
+    if y:
+        figure.supylabel(y, size=8)
+    legend(figure, series, min(MOST_COLUMNS, columns), **options)
 
 
 def _curve(axes: Axes, curve: Curve, series: Sequence[str]) -> None:
@@ -281,30 +286,21 @@ def _lined(
         names = list(dict.fromkeys(mark.row for facet in panels for mark in facet.marks))
         labelled = names != [""]
         left = 0.3 + LETTER_INCHES * min(26, max(map(len, names), default=0)) if labelled else 0.3
-        columns = min(4, len(panels))
-        lines = math.ceil(len(panels) / columns)
         # A gap of half a line between rows.
         step = len(series) + 0.8
         tall = max(0.95, 0.18 * step * len(names) + 0.15)
-        figure = new_figure(
-            max(5.2, left + 2.2 * columns), (tall + 0.45) * lines + 0.5 + legend_inches(series, columns)
-        )
-        grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, facet in zip(grid.ravel(), panels, strict=False):
+        figure, grid = _panels(panels, series, (left, 2.2), (0.5, tall + 0.45))
+        for axes, facet in zip(grid, panels, strict=True):
             frame(axes, "x")
             if facet.edge is not None:
                 axes.axvline(facet.edge, color=INK, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
             for mark in facet.marks:
                 line = names.index(mark.row) * step + series.index(mark.series)
                 draw(axes, mark, line * 0.2, look_of(series, mark.series))
-            axes.set_title(folded(facet.title, 34))
             middles = [(k * step + (len(series) - 1) / 2) * 0.2 for k in range(len(names))]
             axes.set_yticks(middles if labelled else [], [folded(n, 26) for n in names] if labelled else [])
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)
-        for axes in grid.ravel()[len(panels) :]:
-            axes.set_axis_off()
-        figure.supxlabel(x, size=8)
-        legend(figure, series, columns, solid=True)
+        _finish(figure, series, len(panels), x, solid=True)
         return figure

@@ -1,4 +1,4 @@
-"""Figures drawn from records, as in the paper: snapshots of a run, and the error over time of many."""
+"""Figures drawn from records: snapshots of a run, and the error of many over time (paper, sections 4.1 and 4.2)."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
@@ -17,17 +17,17 @@ from matplotlib.ticker import MaxNLocator
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
+from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.scene import PALETTE
+from llm_flock.viz.chart_parts import DPI, new_figure
 from llm_flock.viz.panel import Box, Panel, view
-from llm_flock.viz.style import INK, LINES, MARKERS, fitted, heading, house_style, shapes, thinkers
+from llm_flock.viz.style import GRID, INK, LINES, MARKERS, fitted, heading, house_style, model_names, shapes
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
-DPI = 160
 
 UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-"""No date goes into a file: the same figure is the same file whenever it is drawn."""
+"""No date goes into a file, so that the same figure is always the same file."""
 
 
 def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
@@ -48,8 +48,8 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
         rows = -(-len(chosen) // columns)
         panel = Panel(record)
         width = max(columns * PANEL_INCHES, 5.5)
-        figure = _figure(width, rows * PANEL_INCHES * _tallness(panel.window) + 0.85)
-        grid = _grid(figure, rows, columns)
+        figure = new_figure(width, rows * PANEL_INCHES * _tallness(panel.window) + 0.85)
+        grid: list[Axes] = list(figure.subplots(rows, columns, squeeze=False).ravel())
         for axes, k in zip(grid, chosen, strict=False):
             panel.draw(axes, k)
             axes.set_title(_moment(record, k))
@@ -74,11 +74,11 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
     """
     groups = _groups(records, labels)
     with house_style():
-        figure = _figure(5.2, 3.4)
+        figure = new_figure(5.2, 3.4)
         axes = figure.add_subplot()
         _curves(axes, groups)
         axes.legend(loc="upper right")
-        figure.suptitle(fitted(thinkers(records), 5.2), fontsize=8)
+        figure.suptitle(fitted(model_names(records), 5.2), fontsize=8)
         return figure
 
 
@@ -97,7 +97,7 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         columns = len(records)
         tall = PANEL_INCHES * _tallness(window)
         width = max(columns * (PANEL_INCHES + 0.2), 5.5)
-        figure = _figure(width, tall + (3.3 if known else 1.2))
+        figure = new_figure(width, tall + (3.3 if known else 1.2))
         grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1]) if known else figure.add_gridspec(1, columns)
         panels = [Panel(record, window=window) for record in records]
         for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):
@@ -109,7 +109,7 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
             _curves(below, _groups(records, labels))
             below.legend(loc="upper right")
         robots = records[0].mission.mission["n_robots"]
-        title = f"{shapes(records[0])} · {robots} robots · {thinkers(records)}"
+        title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
         figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
         return figure
@@ -184,7 +184,7 @@ def _curves(axes: Axes, groups: dict[str, list[Column]]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("round")
     axes.set_ylabel("mean distance\nto the ideal shape [units]")
-    axes.grid(color="#E4E4E4", linewidth=0.6)
+    axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
 
 
@@ -220,17 +220,6 @@ def _moment(record: RunRecord, k: int) -> str:
     error = record.metrics[k].procrustes_mean
     name = "start" if k == 0 else f"round {k}"
     return name if error is None else f"{name} · error {error:.2f}"
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _grid(figure: Figure, rows: int, columns: int) -> list[Axes]:
-    axes = figure.subplots(rows, columns, squeeze=False)
-    return list(axes.ravel())
 
 
 def _tallness(window: Box) -> float:

@@ -1,4 +1,4 @@
-"""One picture of the team at one moment; figures and animations are made of these."""
+"""A picture of the team at one moment, used in figures and animations."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
@@ -17,14 +17,14 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from llm_flock import graph
+from llm_flock.record.palette import NO_PLAN
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.scene import NO_PLAN
 from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
 from llm_flock.viz.style import FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
 
 MOST_LABELLED = 30
 SMALLEST_LABELLED = 6.5
-"""More robots, or smaller discs [points], are drawn without letters and numbers, which would cover each other."""
+"""With more robots, or smaller discs [points], letters and numbers are left out: they would cover each other."""
 
 DISC_SHARE = 0.62
 """Diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart."""
@@ -39,7 +39,7 @@ class Panel:
     Args:
         record: the run.
         width: width of the picture [points]; robots and words are sized by it.
-        window: what is shown [units]; everything that the run touches if left out.
+        window: the visible area [units]; by default everything that the run touches.
     """
 
     def __init__(self, record: RunRecord, *, width: float = 165.0, window: Box | None = None) -> None:
@@ -65,7 +65,7 @@ class Panel:
         self.draw_team(axes, round_number, part)
 
     def frame(self, axes: Axes) -> None:
-        """Show this panel's window."""
+        """Prepare the axes: this panel's window, walls and obstacles."""
         left, right, bottom, top = self.window
         axes.set_xlim(left, right)
         axes.set_ylim(bottom, top)
@@ -74,7 +74,7 @@ class Panel:
         self._surroundings(axes)
 
     def _surroundings(self, axes: Axes) -> None:
-        """The arena's walls, and the obstacles; balls and walls of space by their shadow on the plane."""
+        """The arena's walls, and the obstacles; those of 3D space by their projection on the plane."""
         mission = self.record.mission.mission
         (left, bottom, *_), (right, top, *_) = mission["arena"]
         look: dict[str, Any] = {"edgecolor": FAINT, "linewidth": 0.8, "zorder": 0.5}
@@ -86,7 +86,7 @@ class Panel:
                 axes.add_patch(Circle(obstacle["center"][:2], obstacle["radius"], facecolor=FAINT, **look))
 
     def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
-        """As `draw`, on axes that have been framed."""
+        """As `draw`, on axes that `frame` has prepared."""
         state = self.record.states[round_number]
         before = self.record.positions[max(0, round_number - 1)]
         positions = before + part * (self.record.positions[round_number] - before)
@@ -98,7 +98,7 @@ class Panel:
         self._robots(axes, state, places, looks)
 
     def _links(self, axes: Axes, state: State, positions: NDArray[np.float64]) -> None:
-        """Who hears whom in all dimensions; robots that only look near in the picture are not joined."""
+        """Radio links, by distance in all dimensions; robots that only look near in the picture are not joined."""
         adjacent = graph.adjacency(positions, float(self.record.mission.mission["comm_range"]))
         silent = [robot for robot, phase in enumerate(state.phases) if phase in SILENT]
         adjacent[silent, :] = adjacent[:, silent] = False
@@ -141,7 +141,7 @@ class Panel:
             return
         for robot in alive:
             look = looks[robot]
-            # Each disc lies wholly above the last, so that no letter shows on another robot's disc.
+            # Each disc lies wholly above the last, so that no letter shows on another disc.
             above = 4.0 + robot / len(looks)
             at = (float(places[robot, 0]), float(places[robot, 1]))
             self._discs(axes, places[robot : robot + 1], [look], above)
@@ -183,7 +183,7 @@ class Panel:
         )
 
     def key(self) -> list[Line2D | Patch]:
-        """What the signs mean, for a legend."""
+        """Entries of a legend."""
         look = next((look for plan_id, look in self.looks.items() if plan_id is not None), WITHOUT_PLAN)
         what = " (letter and colour: its plan; number above: its influence)" if self.labelled else " (colour: plan)"
         phases = {phase for state in self.record.states for phase in state.phases}
@@ -203,12 +203,12 @@ class Panel:
 
 
 def short(share: float) -> str:
-    """A number from 0 to 1 with two decimals, in as few signs as can be read: 0, .25, 1."""
+    """A number from 0 to 1 with two decimals in as few characters as possible: 0, .25, 1."""
     return f"{share:.0f}" if share in (0.0, 1.0) else f"{share:.2f}".removeprefix("0")
 
 
 def view(record: RunRecord, margin: float = 0.08) -> Box:
-    """The arena, or more where a robot or a goal lies outside, with a margin [units]."""
+    """The arena, extended to every robot and goal outside, with a margin [units]."""
     low, high = (np.array(corner[:2], dtype=np.float64) for corner in record.mission.mission["arena"])
     goals = [goal[:2] for state in record.states for goal in state.goals if goal is not None]
     points = np.concatenate([record.positions[:, :, :2].reshape(-1, 2), np.array(goals).reshape(-1, 2)])

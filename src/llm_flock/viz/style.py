@@ -22,14 +22,14 @@ BRIGHT = 0.6
 """Relative luminance from which a thin line is hard to see on white."""
 
 LETTERS_AN_INCH = 15
-"""Letters of a title that fit into an inch, with some room to spare."""
+"""Letters of a title that surely fit into an inch."""
 
 GRID = "#E4E4E4"
 SERIES: tuple[str, ...] = ("#0072B2", "#D55E00", "#009E73", "#A8548A", "#B07A00", "#3D8FBF", "#757575")
-"""Colours of curves and dots: of the same making as those of plans, each dark enough for a thin line on white."""
+"""Colours of curves and dots, each dark enough for a thin line on white."""
 
 SERIES_ON_DARK: tuple[str, ...] = ("#5AB0EE", "#FF8B4D", "#3CC99A", "#E49BC6", "#F0B840", "#9AD4F5", "#B8B8B8")
-"""What stands for each of them on a dark page."""
+"""The same series on a dark page."""
 
 LINES: tuple[str, ...] = ("-", "--", "-.", ":")
 MARKERS: tuple[str, ...] = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -48,7 +48,7 @@ RC: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,
-    # Shapes in words, labels and names of models are shown as they are: a dollar sign begins no formula.
+    # Labels and names are shown as they are: a dollar sign begins no formula.
     "text.parse_math": False,
     "figure.facecolor": PAPER,
     "axes.facecolor": PAPER,
@@ -56,12 +56,12 @@ RC: dict[Any, Any] = {
     "legend.fontsize": 7.5,
     "svg.hashsalt": "llm-flock",
 }
-"""Settings of all figures, so that a user's own do not change them."""
+"""Settings of all figures; a user's own settings do not change them."""
 
 
 def house_style() -> AbstractContextManager[None]:
     """Settings in force while a figure is made."""
-    # Looks are asked for where nothing is drawn by matplotlib too, which takes its time to load.
+    # Matplotlib is slow to load, and the viewer needs only the looks of plans.
     from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
 
     return rc_context(RC)
@@ -139,10 +139,10 @@ def luminance(colour: str) -> float:
 
 
 def heading(record: RunRecord, inches: float) -> str:
-    """What was flown: shape, N, rules and model; says when the models were simulated. Broken to fit a width."""
+    """Shape, N, rules and model, and whether the model was simulated; broken to fit a width."""
     n = record.mission.mission["n_robots"]
     robots = "1 robot" if n == 1 else f"{n} robots"
-    parts = (shapes(record), robots, rules(record), thinkers([record]))
+    parts = (shapes(record), robots, rules(record), model_names([record]))
     return fitted(" · ".join(part for part in parts if part), inches)
 
 
@@ -161,13 +161,13 @@ def fitted(text: str, inches: float) -> str:
 
 
 def rules(record: RunRecord) -> str:
-    """The rules that chose plan and places, where the record says so."""
+    """The rules that chose plan and slots, where the record has them."""
     protocol = record.run.config.get("protocol", {})
     return " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
 
 
-def thinkers(records: Sequence[RunRecord]) -> str:
-    """The models that were asked, and whether any of them was simulated."""
+def model_names(records: Sequence[RunRecord]) -> str:
+    """The models of the runs, and whether any of them was simulated."""
     names = dict.fromkeys(name for record in records for name in record.models)
     if not names:
         names = dict.fromkeys(str(record.run.config.get("model", {}).get("model", "")) for record in records)

@@ -1,7 +1,7 @@
 """llama.cpp inside this process, through xllamacpp: one engine for all robots of all runs that use the same files.
 
-Questions go to the engine by function calls, from threads that wait for it. Its own HTTP server cannot be left out; it
-listens on a Unix socket in a folder that nobody else may open, so that no port is opened.
+Questions are function calls, each in a thread that waits for the answer. The library's HTTP server cannot be left out;
+it listens on a Unix socket in a folder that only this user may open, so that no port is opened.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm.local.weights import Weights, head_of
+from llm_flock.llm.local.weights import Weights, header_of
 from llm_flock.llm.port import Usage
 
 MIN_SLOTS = 4
 MAX_SLOTS = 16
 
 BATCH = 512
-"""Tokens of questions that are worked through at once; memory for intermediate results grows with it."""
+"""Tokens of questions processed at once; memory for intermediate results grows with it."""
 
 WORK_BYTES = 256 * 2**20
-"""Memory of the engine beside weights and cache, generously [bytes]."""
+"""Upper estimate of the engine's memory beside weights and cache [bytes]."""
 
 STOPPED = "the engine was stopped"
 
 CLOSE_S = 10.0
-"""Longest wait for answers that are cut short; an engine that hangs must not keep the process from its end."""
+"""Longest wait for answers that are cut short [s]; an engine that hangs must not keep the process alive."""
 
 QUIET = -1
-"""The engine's level of logging: nothing."""
+"""The engine logs nothing."""
 
 
 def cores() -> int:
@@ -48,18 +48,18 @@ def cores() -> int:
 
 
 def thread_count() -> int:
-    """Threads that compute: one core is left to the rest. With every core taken, generation is many times slower."""
+    """Threads that compute. One core is left free: with all of them busy, generation is many times slower."""
     return max(1, cores() - 1)
 
 
 def slot_count() -> int:
-    """Questions that are answered at once: few, as they share the cores and the memory."""
+    """Questions answered at once: few, because they share cores and memory."""
     return min(MAX_SLOTS, max(MIN_SLOTS, 2 * thread_count()))
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What the engine answered, and the tokens of it."""
+class Completion:
+    """An answer of the engine, and its tokens."""
 
     text: str
     usage: Usage
@@ -70,17 +70,17 @@ class Engine:
 
     Args:
         weights: the files.
-        context: most tokens of a question with its answer, kept for each of the questions that are answered at once.
+        context: longest question with its answer [tokens]; each question answered at once has a context of this size.
 
     Raises:
-        InputError: for field `model`: the engine cannot load it.
+        InputError: for field `model`: the engine cannot load the files.
     """
 
     def __init__(self, weights: Weights, context: int) -> None:
         self.weights = weights
         self.context = context
         self.slots = slot_count()
-        self._places = threading.Semaphore(self.slots)
+        self._free_slots = threading.Semaphore(self.slots)
         self._threads: set[threading.Thread] = set()
         self._closing = threading.Event()
         self._folder = Path(tempfile.mkdtemp(prefix="llm-flock-"))
@@ -93,14 +93,15 @@ class Engine:
     def _load(self) -> Any:
         tokens = self.slots * self.context
         check_memory(self.weights, tokens)
-        library: Any = import_module("xllamacpp")  # takes 100 MB: only those who use it load it
+        library: Any = import_module("xllamacpp")  # takes 100 MB: imported only where it is used
+        files = self.weights.loaded()
         params = library.CommonParams()
-        params.model.path = str(self.weights.loaded())
+        params.model.path = str(files[0])
         if self.weights.adapter is not None:
             params.lora_adapters = [library.CommonAdapterLoraInfo(str(self.weights.adapter), 1.0)]
         params.n_parallel = self.slots
         params.n_ctx = tokens
-        # Each question has a part of its own: in a common one, a question that is too long ends all the others.
+        # A context for each question: in a shared one, a question that is too long ends all the others.
         params.kv_unified = False
         params.n_batch = params.n_ubatch = BATCH
         params.cpuparams.n_threads = params.cpuparams_batch.n_threads = thread_count()
@@ -113,42 +114,41 @@ class Engine:
         params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
         try:
             server = library.Server(params)
-            # Answered by the engine's own thread: it has begun to work. Stopped before that, it would never end.
+            # The engine's thread answers, so it has started. Stopped before that, it would never end.
             server.handle_metrics()
         except RuntimeError:
-            loaded = self.weights.loaded()
-            files = " and ".join(str(file) for file in (loaded, *self.weights.files[1:]))
-            allowed = f"what the engine can load: {files} may be damaged, of a kind it does not know, or too large"
-            raise InputError("model", str(loaded), allowed) from None
+            names = " and ".join(map(str, files))
+            allowed = f"what the engine can load: {names} may be damaged, of a kind it does not know, or too large"
+            raise InputError("model", str(files[0]), allowed) from None
         return server
 
-    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Told]:
+    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Completion]:
         """Answer one chat request.
 
         Args:
-            body: as for a chat completion of llama.cpp's server.
-            stop: set it to have the answer cut short.
+            body: a request for a chat completion, as llama.cpp's server takes it.
+            stop: set it to cut the answer short.
 
         Returns:
-            the answer; the future fails with ModelError where there is none.
+            A future of the answer; it fails with ModelError where there is none.
         """
-        answer: Future[Told] = Future()
-        # Daemons: whatever the engine does, the process can end.
+        answer: Future[Completion] = Future()
+        # A daemon: whatever the engine does, the process can end.
         thread = threading.Thread(target=self._work, args=(answer, dict(body), stop), name="engine", daemon=True)
         self._threads.add(thread)
         thread.start()
         return answer
 
-    def _work(self, answer: Future[Told], body: dict[str, Any], stop: threading.Event) -> None:
-        with self._places:
+    def _work(self, answer: Future[Completion], body: dict[str, Any], stop: threading.Event) -> None:
+        with self._free_slots:
             if answer.set_running_or_notify_cancel():
                 try:
                     answer.set_result(self._ask(body, stop))
-                except Exception as error:  # noqa: BLE001 - nothing is swallowed: who waits for the answer gets it
+                except Exception as error:  # noqa: BLE001 - the caller gets it with the answer
                     answer.set_exception(error)
         self._threads.discard(threading.current_thread())
 
-    def _ask(self, body: dict[str, Any], stop: threading.Event) -> Told:
+    def _ask(self, body: dict[str, Any], stop: threading.Event) -> Completion:
         text: list[str] = []
         used: dict[str, Any] = {}
         errors: list[dict[str, Any]] = []
@@ -173,12 +173,15 @@ class Engine:
         if self._closing.is_set():
             raise ModelError("refused", STOPPED)
         details: dict[str, int] = used.get("prompt_tokens_details") or {}
-        counts = used.get("prompt_tokens", 0), used.get("completion_tokens", 0), details.get("cached_tokens", 0)
-        usage = Usage(input=counts[0], output=counts[1], cached=counts[2])
-        return Told("".join(text), usage)
+        usage = Usage(
+            input=used.get("prompt_tokens", 0),
+            output=used.get("completion_tokens", 0),
+            cached=details.get("cached_tokens", 0),
+        )
+        return Completion("".join(text), usage)
 
     def close(self) -> None:
-        """Stop at once, cutting short what is being answered; may be called again."""
+        """Stop at once and cut answers short; may be called again."""
         self._closing.set()
         end = time.monotonic() + CLOSE_S
         for thread in tuple(self._threads):
@@ -188,26 +191,26 @@ class Engine:
 
 
 def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None:
-    """Refuse what does not fit into memory: the system would end this process without a word.
+    """Refuse weights that do not fit into memory: the system would kill this process without a message.
 
     Args:
         weights: the files.
-        tokens: of all questions at once.
-        free: memory that may be taken, as the system tells it if left out [bytes].
+        tokens: total context of all questions answered at once.
+        free: free memory, asked of the system if left out [bytes].
 
     Raises:
         InputError: for field `model`.
     """
     free = _free_bytes() if free is None else free
-    needed = sum(file.stat().st_size for file in (weights.loaded(), *weights.files[1:]))
-    needed += tokens * head_of(weights.model).cache_bytes + WORK_BYTES
+    needed = sum(file.stat().st_size for file in weights.loaded())
+    needed += tokens * header_of(weights.model).cache_bytes + WORK_BYTES
     if free is not None and needed > free:
         allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
         raise InputError("model", str(weights.model), allowed)
 
 
 def _free_bytes() -> int | None:
-    """Memory that may be taken, None where the system does not tell [bytes]."""
+    """Free memory [bytes], None where the system does not tell."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:
@@ -217,14 +220,14 @@ def _free_bytes() -> int | None:
 
 
 class Engines:
-    """The engines of this process, each shared by all who need it and stopped when nobody does."""
+    """The engines of one process: each is shared, and stopped with its last user."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._users: dict[Engine, int] = {}
 
     def lease(self, weights: Weights, context: int) -> Engine:
-        """An engine with these files and at least so much context; loads it if there is none.
+        """An engine with these files and at least this context, loaded if there is none. Pair with `give_back`.
 
         Raises:
             InputError: it cannot be loaded.
@@ -236,7 +239,7 @@ class Engines:
             return engine
 
     def give_back(self, engine: Engine) -> None:
-        """The opposite of `lease`."""
+        """End one lease; the engine stops with the last one."""
         with self._lock:
             self._users[engine] -= 1
             if self._users[engine]:
@@ -246,9 +249,9 @@ class Engines:
 
     @property
     def running(self) -> int:
-        """How many engines are loaded."""
+        """Number of loaded engines."""
         return len(self._users)
 
 
 ENGINES = Engines()
-"""All of this process."""
+"""The engines of this process."""

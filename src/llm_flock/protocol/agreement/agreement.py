@@ -101,7 +101,8 @@ class Agreement:
     def count_search(self, slots: Sequence[int]) -> None:
         """Write into the bid table that these vacant slots were visited and no robot was met there."""
         table = self.claim.table
-        assert table is not None, "only a robot with a bid table searches"
+        if table is None or not slots:
+            return
         visited = {a: (table[a][0], table[a][1] + 1.0, NO_OWNER) for a in slots if table[a][2] == NO_OWNER}
         self.claim = replace(self.claim, table=changed(table, visited))
 

@@ -1,4 +1,4 @@
-"""Which place of the plan is mine: rules that look at one's own claim and at what was just heard on the same plan."""
+"""Assignment rules: which slot of the plan to claim, given the own claim and the messages just heard."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from llm_flock.protocol.plan import Plan
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """A robot's place in its present plan.
+    """A robot's slot in its present plan.
 
     Attributes:
         slot: index of the place, None while the robot has none.
-        table: everybody's claims as far as known (auction only).
-        bids: this robot's bid for every slot, fixed when the plan was adopted (auction only).
-        offer: the exchange of places that this robot has offered and is bound to (auction only).
+        table: bid table, all claims as far as known (auction only).
+        bids: this robot's bid for every slot, fixed when it adopted the plan (auction only).
+        offer: the exchange of slots that this robot has offered and is bound to (auction only).
         bound: communication rounds for which it stays bound to its offer.
     """
 
@@ -84,7 +84,7 @@ class AssignmentRule(Protocol):
 
     @property
     def name(self) -> str:
-        """The word for the command line and records."""
+        """Name on the command line and in records."""
         ...
 
     def take(self, now: AssignmentInput) -> Claim:
@@ -92,21 +92,21 @@ class AssignmentRule(Protocol):
         ...
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
-        """The claim after a communication round's messages on the same plan."""
+        """The claim after a communication round on the same plan."""
         ...
 
 
 def nearest(position: Point, plan: Plan, taken: frozenset[int] = frozenset()) -> int:
-    """Index of the plan's point closest to `position` that is not in `taken`; lowest index among equals.
+    """Index of the plan's point closest to `position` that is not in `taken`; the lowest index among equals.
 
-    With every point taken, the closest of all.
+    If every point is taken, the closest of all.
     """
     free = [a for a in range(len(plan)) if a not in taken] or range(len(plan))
     return min(free, key=lambda a: (math.dist(position, plan.points[a]), a))
 
 
 def _own_choice(now: AssignmentInput) -> int:
-    """The model's own index; the robot's id where the model named none."""
+    """The model's own index; the robot's id if the model named none."""
     return now.robot if now.chosen is None else now.chosen
 
 
@@ -129,9 +129,9 @@ class IndexAssignment:
 class NearestAssignment:
     """The paper's rule, literally (lines 136-139 and 155-157).
 
-    On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is never
-    looked at again: nobody hears of it, so two robots may take the same goal. A robot's own plan keeps the index
-    that its model named.
+    On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is not used
+    again. No other robot learns of it, so two robots may take the same goal. A robot's own plan keeps the index that
+    its model named.
     """
 
     name: str = "nearest"

@@ -1,9 +1,9 @@
 """Consensus-based auction over the slots of the agreed plan, with exchanges between neighbours.
 
-CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO 2009). Exchanges
-follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for multiple robots
-(IJRR 2014), with ways instead of distances. Nobody holds the table: every robot has its own, and tables meet by
-merging.
+The auction is CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO
+2009). Exchanges follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for
+multiple robots (IJRR 2014), with path lengths instead of distances. Every robot has its own bid table, CBAA's winning
+bids and winning agents, and tables are merged entry by entry.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.path_length import path_lengths
 from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
+from llm_flock.protocol.path_length import path_lengths
 
 BID_DECIMALS = 9
 
 Precedence: TypeAlias = Callable[[int, BidEntry], tuple[int, int]]
 
 SWAP_GAIN = 0.01
-"""An exchange must lower the sum of the squared ways by at least this share of the squared spacing."""
+"""An exchange must lower the sum of the squared path lengths by at least this share of the squared spacing."""
 
 BOUND_ROUNDS = 4
-"""How long an offer binds its maker; an answer takes two communication rounds where nothing is lost."""
+"""Communication rounds for which an offer binds its maker; an answer takes two where nothing is lost."""
 
 
 def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
@@ -55,7 +55,7 @@ def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -
 
 
 def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None]]) -> tuple[BidTable, set[int]]:
-    """`merge` with several tables and the slots of them that matter; also the slots that changed."""
+    """`merge` with several tables, each with its slots that matter; also returns the slots that changed."""
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
         if said is None:
@@ -81,7 +81,7 @@ def changed(table: BidTable, new: Mapping[int, BidEntry]) -> BidTable:
 
 
 def vacant(table: BidTable) -> list[int]:
-    """Slots that nobody is known to own."""
+    """Slots without a known owner."""
     return [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
 
 
@@ -90,17 +90,18 @@ class AuctionAssignment:
     """CBAA with exchanges.
 
     A robot's bid for a slot is minus its distance to it, fixed when it adopts the plan: bids from moving positions
-    could leapfrog for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it can still
-    win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a connected
-    graph the team ends on distinct slots. The index named by the model is not used: it knows nobody's distance.
+    could overtake each other for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it
+    can still win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a
+    connected graph the team ends on distinct slots. The index named by the model is not used: it knows no other robot's
+    distance.
 
-    Two neighbours exchange slots when that lowers the sum of their squared ways, even if one then flies farther. The
-    ways lead along the formation (`llm_flock.protocol.agreement.path_length`): a far slot is not flown to across
-    everybody's range, but handed on from place to place, and the whole row moves up by one. Who has accepted may offer
-    the next exchange in the same communication round. The offer binds its maker until it is answered, refused or
-    expired: meanwhile it neither claims nor exchanges. The acceptance is written in the table, both versions raised,
-    and travels by merging; an entry with a raised version cannot be outbid by who has not heard of it. Whoever finds
-    itself on several slots, after a late acceptance for instance, keeps one by a fixed order and releases the rest.
+    Two neighbours exchange slots when that lowers the sum of their squared path lengths, even if one then flies
+    farther. Paths lead along the formation (`llm_flock.protocol.path_length`): instead of one robot crossing
+    it, a row of robots each moves up by one place. A robot that has accepted an offer may make the next one in the same
+    communication round. An offer binds its maker until it is answered, refused or expired: meanwhile the maker neither
+    claims nor exchanges. Acceptance is written into the table, both versions raised, and travels by merging; an entry
+    with a raised version cannot be outbid by a robot that has not heard of it. A robot that finds itself on several
+    slots, after a late acceptance for instance, keeps one by a fixed order and releases the rest.
     """
 
     name: str = "auction"
@@ -143,7 +144,7 @@ class AuctionAssignment:
 
 
 def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
-    """Take back a slot that others released because they had not heard of this robot for long."""
+    """Take back a slot that others released because they had not heard of this robot for too long."""
     slot = claim.slot
     if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
         return table
@@ -173,14 +174,14 @@ def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
 def keep_one(
     robot: int, table: BidTable, among: Iterable[int], precedence: Precedence | None = None
 ) -> tuple[BidTable, int | None]:
-    """Of several slots owned, the one of highest version, bid and lowest index; the rest are released.
+    """Of several slots owned, keep the one of highest version, bid and lowest index, and release the rest.
 
-    Signed claims have an order of their own, by which everybody knows which one counts: the others are freed together.
+    Signed claims have a precedence that every robot knows; the slots that do not count are then freed together.
 
     Args:
         robot: own id.
         table: all claims known.
-        among: slots that it may own: its own of before, and those in which something has changed since.
+        among: slots that it may own: its own one of before, and those that have changed since.
         precedence: precedence of signed claims; then any slot may be its own.
     """
     if precedence is not None:
@@ -208,9 +209,9 @@ def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
 
 
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """By how much exchanging slots with a robot at `there` lowers the sum of the squared ways [units^2].
+    """By how much exchanging slots with a robot at `there` lowers the sum of the squared path lengths [units^2].
 
-    The ways lead along the formation, or are `straight`.
+    Paths lead along the formation, or are `straight`.
     """
 
     def ways(here: Point) -> list[float]:
@@ -231,7 +232,7 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
 
 
 def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
-    """Accept the best of the offers heard, if there is a good one and nothing binds this robot elsewhere."""
+    """Accept the best offer heard, if one is good enough and no offer of its own binds this robot."""
     table = claim.table or ()
     good: list[tuple[float, int, Offer]] = []
     for message in now.heard:
@@ -258,7 +259,7 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
 
 
 def _offered(claim: Claim, now: AssignmentInput) -> Claim:
-    """Offer the best exchange to a neighbour that is bound to nobody, if there is a good one."""
+    """Offer the best exchange to a neighbour without an offer, if one is good enough."""
     table, slot = claim.table or (), claim.slot
     assert slot is not None and claim.bids is not None
     best: tuple[float, int] | None = None

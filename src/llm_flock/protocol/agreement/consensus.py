@@ -1,4 +1,4 @@
-"""Which plan to follow: rules that look at one's own standing and at what was just heard, and nothing else."""
+"""Consensus rules: which plan to follow, given the own plan and the messages just heard."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ TieBreak: TypeAlias = Literal["lowest", "highest"]
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot brings into the comparison: its plan with origin and class, and its own influence times N."""
+    """A robot's own side of the comparison.
+
+    Attributes:
+        plan: the plan that it follows, None before it has one.
+        provenance: origin of that plan.
+        neighbors: number of robots within its radio range, that is N times its influence (paper, eq. 1).
+        plan_class: class of that plan (`verification.plans.PlanClass`); 0 where nothing is checked.
+    """
 
     plan: Plan | None
     provenance: Provenance | None
@@ -34,11 +41,11 @@ class ConsensusRule(Protocol):
 
     @property
     def name(self) -> str:
-        """The word for the command line and records."""
+        """Name on the command line and in records."""
         ...
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
-        """The message whose plan is to be adopted, or None to keep one's own."""
+        """The message whose plan to adopt, or None to keep one's own."""
         ...
 
 
@@ -57,8 +64,8 @@ class NoConsensus:
 class InfluenceConsensus:
     """The paper's Algorithm 1, literally (lines 133 and 149-158).
 
-    Among all neighbours heard, k is the one of highest influence; its plan is adopted if I_k > I_i strictly and
-    P_k differs from P_i. The paper does not say which of several equally influential neighbours is k; `tie` does.
+    Of all neighbours heard, k has the highest influence; its plan is adopted if I_k > I_i strictly and P_k differs from
+    P_i. The paper does not say which of several equally influential neighbours is k; `tie` does.
     """
 
     tie: TieBreak = "lowest"
@@ -74,7 +81,7 @@ class InfluenceConsensus:
 
 
 def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
-    """The place of a plan in the total order: compared element by element, higher wins."""
+    """A plan's place in the total order: keys are compared element by element, and the higher one wins."""
     return (
         origin.mission,
         origin.mission_digest,
@@ -91,16 +98,16 @@ def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
 class ProvenanceConsensus:
     """Max-consensus over a total order of plans (max-consensus: Cortes 2008; Nejad et al. 2009).
 
-    Among plans of one class (`verification.PlanClass`, which every receiver finds for itself) the proposer's influence
-    at the time of proposing decides first, so the paper's idea is kept, but it belongs to the plan and travels with it,
-    and ties are settled by the proposer's id. On a connected graph without loss all robots agree within its diameter in
-    communication rounds, because the highest key only spreads and never changes.
+    Plans of one class (`verification.plans.PlanClass`, which every receiver determines itself) are ordered first by the
+    influence that the proposer had when it proposed. This keeps the paper's idea, but influence belongs to the plan and
+    travels with it, and the proposer's id breaks ties. On a connected graph without loss all robots agree within its
+    diameter in communication rounds, because the highest key spreads and never changes.
     """
 
     name: str = "provenance"
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
-        """Adopt the plan of highest key, if it is higher than one's own."""
+        """Adopt the plan of highest key, if that is higher than one's own."""
         best: Message | None = None
         best_key = (
             None if own.plan is None or own.provenance is None else plan_key(own.plan, own.provenance, own.plan_class)

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -31,9 +30,6 @@ from llm_flock.protocol.membership.rendezvous import landing
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.protocol.plan import Plan
-
-if TYPE_CHECKING:
-    from llm_flock.protocol.agreement.assignment import Claim
 
 ROUNDS = 8
 """Rounds of a mission in which the first collection runs; after that the positions are out of date."""
@@ -145,15 +141,15 @@ class AllToAll:
         return VERSION, tuple(where for _, where, _ in reports)
 
     def report(
-        self, mission: Mission, plan: Plan | None, claim: Claim, position: Point, *, greeting: bool
+        self, mission: Mission, plan: Plan | None, position: Point, *, settled: bool, greeting: bool
     ) -> dict[int, PositionReport] | None:
         """The reports to broadcast: all that are known once a round, then only new ones; None for none.
 
         Args:
             mission: the mission in force.
             plan: the plan that is followed.
-            claim: the own claim; a slot from a joint assignment needs no second collection.
             position: own believed position [units; frame of the mission].
+            settled: whether the own slot is from a joint assignment; such a robot needs no second collection.
             greeting: whether this is the first broadcast of a round.
         """
         if not self.collecting:
@@ -162,7 +158,7 @@ class AllToAll:
             self.hear({self._robot: (0, _rounded(position), ())})
         else:
             point = None if plan is None else landing(mission, plan, position)
-            if point is None or given_all_to_all(claim.table, claim.slot):
+            if point is None or settled:
                 return None
             self._report_waiting(_rounded(point), MOVED * mission.spacing)
         reports, self._news = dict(self._known if greeting else self._news), {}

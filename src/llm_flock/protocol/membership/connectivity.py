@@ -4,29 +4,44 @@ from __future__ import annotations
 
 import math
 
+import msgspec
+
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
-from llm_flock.protocol.agreement.agreement import Agreement
-from llm_flock.protocol.agreement.path_length import ACROSS, next_stop
+from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
 from llm_flock.protocol.membership.search import MANY, Search, advance
+from llm_flock.protocol.messages.message import BidTable
+from llm_flock.protocol.path_length import ACROSS, next_stop
 from llm_flock.protocol.plan import Plan
 
 
+class Route(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a robot flies before it flies to its place.
+
+    Attributes:
+        target: the intermediate target [units; frame of the mission]; None if the robot flies straight to its place.
+        visited: vacant slots that were just visited, where no robot was met.
+        notes: events for the record.
+    """
+
+    target: Point | None = None
+    visited: tuple[int, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
 class ConnectivityRecovery:
-    """Where one robot flies to stay in touch with its team, or to find robots that it misses.
+    """Keeps one robot in touch with its team, or finds robots that it misses.
 
     Args:
-        agreement: the plan, and the claims on its slots.
         liveness: which robots are missing.
         all_to_all: whether a large team waits for its missing robots.
     """
 
-    def __init__(self, agreement: Agreement, liveness: Liveness, all_to_all: AllToAll) -> None:
-        self._agreement = agreement
+    def __init__(self, liveness: Liveness, all_to_all: AllToAll) -> None:
         self._liveness = liveness
         self._all_to_all = all_to_all
         self._search = Search()
@@ -36,73 +51,64 @@ class ConnectivityRecovery:
         """Whether the search for missing robots has ended without success."""
         return self._search.given_up
 
-    def where_to(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
-        """The intermediate target, None if the robot flies straight to its place. Call once a round.
+    def route(
+        self, mission: Mission, plan: Plan, slot: int, table: BidTable | None, here: Point, *, placed: bool
+    ) -> Route:
+        """The next intermediate target. Call once a round.
 
         Args:
-            here: own believed position [units; frame of the mission].
+            mission: the mission in force.
             plan: the plan that is followed.
-            slot: own place in it.
+            slot: own slot in it.
+            table: all claims known; None with a rule that has no bid table.
+            here: own believed position [units; frame of the mission].
+            placed: whether a joint assignment gave slots to this robot and all others heard in this round.
         """
-        live, table, mission = self._liveness, self._agreement.claim.table, self._agreement.mission
-        waits, ended = self._wait_for_others(here, plan, slot)
-        if waits is not None:
-            return waits, ended
-        places = self._places_for_now(plan)
-        notes = self._look_for_others(here, places, slot)
+        live, waiting = self._liveness, self._all_to_all.waiting and not placed
+        point = meeting_point(mission, plan, here, self._all_to_all.others) if waiting else None
+        if point is not None:
+            self._all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
+            searched, self._search = self._search, Search()
+            return Route(target=point, notes=(_search_note(searched, begun=False),) if searched.way else ())
+        places = plan
+        if table is not None and not self.given_up and len(live.strangers) + len(live.silent) > MANY:
+            places = meeting_places(mission, plan, table)
+        visited, notes = self._look_for_others(mission, places, slot, table, here)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_all_to_all(table, slot) and (live.strangers or live.silent or lonely):
             target = next_stop(here, places, slot, mission.center, mission.spacing)
         if target is None and places is not plan:
             target = places.points[slot]
-        return target, notes
+        return Route(target=target, visited=visited, notes=notes)
 
-    def _wait_for_others(self, here: Point, plan: Plan, slot: int) -> tuple[Point | None, list[Note]]:
-        """The point where a robot of a large team in pieces waits for the others; None if it does not wait."""
-        agreement, mission = self._agreement, self._agreement.mission
-        if not self._all_to_all.waiting or agreement.placed:
-            return None, []
-        point = meeting_point(mission, plan, here, self._all_to_all.others)
-        if point is None:
-            return None, []
-        self._all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
-        searched, self._search = self._search, Search()
-        ended = [Note("search", {"begun": False, "vacant": list(searched.known[1])})] if searched.way else []
-        return point, ended
-
-    def _places_for_now(self, plan: Plan) -> Plan:
-        """The places of the plan, or those on the rendezvous circle of a large team in pieces."""
-        live, table = self._liveness, self._agreement.claim.table
-        if table is None or self.given_up or len(live.strangers) + len(live.silent) <= MANY:
-            return plan
-        return meeting_places(self._agreement.mission, plan, table)
-
-    def _look_for_others(self, here: Point, plan: Plan, slot: int) -> list[Note]:
-        """Begin, continue or end the search for robots in vacant slots; note the slots that stay empty."""
-        agreement = self._agreement
-        table, live, mission = agreement.claim.table, self._liveness, agreement.mission
+    def _look_for_others(
+        self, mission: Mission, places: Plan, slot: int, table: BidTable | None, here: Point
+    ) -> tuple[tuple[int, ...], tuple[Note, ...]]:
+        """Begin, continue or end the search for robots in vacant slots; the slots just visited, and notes."""
         if table is None:
-            return []
-        before = self._search
-        self._search = advance(
+            return (), ()
+        live, before = self._liveness, self._search
+        self._search = search = advance(
             before,
             position=here,
-            plan=plan,
+            plan=places,
             slot=slot,
             table=table,
             center=mission.center,
             spacing=mission.spacing,
-            at_goal=math.dist(here, plan.points[slot]) <= AT_GOAL * mission.spacing,
+            at_goal=math.dist(here, places.points[slot]) <= AT_GOAL * mission.spacing,
             strangers=len(live.strangers),
             silent=len(live.silent),
         )
-        agreement.count_search(self._search.looked)
         notes = list[Note]()
-        if bool(before.way) != bool(self._search.way):
-            vacant = list(self._search.known[1])
-            notes.append(Note("search", {"begun": bool(self._search.way), "vacant": vacant}))
-        if self.given_up and self._search.gaps != before.gaps:
-            gone = sorted(live.silent | live.strangers)
-            notes.append(Note("gap", {"slots": list(self._search.gaps), "missing": gone}))
-        return notes
+        if bool(before.way) != bool(search.way):
+            notes.append(_search_note(search, begun=bool(search.way)))
+        if self.given_up and search.gaps != before.gaps:
+            missing = sorted(live.silent | live.strangers)
+            notes.append(Note("gap", {"slots": list(search.gaps), "missing": missing}))
+        return search.looked, tuple(notes)
+
+
+def _search_note(search: Search, *, begun: bool) -> Note:
+    return Note("search", {"begun": begun, "vacant": list(search.known[1])})

@@ -1,9 +1,9 @@
-"""Who is alive: heartbeats that everybody passes on, so that out of range is not dead.
+"""Which robots are alive: heartbeats that every robot passes on, so that a robot out of range does not count as dead.
 
 A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware
-1998). Every robot counts its own rounds; counters travel with the messages and meet by the element-wise maximum. A
-robot whose counter has stood still for longer than the time-out is taken for silent: dead, or cut off together with all
-who hear it. That is a suspicion and no more: whoever was suspected wrongly is heard of again, and alive again.
+1998). Every robot counts its own rounds; counters travel with the messages and are merged by the element-wise maximum.
+A robot whose counter has stood still for longer than the time-out is silent: dead, or cut off together with all robots
+that hear it. This is only a suspicion: a robot suspected wrongly is heard of again, and alive again.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 TIME_OUT = 10
-"""Rounds without a heartbeat, by whatever way, after which a robot is taken for dead; some flights lead out of
-everybody's range for a while."""
+"""Rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave every other
+robot's range for a while."""
 
 
 BODY = 1
-"""Counter of a robot of which there is only a body that was never heard: the others hear of it, and need not look for
-it. Who is awake counts on from here."""
+"""Counter of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. A
+robot that is awake counts on from here."""
 
 FEW = 20
-"""A team of so many is small: heartbeats cross it well within the time-out."""
+"""In a team of at most this size, heartbeats reach every robot well within the time-out."""
 
 ROUNDS_PER_ROBOT = 0.6
-"""So many rounds more for each further robot of the team. Heartbeats are handed on once a round: when a cluster spreads
-out into a ring of N, where the farthest is N / 2 robots away, they come late by nearly as many rounds."""
+"""Additional rounds of time-out for each further robot. Heartbeats are passed on once a round: when a cluster
+spreads out into a ring of N, where the farthest robot is N / 2 hops away, they arrive late by nearly as many rounds."""
 
 
 def patience(time_out: int, n_robots: int) -> int:
-    """Rounds without a heartbeat after which a robot of a team of so many is taken for dead."""
+    """Rounds without a heartbeat after which a robot of a team of this size counts as dead."""
     return time_out + int(ROUNDS_PER_ROBOT * max(0, n_robots - FEW))
 
 
 class Liveness:
-    """What one robot knows of everybody's heartbeats.
+    """The heartbeats of the team that one robot knows.
 
-    `silent` are the robots that were heard of and are no more, `strangers` those that never were. A stranger whose body
-    stayed within radio range for the time-out without being heard is silent too.
+    `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
+    range for the time-out without being heard is silent too.
 
     Args:
         robot: own id.
@@ -66,20 +66,20 @@ class Liveness:
 
     @property
     def alive(self) -> int:
-        """How many robots are taken for alive, this one included."""
+        """Number of robots that count as alive, this one included."""
         return len(self._beats) - len(self.silent) - len(self.strangers)
 
     @property
     def living(self) -> frozenset[int]:
-        """Robots whose counter went on since they were first heard of, and which are not silent.
+        """Robots whose counter has advanced since they were first heard of, and which are not silent.
 
-        A counter alone is no sign of life: late joiners hear those of the dead as well. One that died may be among them
-        for up to the time-out.
+        A counter alone is no sign of life: late joiners also hear the counters of dead robots. A robot that died may
+        stay in this set for up to the time-out.
         """
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
     def begin_round(self, round_number: int, near: frozenset[int]) -> None:
-        """Count a heartbeat of one's own, and see whose counter has stood still for too long.
+        """Count a heartbeat of one's own, and find counters that have stood still for too long.
 
         Args:
             round_number: number of the round.
@@ -96,10 +96,10 @@ class Liveness:
         self._look()
 
     def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
-        """Take the counters of a communication round's messages, each of shape (N,).
+        """Merge the counters of a communication round's messages, each of shape (N,).
 
-        Who was restarted, and hears of its own former life, counts on from there: otherwise nobody would notice its
-        new heartbeats.
+        A robot that was restarted, and hears of its own former life, counts on from there: otherwise its new heartbeats
+        would go unnoticed.
         """
         if not heard:
             return

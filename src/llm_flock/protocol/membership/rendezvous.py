@@ -1,13 +1,13 @@
-"""Where a large team meets that is still in pieces.
+"""Rendezvous of a large team that is still in pieces.
 
-Every piece has a plan of its own, and the same shape in another turn has its places elsewhere: the corners of two
-squares are far from each other's sides, and pieces that sit on them do not meet. The circle about the centre with the
-mean radius of the places is the same in every turn. So while less than half of a plan's places have owners, a robot
-goes to where its place lies on that circle as seen from the centre, and looks for others along it.
+Each piece has its own plan, and the same shape in another orientation has its places elsewhere: the corners of one
+square are far from the sides of another, so pieces at their places do not meet. The circle around the centre with the
+mean radius of the places is the same in every orientation. So while less than half of a plan's slots have owners, a
+robot goes to the point of that circle nearest to its place, and looks for others along it.
 
-A large team whose first roll call (`llm_flock.protocol.membership.all_to_all`) has not come to an end in the plane does
-more: it waits near that circle, and spreads out along it until it is closed. Then everybody hears of everybody, and all
-places are taken at one stroke.
+In the plane, a large team whose first collection of positions (`llm_flock.protocol.membership.all_to_all`) has not
+completed does more: its robots wait near that circle and spread out along it until it is closed. Then every robot hears
+of every other, and all slots are assigned at once.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from llm_flock.protocol.messages.message import NO_OWNER, BidEntry
 from llm_flock.protocol.plan import Plan
 
 HOLLOW = 0.5
-"""Shapes whose nearest place to the centre is at this share of the farthest one's distance, or more, have a circle."""
+"""Shapes have a circle if their nearest place is at least at this share of the farthest one's distance from the
+centre."""
 
 ENOUGH = 0.5
-"""With this share of a plan's places taken, its robots fly to them."""
+"""Robots fly to their places once this share of a plan's slots is taken."""
 
 WITHIN = 0.95
-"""The circle on which robots wait for each other is smaller by this: there they stand closer, and find it easier to
-close it."""
+"""The circle on which robots wait is smaller by this factor: there they stand closer, and close it more easily."""
 
 NEAR = 1.0
-"""Who is within so many spacings of the circle is on it."""
+"""A robot within this many spacings of the circle is on it."""
 
 HOLD = 0.8
-"""Those who wait spread out to at most this share of the radio range."""
+"""Waiting robots spread out to at most this share of the radio range."""
 
 LINK = 0.95
-"""Nobody leaves a neighbour on the circle behind by more than this share of the radio range."""
+"""No robot moves farther than this share of the radio range from a neighbour on the circle."""
 
 PLANE = 2
 
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
-    """Where the places of a plan are for now: on the circle of the mean radius while most are nobody's.
+    """The places to fly to for now: on the circle of the mean radius while most slots are vacant.
 
     Args:
-        mission: centre, and obstacles that no place may be on.
+        mission: centre, and obstacles that no place may lie on.
         plan: the plan that is followed.
         table: all claims known.
     """
@@ -62,10 +62,10 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> P
 
 
 def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
-    """Where a robot that waits for others comes to the circle; None where there is no such circle.
+    """The point at which a robot that waits for others reaches the circle; None where there is no such circle.
 
     Args:
-        mission: centre, and obstacles that no place may be on.
+        mission: centre, and obstacles that no place may lie on.
         plan: the plan that is followed.
         here: own believed position [units; frame of the mission].
     """
@@ -77,16 +77,16 @@ def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
 
 
 def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
-    """Where to wait on the circle for those who are not known yet; None where there is no such circle.
+    """The point on the circle at which to wait for unknown robots; None where there is no such circle.
 
-    Those known who follow each other on it within radio range spread out evenly around where they are on average, up to
-    `HOLD` apart, so that their ends meet others.
+    Known robots that follow each other on the circle within radio range spread out evenly around their mean position,
+    up to `HOLD` apart, so that the ends of such a chain meet others.
 
     Args:
-        mission: centre, and obstacles that no place may be on.
+        mission: centre, and obstacles that no place may lie on.
         plan: the plan that is followed.
         here: own believed position [units; frame of the mission].
-        others: where the others are that are known [units; frame of the mission].
+        others: positions of the other known robots [units; frame of the mission].
     """
     point = landing(mission, plan, here)
     near = NEAR * mission.spacing
@@ -100,10 +100,10 @@ def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Po
 
 
 def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
-    """How far to go along the circle [units].
+    """How far to move along the circle [units].
 
     Args:
-        arcs: how far the others are along the circle, sorted [units].
+        arcs: positions of the others along the circle, sorted [units].
         around: length of the whole circle [units].
         reach: radio range [units].
     """

@@ -1,11 +1,11 @@
-"""Ends frozen partitions: a robot that sits in its place while others' places stay empty goes and looks for the others.
+"""The search that ends frozen partitions: a robot at its place looks for the robots that should be in vacant slots.
 
-Random starts are rarely connected, and two groups can settle on places that never come into radio range of each
-other: each then knows of empty slots, and no message will ever fill them. So a robot at its goal that still knows of
-vacant slots after some rounds visits them, the nearest first, and the centre last, until it hears something new. Who
-sits nearest to a vacant slot goes first. How often somebody has looked at a vacant slot and met nobody is written in
-its table entry and spreads with it, so the team looks `LOOKS` times and not each robot; every look is followed by a
-longer wait. A slot that has been looked at so often is a gap: the team may simply be smaller than the plan.
+Random starts are rarely connected, and two groups can settle on slots that never come into radio range of each other:
+each then knows of vacant slots that no message will ever fill. So a robot at its goal that still knows of vacant slots
+after some rounds visits them, the nearest first and the centre last, until it hears something new. The robot nearest to
+a vacant slot goes first. Each visit at which no robot is met is counted in the slot's table entry and spreads with it,
+so the team as a whole makes `LOOKS` visits; every visit is followed by a longer wait. After that many visits the slot
+is a gap: the team may simply be smaller than the plan.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ from llm_flock.protocol.messages.message import NO_OWNER, BidTable
 from llm_flock.protocol.plan import Plan
 
 PATIENCE = 1
-"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every look in vain."""
+"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain."""
 
 NEXT_TO = 1.5
 """A vacant slot within this many spacings of the own one is next to it."""
 
 PATIENCE_PER_PLACE = 4
-"""More rounds to wait for each spacing that a vacant slot is farther away: who is nearer should go."""
+"""Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""
 
 LOOKS = 4
-"""Looks at a vacant slot while robots are missing that nobody has ever heard of."""
+"""Visits to a vacant slot while robots are missing that were never heard of."""
 
 LOOKS_FOR_SILENT = 1
-"""Looks where all that are missing have been heard of before, and are probably dead."""
+"""Visits where all missing robots have been heard of before, and are probably dead."""
 
 MANY = 20
-"""While more robots than these are missing, news come in every round, and a search that each of them ended would never
-get anywhere: it goes on until its next place is taken."""
+"""While more robots than these are missing, every round brings news. A search that each of them ended would never
+get anywhere, so it goes on until its next slot is taken."""
 
 ARRIVED = 0.5
 """A point of the tour counts as visited within this share of the spacing."""
 
 
 class Search(msgspec.Struct, frozen=True, kw_only=True):
-    """How far a robot's search is.
+    """State of a robot's search.
 
     Attributes:
-        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts afresh, unless
-            many robots are missing.
-        looks: how often the least looked at of these was looked at.
-        waited: rounds spent at the goal since the last tour or look.
+        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts a new search,
+            unless many robots are missing.
+        looks: number of visits to the least visited of these slots.
+        waited: rounds spent at the goal since the last tour or visit.
         way: points still to visit [units; frame of the mission]; empty while the robot waits.
-        gaps: vacant slots that nobody will look at any more.
-        looked: vacant slots that this robot has just looked at.
+        gaps: vacant slots that will not be visited any more.
+        looked: vacant slots that this robot has just visited.
     """
 
     known: tuple[str, tuple[int, ...]] = ("", ())
@@ -66,7 +66,7 @@ class Search(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def target(self) -> Point | None:
-        """Where the search leads next, None while there is none under way."""
+        """The next point to visit; None while no tour is under way."""
         return self.way[0] if self.way else None
 
     @property
@@ -91,16 +91,16 @@ def advance(
     """The search one round later.
 
     Args:
-        search: as it was.
+        search: the search so far.
         position: own believed position [units; frame of the mission].
         plan: the plan that is followed.
-        slot: own place in it.
-        table: all claims known; the bid for a vacant slot is how often it was looked at.
+        slot: own slot in it.
+        table: all claims known; the bid of a vacant slot is its number of visits.
         center: centre of the formation.
         spacing: wanted distance between neighbours [units].
         at_goal: whether the robot is at its own place.
-        strangers: how many robots of the team have never been heard of.
-        silent: how many have been, but not for long.
+        strangers: number of robots that have never been heard of.
+        silent: number of robots whose heartbeats have stopped.
     """
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)
@@ -127,7 +127,7 @@ def advance(
 
 
 def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
-    """The search in view of what was heard; `many`: news from afar neither call a robot home nor make it wait anew."""
+    """The search in view of what was heard; with `many` robots missing, news neither end a tour nor reset the wait."""
     digest, before = search.known
     if digest != plan.digest or (vacant != before and not many):
         return Search(known=(plan.digest, vacant))
@@ -141,14 +141,14 @@ def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], cen
 
 @lru_cache(maxsize=4096)
 def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
-    """The vacant slot nearest to the own one; asked for again a round later, when others are vacant."""
+    """The vacant slot nearest to the own one."""
     points = plan.points
     here = points[slot]
     return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
 
 
 def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
-    """Vacant slots, each time the nearest to the one before."""
+    """Vacant places, each time the nearest to the one before."""
     places = plan.array[due]
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     to_each = np.linalg.norm(places - plan.array[slot], axis=1)

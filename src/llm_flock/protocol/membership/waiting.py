@@ -1,4 +1,4 @@
-"""Where a robot waits that has no place in the plan: out of the others' way, as near as it can."""
+"""Where a spare robot waits: near its position, and out of the way of the others."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from llm_flock.protocol.membership.occupancy import sight
 from llm_flock.protocol.plan import Plan
 
 CLEARANCE = 2.0
-"""Safe distances that a waiting robot keeps from every place of the plan: another robot can pass in between."""
+"""Safe distances between a waiting robot and every place of the plan, so that another robot can pass between."""
 
 ANGLES = 24
 RINGS = 40
@@ -22,20 +22,20 @@ RINGS = 40
 def waiting_place(
     mission: Mission, position: Point, plan: Plan, others: Sequence[Point], blocked: Collection[int] = ()
 ) -> Point:
-    """The nearest point to `position` that is clear of all places, of other robots, of walls and of obstacles.
+    """The nearest point to `position` that is clear of all places, other robots, walls and obstacles.
 
-    Where places are blocked, which nobody else may be near enough to see come free, it is in sight of the nearest of
-    them, if any such point is.
+    If slots are blocked, the point is in sight of the nearest of them where possible, because no other robot may be
+    near enough to see it come free.
 
     Args:
         mission: limits, arena and obstacles.
-        position: own believed position [units].
-        plan: the plan in which all places are taken.
-        others: positions of the robots that are sensed [units].
-        blocked: places that nobody may take, as a body stands on them.
+        position: own believed position [units; frame of the mission].
+        plan: the plan, of which all slots are taken.
+        others: positions of sensed robots [units; frame of the mission].
+        blocked: slots that no robot can take, because a body stands there.
 
     Returns:
-        `position` itself where that will do, or where nothing near is clear.
+        `position` itself where that is clear, or where no near point is.
     """
     clear = CLEARANCE * mission.safe_distance
     watched = min((plan.points[a] for a in blocked), key=lambda place: math.dist(position, place), default=position)
@@ -58,7 +58,7 @@ def waiting_place(
 
 
 def _rings(center: Point, step: float) -> Iterator[Point]:
-    """Points around a centre, the nearest first; in the plane of the first two axes."""
+    """Points around a centre, the nearest first, in the plane of the first two axes."""
     yield center
     for ring in range(1, RINGS + 1):
         for k in range(ANGLES):

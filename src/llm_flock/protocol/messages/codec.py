@@ -1,4 +1,4 @@
-"""Messages as bytes: one version byte, then MessagePack; bounded in size, and validated when they come in."""
+"""Messages as bytes: one version byte, then MessagePack; bounded in size, and validated on receipt."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from llm_flock.protocol.plan import Plan
 WIRE_VERSION = 5
 
 FEW = 0.5
-"""Claims on up to this share of the slots are few."""
+"""Largest share of a table's slots that counts as few."""
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
 Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
-"""Far more than any honest robot counts, and far enough from the integers of a machine to be raised without harm."""
+"""Far more than an honest robot ever counts, and far enough below the largest machine integer to be raised safely."""
 Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_ROUND)]
 Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 
@@ -80,12 +80,12 @@ _SLOT, _OWNER = operator.itemgetter(0), operator.itemgetter(3)
 
 
 def max_payload_bytes(n_robots: int) -> int:
-    """Largest payload that a team of N can legitimately need [bytes]."""
+    """Largest payload that a team of N legitimately needs [bytes]."""
     return 4096 + 256 * n_robots
 
 
 def encode(message: Message, sequence: int | None = None) -> bytes:
-    """The message as bytes, with its own sequence number or another: the wire version, then MessagePack."""
+    """The message as bytes, with its own or another sequence number."""
     origin, offer = message.provenance, message.offer
     wire = _WireMessage(
         sender=message.sender,

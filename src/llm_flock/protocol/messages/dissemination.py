@@ -16,7 +16,6 @@ from itertools import compress
 from msgspec.structs import replace
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import UNSAID, BidTable, Message, table_digest
 from llm_flock.protocol.messages.mission_update import mission_text
@@ -109,13 +108,12 @@ class Dissemination:
         same, self._standing = standing == self._standing, standing
         return self._payload if same and not (self._news or self._greeting) else None
 
-    def compose(self, whole: Message, mission: Mission, liveness: Liveness) -> bytes:
+    def compose(self, whole: Message, mission: Mission) -> bytes:
         """The bytes to broadcast; equal ones as long as there is nothing else to say.
 
         Args:
-            whole: the robot's knowledge with everything spelled out; `sequence` is set here.
+            whole: everything spelled out, heartbeats in a greeting only; `sequence` is set here.
             mission: the mission in force.
-            liveness: heartbeats, which are passed on once a round.
         """
         self._note_changes(whole.table)
         plan = whole.plan
@@ -139,7 +137,6 @@ class Dissemination:
             table=part,
             said=slots,
             table_digest=whole.table_digest,
-            beats=liveness.beats if greeting else None,
         )
         if message != self._sent:
             self._sent = message

@@ -1,9 +1,8 @@
-"""What robots say to each other: one kind of message.
+"""The one kind of message between robots.
 
-A message carries the sender's whole public standing: its mission, its influence, its plan with that plan's provenance,
-the slot it claims and, for the auction, its claims on all slots. What is long is named by a digest, and said in full
-only where a neighbour may lack it (`llm_flock.protocol.messages.dissemination`). Positions are not in it: they are
-sensed.
+A message carries everything public about its sender: mission, influence, plan with its provenance, claimed slot and,
+for the auction, its bid table. Long parts are named by a digest, and spelled out only where a neighbour may lack them
+(`llm_flock.protocol.messages.dissemination`). Positions of a small team are not in it: robots sense them.
 """
 
 from __future__ import annotations
@@ -18,33 +17,35 @@ from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.protocol.plan import Plan
 
 MAX_BID = 10 * MAX_COORDINATE
-"""No two points of the largest arena are farther apart [units]."""
+"""Largest distance between two points of the largest arena [units]."""
 
 NO_OWNER = -1
 BLOCKED = -2
-"""Stands for the owner of a slot that nobody can take, because a body that does not move is on it."""
+"""Owner of a slot that no robot can take, because a body that does not move stands there."""
 
 BidEntry: TypeAlias = tuple[int, float, int]
-"""One slot of an auction table: (version, bid, owner); owner is NO_OWNER for a free slot."""
+"""One slot of a bid table: (version, bid, owner), CBAA's winning bid and winning agent; owner NO_OWNER marks a free
+slot."""
 
 BidTable: TypeAlias = tuple[BidEntry, ...]
 
 PositionReport: TypeAlias = tuple[int, Point, Point]
-"""What a robot says of itself in a roll call: the round of the mission, 0 for when the mission came; where it is then;
-and where it is for the second call, empty before that [units; frame of the mission]."""
+"""A robot's report for the all-to-all assignment: round of the mission, 0 for its start; position at that time; and
+position for the second collection, empty before that [units; frame of the mission]."""
 
 TeamPositions: TypeAlias = tuple[int, tuple[Point, ...]]
-"""A complete call: the version of its claims, and where each robot is, by id [units; frame of the mission]."""
+"""A complete collection: version of the claims that follow from it, and position of each robot, by id [units; frame
+of the mission]."""
 
 LAST_ROUND = 1023
-"""Rounds of sightings are counted up to here."""
+"""Largest round number in a position report."""
 
 UNSAID: BidEntry = (0, 0.0, NO_OWNER)
-"""The lowest entry: merging it changes nothing, so it stands for the slots that a message leaves out."""
+"""The entry of lowest rank: merging it changes nothing, so it stands for slots that a message leaves out."""
 
 
 class MissionStamp(msgspec.Struct, frozen=True, order=True):
-    """Which mission: the counter of its changes, then its content; of two missions the higher stamp is in force."""
+    """Identifies a mission: counter of changes, then content; the mission with the higher stamp is in force."""
 
     counter: int
     digest: str
@@ -55,15 +56,15 @@ NO_MISSION = MissionStamp(0, "0" * 16)
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a plan comes from: fixed when it is proposed, carried along unchanged.
+    """Where a plan comes from: fixed when it is proposed, and carried along unchanged.
 
     Attributes:
-        mission: counter of the mission the plan was made for.
+        mission: counter of the mission that the plan was made for.
         mission_digest: content of that mission.
-        epoch: counter of the team's composition.
-        neighbors: how many neighbours the proposer had, that is N times its influence (paper, eq. 1).
+        epoch: counter of plans for that mission.
+        neighbors: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
         proposer: id of the robot that proposed.
-        sequence: counts the proposer's proposals.
+        sequence: counts the proposals of that robot.
     """
 
     mission: int
@@ -75,7 +76,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Offer(msgspec.Struct, frozen=True, kw_only=True):
-    """An exchange of places, offered to one neighbour.
+    """An exchange of slots, offered to one neighbour.
 
     Attributes:
         to: robot that may accept it.
@@ -95,27 +96,27 @@ class Offer(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
-    """One robot's standing, as broadcast.
+    """Everything public about one robot, as broadcast.
 
     Attributes:
         sender: id of the robot.
-        sequence: counts the changes of what the sender says; equal content is equal bytes.
-        neighbors: robots within the sender's radio range; its influence is neighbors / N (paper, eq. 1).
-        mission: which mission the sender pursues; that of the provenance if left out.
-        mission_text: that mission in full, as JSON of what may change; None where it is not said.
-        plan: the plan it follows, None before it has one or where only its digest is said.
-        plan_digest: digest of that plan, always said; that of `plan` if left out.
-        places: how many places that plan has; as many as `plan` has if left out.
+        sequence: counts the changes of the content; equal content is equal bytes.
+        neighbors: number of robots within the sender's radio range; its influence is neighbors / N (paper, eq. 1).
+        mission: the sender's mission; that of the provenance if left out.
+        mission_text: that mission spelled out as JSON; None if not.
+        plan: the plan that the sender follows; None before it has one, or if only the digest is given.
+        plan_digest: digest of that plan, always present with a plan; that of `plan` if left out.
+        places: number of places of that plan; that of `plan` if left out.
         provenance: origin of that plan, present with it.
-        slot: index of the place it claims in the plan.
-        table: what it says of everybody's claims on that plan, UNSAID for the slots left out (auction only).
-        said: the slots that `table` does not leave out, where they are few; None where it has to be looked through.
-        table_digest: digest of its whole table (auction only); that of `table` if left out.
-        offer: an exchange of places that it offers (auction only).
-        beats: how often it has heard each robot's heart beat, by id; None where that is not said.
-        roll: what robots have said in the roll call, by id; None where that is not said.
-        plan_class: how good the receiver itself found the plan; never sent, 0 where nothing was checked.
-        proofs: signatures that the message came with (teams with keys only); never part of the message itself.
+        slot: index of the claimed place.
+        table: the sender's bid table on that plan, with UNSAID for slots left out (auction only).
+        said: slots that `table` does not leave out, if there are few; otherwise None.
+        table_digest: digest of the sender's whole table (auction only); that of `table` if left out.
+        offer: an exchange that the sender offers (auction only).
+        beats: heartbeat counters of the team, by id; None if not spelled out.
+        positions: position reports of the team, by id; None if not spelled out.
+        plan_class: class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
+        proofs: signatures that came with the message (teams with keys only); never part of the message itself.
     """
 
     sender: int
@@ -150,5 +151,5 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def table_digest(table: BidTable) -> str:
-    """16 hexadecimal digits that stand for all claims on a plan."""
+    """16 hexadecimal digits that identify a whole bid table."""
     return hashlib.blake2b(msgspec.msgpack.encode(table), digest_size=8).hexdigest()

@@ -1,1 +1,1 @@
-"""From a waypoint to a move that keeps the safe distance."""
+"""Motion: turns waypoints into moves that keep the safe distance."""

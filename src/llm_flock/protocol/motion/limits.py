@@ -1,4 +1,4 @@
-"""What a robot's motion must respect: its own limits and surroundings, fixed for a whole run."""
+"""The limits on a robot's motion: its own and those of its surroundings, fixed for a whole run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from llm_flock.obstacles import Obstacle
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """The part of a mission that belongs to the robot: no mission received by radio changes it.
+    """The part of a mission that limits the robot's motion: no mission received by radio changes it.
 
     Attributes:
         safe_distance: smallest distance between the centres of two robots d_s [units].
         max_step: longest move in one round v_m [units].
         body_radius: smallest distance of the robot's centre from an obstacle [units].
         arena: lower and upper corner of the flight space [units; world frame].
-        obstacles: what stands in it.
+        obstacles: obstacles in the flight space.
     """
 
     safe_distance: float

@@ -1,4 +1,4 @@
-"""How a robot flies: when it asks its planner, what it makes of the answer, and what its shield makes of that."""
+"""One robot's flight: when it asks its planner, and how checks and shield turn the answer into a move."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
-from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Reason
+from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
 from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.plan import Plan
@@ -20,15 +20,15 @@ from llm_flock.protocol.verification.validator import Validator, fallback_notes
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot sees in a round.
+    """Positions that a robot observes in a round.
 
     Attributes:
         round: number of the round.
-        position: where it believes it is [units; world frame].
+        position: the robot's believed position [units; world frame].
         sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        observed: positions to tell the planner.
-        drift: how far the mission's frame has travelled [units]; empty where it stands still.
-        ahead: the same for the end of the round, which is what goals are given for.
+        observed: positions of other robots for the planner's question [units; world frame].
+        drift: displacement of the mission's frame so far [units]; empty if the mission stands still.
+        ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
     """
 
     round: int
@@ -39,31 +39,37 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     ahead: Point = ()
 
     def seen(self, point: Point) -> Point:
-        """Something of now in the frame of the mission."""
+        """A point of the world frame in the present frame of the mission."""
         return moved(point, self.drift, -1.0)
 
     @property
     def here(self) -> Point:
-        """The own position in the frame of the mission."""
+        """The robot's position in the frame of the mission."""
         return self.seen(self.position)
 
 
 class Pilot:
-    """One robot's way, round by round.
+    """Flies one robot, round by round.
+
+    Call `decide` in each round with a goal, or `hold` in a round without one. `decide` may return a question; call
+    `take` with its answer, and `look` when positions are updated in between.
 
     Args:
-        robot: own id.
-        mission: sets its limits.
-        validator: checks what planners answer.
-        shield_on: project every waypoint on the buffered Voronoi cell, and go round what blocks the way.
+        robot: id of this robot.
+        mission: sets the limits of its motion.
+        validator: checks the planner's answers.
+        shield_on: project every waypoint onto the buffered Voronoi cell, and fly detours round blocked paths.
         noise_bound: largest error of a believed position [units].
-        on_event: let the planner give a path, and ask it again only when something unforeseen happens.
+        on_event: let the planner give a path, and ask again only on a `Trigger`.
+
+    Attributes:
+        on_path: whether this round's step comes from the committed path, without a question.
     """
 
     def __init__(
         self, robot: int, mission: Mission, validator: Validator, *, shield_on: bool, noise_bound: float, on_event: bool
     ) -> None:
-        self.on_path = False  # whether this round's step was foreseen, and nobody asked for it
+        self.on_path = False
         self._robot = robot
         self._validator = validator
         self._safety = Safety(robot, Limits.of(mission), noise_bound) if shield_on else None
@@ -76,14 +82,14 @@ class Pilot:
     def decide(
         self, scene: Observation, mission: Mission, plan: Plan, slot: int | None, target: Point | None
     ) -> list[Effect]:
-        """The next step: as it was foreseen, or a question about it.
+        """The next step of the committed path, or a question about it.
 
         Args:
-            scene: what the robot sees.
-            mission: what the planner is told, as it is at the end of the round.
-            plan: the plan that is followed, in the frame of the mission.
-            slot: own place in it; None for a spare.
-            target: where to go instead of the own place, in the frame of the mission.
+            scene: the observation of this round.
+            mission: the mission for the planner, as it stands at the end of the round.
+            plan: the plan that the robot follows, in the frame of the mission.
+            slot: the robot's slot in it; None for a spare.
+            target: goal in place of the slot's place, in the frame of the mission; None to fly to the place.
         """
         ahead = scene.ahead
         self._scene = scene
@@ -102,14 +108,14 @@ class Pilot:
         if self._committed is None:
             self.on_path = False
             return [AskStep(self._question)]
-        surprise = self._surprise(self._committed)
-        self.on_path = surprise is None
-        if surprise is None:
+        trigger = self._trigger(self._committed)
+        self.on_path = trigger is None
+        if trigger is None:
             return self._move(_shifted(self._committed.answer, ahead))
-        return [Note("asked_again", {"reason": surprise.value}), AskStep(self._question)]
+        return [Note("asked_again", {"reason": trigger.value}), AskStep(self._question)]
 
     def take(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
-        """An answer of the planner; where it may be a path, the robot remembers it."""
+        """The move that follows from the planner's answer. With `on_event`, the robot commits to its path."""
         question, scene = self._question, self._scene
         assert question is not None and scene is not None, "only a robot that asked is answered"
         if question.horizon > 1:
@@ -118,7 +124,7 @@ class Pilot:
         return self._move(answer)
 
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
-        """Nothing to do, and why."""
+        """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
         held = Note("held", {"cause": cause, "reason": reason})
         if self._safety is None:
             return [held, MoveTo(waypoint=scene.position, proposed=asked, origin=Origin.HOLD)]
@@ -126,16 +132,16 @@ class Pilot:
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
     def look(self, scene: Observation) -> None:
-        """Another look while the planner thinks."""
+        """Replace the observation while the planner's answer is pending."""
         self._scene = scene
 
     def forget(self) -> None:
-        """What was foreseen is void."""
+        """Drop the committed path, as for a robot that has no goal."""
         self._committed, self.on_path = None, False
 
     @property
     def _relative(self) -> StepQuestion:
-        """The question in the frame of the mission, in which a path leads to places that stand still."""
+        """The question in the frame of the mission, in which places stand still."""
         question, scene = self._question, self._scene
         assert question is not None and scene is not None
         if not scene.ahead:
@@ -143,15 +149,15 @@ class Pilot:
         plan = Plan.of(moved(x, scene.ahead, -1.0) for x in question.plan.points)
         return replace(question, position=scene.here, plan=plan, target=self._aim)
 
-    def _surprise(self, committed: CommittedPath) -> Reason | None:
-        """Why the planner must be asked again; a step that does not pass the checks any more is a reason as well."""
+    def _trigger(self, committed: CommittedPath) -> Trigger | None:
+        """The event that makes a new question necessary: that of the path, or a next step that fails its checks now."""
         question, scene = self._question, self._scene
         assert question is not None and scene is not None
-        found = committed.surprise(self._relative, {j: scene.seen(x) for j, x in scene.sensed.items()})
-        if found is not None:
-            return found
+        trigger = committed.trigger(self._relative, {j: scene.seen(x) for j, x in scene.sensed.items()})
+        if trigger is not None:
+            return trigger
         fit = self._validator.waypoint(question, _shifted(committed.answer, scene.ahead))
-        return Reason.UNFIT if isinstance(fit, NoAnswer) else None
+        return Trigger.UNFIT if isinstance(fit, NoAnswer) else None
 
     def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         question, scene = self._question, self._scene
@@ -164,8 +170,9 @@ class Pilot:
         notes: list[Effect] = [*fallback_notes("step", "geometry", failure)]
         flown, origin = fit, Origin.MODEL
         if self._safety is not None:
-            tolerance = AT_GOAL * question.mission.spacing
-            flight = self._safety.step(scene.position, scene.sensed, fit, self._aim, tolerance, scene.drift)
+            flight = self._safety.step(
+                scene.position, scene.sensed, fit, self._aim, AT_GOAL * question.mission.spacing, scene.drift
+            )
             flown, origin = flight.waypoint, flight.origin
             notes.extend(flight.notes)
         if origin is Origin.MODEL and flown != asked:  # clipped to the goal or to the step limit
@@ -174,12 +181,12 @@ class Pilot:
         if failure is not None and origin is not Origin.DETOUR:
             origin = Origin.FALLBACK
         if self._committed is not None:
-            self._committed = self._committed.flown(scene.here, moved(flown, scene.ahead, -1.0))
+            self._committed = self._committed.after_step(scene.here, moved(flown, scene.ahead, -1.0))
         return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
 
 
 def _shifted(answer: StepAnswer, by: Point, share: float = 1.0) -> StepAnswer:
-    """The same way in a frame that has travelled."""
+    """The same waypoints in a frame displaced by `share` times `by`."""
     if not by:
         return answer
     path = tuple(moved(x, by, share) for x in answer.path)

@@ -1,4 +1,4 @@
-"""The nearest move that keeps a set of half-spaces and a longest length: exact, in any dimension."""
+"""Exact projection of a move onto an intersection of half-spaces and a ball, in any dimension."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from llm_flock.arrays import Point, Points, Vector
 
 TOLERANCE = 1e-9
-"""A constraint counts as kept within this much [units]."""
+"""A constraint counts as satisfied to within this [units]."""
 
 BISECTIONS = 60
 RELAXATIONS = 24
@@ -23,8 +23,8 @@ class HalfSpace(msgspec.Struct, frozen=True):
 
     Attributes:
         normal: unit vector that points out of the cell.
-        room: how far the robot may go that way [units]; below 0 it has to go back.
-        violated: the limit that the side stands for is broken already, beyond doubt of noise.
+        room: largest allowed displacement along it [units]; if negative, the robot has to move back.
+        violated: whether the limit behind this side is already violated, by more than noise can explain.
     """
 
     normal: Point
@@ -33,10 +33,10 @@ class HalfSpace(msgspec.Struct, frozen=True):
 
 
 def nearest_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point | None:
-    """The displacement nearest to `wish` that keeps all sides and is no longer than `longest`.
+    """The displacement nearest to `wish` that keeps to all sides and is no longer than `longest`.
 
     Returns:
-        `wish` itself where it keeps everything; None where nothing does.
+        `wish` itself if it satisfies all constraints; None if no displacement does.
     """
     move = clip(wish, longest)
     if all(_dot(side.normal, move) <= side.room for side in sides):
@@ -45,10 +45,11 @@ def nearest_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Poi
 
 
 def relaxed_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point:
-    """As `nearest_move`, also where limits are violated: as much of the way back as all sides allow together.
+    """As `nearest_move`, with violated sides relaxed as far as necessary.
 
-    Rooms of violated sides are multiplied by the largest share of 0 .. 1 for which some move keeps every side, so
-    none of them gets worse and no kept one is broken. Where even that is impossible, the robot stands still.
+    The rooms of violated sides are multiplied by the largest share in 0 .. 1 for which some move satisfies every
+    side. So no violated limit gets worse, and no other one is broken. If even that is impossible, the robot stands
+    still.
     """
     best = nearest_move(wish, sides, longest)
     if best is None and any(side.violated for side in sides):
@@ -73,7 +74,7 @@ def _dot(a: Point, b: Point) -> float:
 
 
 def clip(vector: Point, longest: float) -> Point:
-    """The same direction, no longer than `longest`."""
+    """The vector, shortened to `longest` if it is longer."""
     length = math.hypot(*vector)
     if length <= longest:
         return vector
@@ -81,10 +82,10 @@ def clip(vector: Point, longest: float) -> Point:
 
 
 def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Point | None:
-    """Exact projection on the intersection of half-planes and a disc, by looking at every possible active set.
+    """Exact projection onto the intersection of half-planes and a disc, by enumeration of active sets.
 
-    The nearest point is the wish clipped to the disc, the foot of the wish on one side, the corner of two sides, or
-    the meeting of a side with the circle.
+    The nearest point is the wish clipped to the disc, its foot on one side, the corner of two sides, or an
+    intersection of a side with the circle.
     """
     candidates: list[tuple[float, float]] = []
     clipped = clip(wish, radius)
@@ -94,7 +95,7 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
         nx, ny = side.normal[0], side.normal[1]
         over = nx * wx + ny * wy - side.room
         candidates.append((wx - over * nx, wy - over * ny))
-        # A side that misses the circle gives points outside of it, which are refused below.
+        # A side that misses the circle yields points outside of it, which fail the check below.
         chord = math.sqrt(max(0.0, radius * radius - side.room * side.room))
         candidates.append((side.room * nx - chord * ny, side.room * ny + chord * nx))
         candidates.append((side.room * nx + chord * ny, side.room * ny - chord * nx))
@@ -116,9 +117,9 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
 def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Point | None:
     """Exact projection in any dimension.
 
-    Without the ball this is least distance programming (Lawson, Hanson: Solving Least Squares Problems, 1974, ch. 23).
-    The ball's multiplier only pulls the wish towards the origin, and the farther it is pulled the shorter the move:
-    bisection finds the longest move that the ball allows. There has to be a side.
+    Without the ball, this is least distance programming (Lawson, Hanson: Solving Least Squares Problems, 1974, ch. 23).
+    The ball's multiplier only scales the wish towards the origin, and a smaller wish gives a shorter move: bisection
+    finds the longest move that the ball allows. There must be at least one side.
     """
     normals = np.array([side.normal for side in sides])
     rooms = np.array([side.room for side in sides])
@@ -140,7 +141,7 @@ def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Poin
 
 
 def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
-    """The point with `normals @ u <= rooms` nearest to `target`; None if there is none."""
+    """The point u with `normals @ u <= rooms` nearest to `target`; None if no such point exists."""
     excess = normals @ target - rooms
     if float(excess.max()) <= 0.0:
         return target

@@ -1,25 +1,33 @@
-"""One robot's safe motion in lockstep: the shield, the way out of too close a start, detours round what blocks."""
+"""One robot's safe motion in lockstep: shielded steps, separation of crowds, and detours."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import combinations
 
 import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.protocol.events import Note, Origin
-from llm_flock.protocol.motion import progress as timing
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.limits import Limits
+from llm_flock.protocol.motion.progress import (
+    GAIN_SHARE,
+    SIDE_ROUNDS,
+    SIDE_ROUNDS_AT_OBSTACLES,
+    GoalProgress,
+    detour,
+    update_progress,
+)
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 
-CLOSE = 1e-6
-"""Pairs that keep the safe distance to within this count as apart [units]."""
+SEPARATION_TOLERANCE = 1e-6
+"""Pairs that keep the safe distance to within this count as separated [units]."""
 
 
 class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
-    """What is flown instead of a wish, who made it, and what the record is told."""
+    """A safe waypoint, its origin, and notes for the record."""
 
     waypoint: Point
     origin: Origin
@@ -27,10 +35,12 @@ class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Safety:
-    """Turns wishes into safe waypoints, and remembers how the robot fares.
+    """Turns the planner's waypoints into safe ones, and follows the robot's progress.
+
+    Call `step` or `stay` once in each round.
 
     Args:
-        robot: own id.
+        robot: id of this robot.
         limits: safe distance, step limit, arena and obstacles.
         noise_bound: largest error of a believed position [units].
     """
@@ -39,13 +49,13 @@ class Safety:
         self._robot = robot
         self._limits = limits
         self._noise_bound = noise_bound
-        self._progress: timing.GoalProgress | None = None
-        self._lap = (timing.LAP_AT_OBSTACLES if limits.obstacles else timing.LAP) + 2 * (robot % 4)
+        self._progress: GoalProgress | None = None
+        self._side_rounds = (SIDE_ROUNDS_AT_OBSTACLES if limits.obstacles else SIDE_ROUNDS) + 2 * (robot % 4)
 
     def stay(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep:
-        """Without a wish a robot stays where it is, unless somebody is too near."""
-        apart = self._separate(position, sensed)
-        return SafeStep(waypoint=position, origin=Origin.HOLD) if apart is None else apart
+        """The step of a robot without a waypoint: hold the position, unless another robot is too near."""
+        separating = self._separate(position, sensed)
+        return SafeStep(waypoint=position, origin=Origin.HOLD) if separating is None else separating
 
     def step(
         self,
@@ -56,47 +66,46 @@ class Safety:
         tolerance: float,
         drift: Point = (),
     ) -> SafeStep:
-        """The safe waypoint for a wish.
+        """The safe waypoint for the planner's waypoint.
 
         Args:
-            position: where the robot believes it is [units; world frame].
-            sensed: believed positions of the robots within sensing range, by id.
-            wish: where its planner wants to be next.
-            goal: where it has to end [units; frame of the mission].
-            tolerance: distance from the goal that is near enough [units].
-            drift: how far that frame has travelled [units]; empty where it stands still. GoalProgress is made in it.
+            position: the robot's believed position [units; world frame].
+            sensed: believed positions of the robots within sensing range, by id [units; world frame].
+            wish: the planner's waypoint [units; world frame].
+            goal: the robot's goal [units; frame of the mission].
+            tolerance: distance at which the goal counts as reached [units].
+            drift: displacement of the mission's frame [units]; empty if the mission stands still.
         """
-        apart = self._separate(position, sensed)
-        if apart is not None:
-            return apart
+        separating = self._separate(position, sensed)
+        if separating is not None:
+            return separating
         limits = self._limits
         here = moved(position, drift, -1.0)
         was_blocked = self._progress is not None and self._progress.blocked
-        seen = timing.watch(
+        progress = self._progress = update_progress(
             self._progress,
             here,
             goal,
-            gain=timing.GAIN_SHARE * limits.max_step,
+            gain=GAIN_SHARE * limits.max_step,
             within=tolerance + self._noise_bound,
-            lap=self._lap,
+            side_rounds=self._side_rounds,
         )
-        self._progress = seen
         others = tuple(sensed.values())
-        if not seen.blocked:
+        if not progress.blocked:
             safe = self._project(position, wish, others)
             if safe == wish:
                 return SafeStep(waypoint=wish, origin=Origin.MODEL)
             note = Note("shielded", {"proposed": wish, "flown": safe})
             return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(note,))
         distance = math.dist(here, goal)
-        waypoint, self._progress = timing.detour(
-            seen,
+        waypoint, self._progress = detour(
+            progress,
             here,
             lambda target: moved(self._project(position, moved(target, drift), others), drift, -1.0),
             length=min(limits.max_step, max(distance, limits.safe_distance)),
             follow=bool(limits.obstacles),
         )
-        notes = () if was_blocked else (Note("deadlock", {"goal_distance": distance, "rounds": seen.idle}),)
+        notes = () if was_blocked else (Note("deadlock", {"goal_distance": distance, "rounds": progress.idle}),)
         return SafeStep(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
@@ -112,19 +121,18 @@ class Safety:
         )
 
     def _separate(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep | None:
-        """Away from the middle of a crowd that is too near, as long as there is one; None where there is none.
+        """A step away from the middle of a crowd that is too close, None without one nearby.
 
-        Robots that are near such a crowd make way: those inside cannot leave while the others stand around them.
+        Robots near such a crowd make way: those inside cannot leave while others stand around them.
         """
         limits = self._limits
-        limit = limits.safe_distance - 2.0 * self._noise_bound - CLOSE
+        limit = limits.safe_distance - 2.0 * self._noise_bound - SEPARATION_TOLERANCE
         reach = limits.safe_distance + limits.max_step
         near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
-        places = {self._robot: position, **near}
-        crowd = _too_near(places, limit)
+        crowd = _crowd({self._robot: position, **near}, limit)
         if not crowd:
             return None
-        apart = shield.told_apart(self._robot, position, sensed)
+        apart = shield.spread_coincident(self._robot, position, sensed)
         members = [apart.get(j, position) for j in sorted(crowd)]
         middle = tuple(sum(axis) / len(members) for axis in zip(*members, strict=True))
         away = math.dist(position, middle)
@@ -136,8 +144,7 @@ class Safety:
         return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
 
 
-def _too_near(places: Mapping[int, Point], limit: float) -> frozenset[int]:
-    """Everybody in a pair nearer than `limit`."""
-    ids = sorted(places)
-    pairs = ((i, j) for k, i in enumerate(ids) for j in ids[:k] if math.dist(places[i], places[j]) < limit)
-    return frozenset(robot for pair in pairs for robot in pair)
+def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:
+    """All robots of pairs nearer than `limit`."""
+    pairs = combinations(positions.items(), 2)
+    return frozenset(robot for (i, x), (j, y) in pairs if math.dist(x, y) < limit for robot in (i, j))

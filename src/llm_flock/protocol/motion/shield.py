@@ -1,14 +1,14 @@
-"""Buffered Voronoi shield: the nearest safe waypoint to the one that was asked for.
+"""Buffered Voronoi shield: the safe waypoint nearest to the planner's.
 
 Zhou, Wang, Bandyopadhyay, Schwager: Fast, on-line collision avoidance for dynamic vehicles using buffered Voronoi
-cells (IEEE RA-L 2017). Each robot stays on its own side of the bisector to every neighbour, shrunk by half the safe
-distance. If all do so from one snapshot and move along straight segments in step, no pair is ever nearer than the
-safe distance, on the way either: along the line of sight each gives up at most half of the room between them, so the
-distance along it never falls below `safe_distance`. Bodies that do not move in step:
+cells (IEEE RA-L 2017). Each robot stays on its own side of the bisector with every neighbour, shrunk by half the safe
+distance. If all robots do so from one snapshot and move in step along straight segments, no pair is ever nearer than
+the safe distance, not even on the way: along the line of sight each robot uses at most half of the room between them,
+so their distance along it never falls below `safe_distance`. For bodies that do not move in step, use
 `llm_flock.protocol.motion.shield_async`.
 
-A pair that is too near already has sides that ask for a way back. As long as each goes part of it, however little, and
-not forward, the pair's distance never falls, so starts that violate the limit heal.
+For a pair that is already too close, the sides ask both robots to move back. As long as each moves back at least a
+little, and not forward, their distance never falls, so starts that violate the limit recover.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from llm_flock.arrays import Point
 from llm_flock.protocol.motion.projection import TOLERANCE, HalfSpace, relaxed_move
 
 STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Lengths of step that are tried where positions are uncertain, as shares of `max_step`."""
+"""Step lengths that are tried if positions are uncertain, as shares of `max_step`."""
 
-APART = 1e-6
-"""How far apart bodies on one spot are taken to be [units]; only their direction matters."""
+SPREAD = 1e-6
+"""Radius of the polygon on which coincident bodies are spread [units]; only the directions matter."""
 
 Sides = Callable[[float], Sequence[HalfSpace]]
-"""Further sides of a cell, for a given longest step [units]: walls and obstacles."""
+"""Further sides of a cell for a given longest step [units]: walls and obstacles."""
 
 
 def separation_half_spaces(
@@ -37,17 +37,17 @@ def separation_half_spaces(
     max_step: float,
     noise_bound: float = 0.0,
 ) -> list[HalfSpace]:
-    """The sides of the buffered Voronoi cell that can matter within one step, as limits on the displacement.
+    """The sides of the buffered Voronoi cell within one step, as limits on the displacement.
 
-    With positions known to within `noise_bound` e [units], each side moves inwards by e for the distance and by
-    4 e max_step / d for the direction: two estimated positions turn the line of sight by at most 4 e / d, and a
-    step of that length along a line so turned is off by that much.
+    With positions known to within `noise_bound` e [units], each side moves inwards by e for the distance d and by
+    4 e max_step / d for the direction: two estimated positions turn the line of sight by at most 4 e / d, so the end
+    of a step of length max_step is off by at most 4 e max_step / d. Arguments as for `project`.
     """
     sides: list[HalfSpace] = []
     for other in neighbors:
         gap = math.dist(position, other)
         if gap < TOLERANCE:
-            continue  # no line of sight: see `told_apart`
+            continue  # no line of sight: see `spread_coincident`
         margin = noise_bound * (1.0 + 4.0 * max_step / gap)
         room = (gap - safe_distance) / 2.0 - margin
         if room < max_step:
@@ -56,11 +56,11 @@ def separation_half_spaces(
     return sides
 
 
-def told_apart(robot: int, position: Point, sensed: Mapping[int, Point]) -> dict[int, Point]:
-    """Sensed positions, where bodies on the robot's own spot are taken to stand around it, in the order of ids.
+def spread_coincident(robot: int, position: Point, sensed: Mapping[int, Point]) -> dict[int, Point]:
+    """Sensed positions, with bodies at the robot's own position spread around it. Call before separating a crowd.
 
-    All that are on one spot think up the same tiny regular polygon with the lowest id at angle 0, so each has a
-    direction of its own to leave in, and any two agree on the line between them.
+    All robots at one position assume the same tiny regular polygon, with ids in ascending order from angle 0. So each
+    has a different direction in which to leave, and any two agree on the line between them.
     """
     here = sorted([robot, *(j for j, x in sensed.items() if math.dist(x, position) < TOLERANCE)])
     if len(here) == 1:
@@ -70,7 +70,7 @@ def told_apart(robot: int, position: Point, sensed: Mapping[int, Point]) -> dict
     apart = dict(sensed)
     for j, angle in angles.items():
         x, y = math.cos(angle) - math.cos(own), math.sin(angle) - math.sin(own)
-        apart[j] = (position[0] + APART * x, position[1] + APART * y, *position[2:])
+        apart[j] = (position[0] + SPREAD * x, position[1] + SPREAD * y, *position[2:])
     return apart
 
 
@@ -84,19 +84,21 @@ def project(
     noise_bound: float = 0.0,
     also: Sides | None = None,
 ) -> Point:
-    """The point of the robot's buffered Voronoi cell, within `max_step`, that is nearest to `waypoint`.
+    """The point of the robot's buffered Voronoi cell, within `max_step`, nearest to `waypoint`.
+
+    Call once in each round, in every robot, with positions of one moment.
 
     Args:
-        position: where the robot believes it is, d coordinates [units].
-        waypoint: where it wants to be.
-        neighbors: believed positions of all robots within sensing range.
-        safe_distance: smallest distance allowed between two robots [units].
-        max_step: longest move allowed [units].
+        position: the robot's believed position, d coordinates [units].
+        waypoint: the wanted position [units].
+        neighbors: believed positions of all robots within sensing range [units].
+        safe_distance: smallest allowed distance between two robots [units].
+        max_step: longest allowed move [units].
         noise_bound: largest error of each believed position [units].
-        also: further sides of the cell for a longest step, from walls and obstacles.
+        also: further sides of the cell for a given longest step, from walls and obstacles.
 
     Returns:
-        The waypoint to fly to; `position` itself where the cell is empty (then standing still is safest).
+        The waypoint to fly to; `position` itself if the cell is empty (then standing still is safest).
     """
     others = tuple(neighbors)
 
@@ -110,12 +112,12 @@ def project(
 
     if noise_bound == 0.0:
         return within(max_step)
-    # The margin for the direction grows with the step: a shorter step may lead farther through a narrow gap.
+    # The margin for the direction grows with the step, so a shorter step may lead farther through a narrow gap.
     return min((within(max_step * share) for share in STEP_SHARES), key=lambda target: math.dist(target, waypoint))
 
 
 def _within(position: Point, waypoint: Point, sides: Sequence[HalfSpace], longest: float) -> Point:
     wish = tuple(w - p for w, p in zip(waypoint, position, strict=True))
     move = relaxed_move(wish, sides, longest)
-    # The waypoint comes back as it was given, not as position + (waypoint - position).
+    # An unchanged waypoint is returned as given, without the rounding of position + (waypoint - position).
     return waypoint if move is wish else tuple(p + u for p, u in zip(position, move, strict=True))

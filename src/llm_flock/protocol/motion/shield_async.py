@@ -1,17 +1,17 @@
-"""The shield for bodies that do not move in step: every control period the target is projected anew.
+"""The shield for bodies that do not move in step: each projects its waypoint again in every control period.
 
-The proof of the lockstep form needs one snapshot and one beat. Here a robot relies on nothing that others do but their
-largest speed v. A sighting of age a, of a body that may be anywhere within m = v (a + T) of it by the end of the
-coming period T, leaves d - safe_distance - m of the way towards it: whoever flies no farther than that, and for one
-period only, ends the period at the safe distance at least, whatever the other does. With positions known to within e,
-the line of sight is off by 2 e, which is added to m. So any two schedules, and any delays that the ages tell, are safe.
+The proof of the lockstep form needs one snapshot and synchronous moves. Here a robot relies on nothing but the largest
+speed v of the others. By the end of the coming period T, a body sighted a seconds ago is within m = v (a + T) of its
+sighting. A robot at distance d that flies at most d - safe_distance - m towards the sighting, for one period only,
+ends the period at least at the safe distance, whatever the other body does. With positions known to within e, the
+line of sight is off by 2 e, which is added to m. So all schedules, and all delays that the ages account for, are safe.
 
-Where less than nothing is left, a robot may still move away: as long as its direction makes an obtuse angle with every
-place where the other may be during the period, its own move brings the two no nearer. Two that do this at once both
+If that room is negative, a robot may still move away: as long as its direction makes an obtuse angle with every
+position that the other may reach during the period, its own move does not bring the two nearer. If both do so, both
 add to the distance.
 
-A body that has announced a segment and flies it to its end is sighted with that segment: others keep clear of the
-whole of it, and add m only for what the body may fly after its end.
+A body that has announced a segment and flies it to its end is sighted with that segment: others keep clear of all of
+it, and add m only for what the body may fly after its end.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from llm_flock.protocol.motion.projection import TOLERANCE, HalfSpace, clip, nea
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """What is known of another body.
+    """The last known position of another body.
 
     Attributes:
-        position: where it was [units; world frame].
-        age_s: how long ago that was [s].
-        committed: the end of the segment that it has announced and was flying, if it has [units; world frame].
+        position: its position [units; world frame].
+        age_s: age of this information [s].
+        committed: end of the segment that it has announced and is flying [units; world frame]; None without one.
     """
 
     position: Point
@@ -49,12 +49,12 @@ def async_half_spaces(
     period_s: float,
     error: float = 0.0,
 ) -> list[HalfSpace] | None:
-    """The sides of the cell for one control period; None where only standing still is safe.
+    """The sides of the cell for one control period; None if only standing still is safe.
 
     Args:
-        position: where the robot believes it is [units; world frame].
-        others: everybody that may come near.
-        safe_distance: smallest distance allowed between two bodies [units].
+        position: the robot's believed position [units; world frame].
+        others: all bodies that may come near.
+        safe_distance: smallest allowed distance between two bodies [units].
         speed: largest speed of any body [units/s].
         period_s: time until the next projection [s].
         error: largest error of any believed position [units].
@@ -63,17 +63,17 @@ def async_half_spaces(
     sides: list[HalfSpace] = []
     for other in others:
         end = other.position if other.committed is None else other.committed
-        there = nearest_on_segment(position, other.position, end)
-        gap = math.dist(position, there)
+        nearest = nearest_on_segment(position, other.position, end)
+        gap = math.dist(position, nearest)
         flown = max(0.0, speed * (other.age_s + period_s) - math.dist(other.position, end))
         margin = flown + 2.0 * error
         room = gap - safe_distance - margin
         if room >= longest:
             continue
         if gap <= max(margin, TOLERANCE):
-            return None  # it may be on any side by now
+            return None  # it may be in any direction by now
         if room >= 0.0:
-            sides.append(_towards(position, there, room))
+            sides.append(_towards(position, nearest, room))
             continue
         # (y - position) . u <= 0 for every y within the margin of the segment, if it holds around both its ends.
         for y in dict.fromkeys((other.position, end)):
@@ -97,13 +97,13 @@ def project_async(
     error: float = 0.0,
     also: Sequence[HalfSpace] = (),
 ) -> Point:
-    """The place nearest to `waypoint` that is safe to fly to, at no more than `speed`, until the period ends.
+    """The position nearest to `waypoint` that the robot can safely reach by the end of the period.
 
-    Arguments as in `async_half_spaces`; `also` holds further sides for a step of speed * period_s, from walls and
-    obstacles. The caller projects again when the period is over, with fresh sightings or with older ones.
+    Call at the start of every control period, with the newest sightings at hand, however old they are. Arguments as
+    for `async_half_spaces`; `also` holds further sides for a step of speed * period_s, from walls and obstacles.
 
     Returns:
-        Where to be at the end of the period; `position` itself where standing still is the only safe thing.
+        The position for the end of the period; `position` itself if only standing still is safe.
     """
     sides = async_half_spaces(
         position, others, safe_distance=safe_distance, speed=speed, period_s=period_s, error=error

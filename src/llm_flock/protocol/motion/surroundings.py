@@ -1,8 +1,8 @@
-"""What stands still around a robot, as sides of its cell: arena walls and obstacles.
+"""Arena walls and obstacles as sides of a robot's cell.
 
-A robot's centre stays inside the arena, and half the safe distance (the radius of a body) away from obstacles. Each
-side is the plane through the nearest point of something convex, moved towards the robot by the buffer. What is convex
-lies wholly beyond that plane, so the whole straight way to any point of the cell keeps clear, not only its end.
+A robot's centre stays inside the arena and half the safe distance (the radius of a body) away from obstacles. Each
+side is the plane through the nearest point of a convex set, moved towards the robot by the buffer. The set lies
+entirely beyond that plane, so the whole straight path to any point of the cell is clear, not only its end.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from llm_flock.protocol.motion.projection import HalfSpace
 def wall_half_spaces(
     position: Point, arena: tuple[Point, Point], *, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """The arena's walls within one step. From outside they lead back, one full step a round at most.
+    """The arena's walls within one step. From outside they lead back, by at most a full step per round.
 
-    A wall's direction is known, so the error e [units] of the own position moves it inwards by e only.
+    The direction of a wall is known, so an error of up to `noise_bound` e [units] in the position moves it inwards by
+    e only.
     """
     sides: list[HalfSpace] = []
     low, high = arena
@@ -35,10 +36,10 @@ def wall_half_spaces(
 def obstacle_half_spaces(
     position: Point, obstacles: Iterable[Obstacle], *, buffer: float, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """The obstacles within one step of their buffer; from inside they lead out.
+    """The obstacles within one step of their buffer. From inside they lead out.
 
-    With an own position known to within e [units], a side moves inwards by e for the distance, and by 2 e max_step / d
-    for the direction: the direction to the nearest point of something convex at a distance d turns by at most 2 e / d.
+    With the position known to within `noise_bound` e [units], a side moves inwards by e for the distance d and by
+    2 e max_step / d for the direction: the direction to the nearest point of a convex set turns by at most 2 e / d.
     """
     sides: list[HalfSpace] = []
     for obstacle in obstacles:
@@ -55,7 +56,7 @@ def obstacle_half_spaces(
 def static_half_spaces(
     position: Point, limits: Limits, *, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """The walls and obstacles within one step, as sides of the robot's cell."""
+    """The walls and obstacles within one step, as sides of the robot's cell. Call for `also` of the projections."""
     walls = wall_half_spaces(position, limits.arena, max_step=max_step, noise_bound=noise_bound)
     if not limits.obstacles:
         return walls

@@ -1,9 +1,9 @@
-"""What gives an entry of a table, an offer, a plan's origin, a heartbeat or a mission its weight: who signed it.
+"""Certificates: signatures under bid entries, offers, plan origins, heartbeats and missions, and how they are encoded.
 
-Nobody raises the version of a place alone. An exchange is signed by both; a place is freed, or found blocked, by the
-word of two robots; a claim on a free place is signed by its owner and carries the words that freed it. Of two that sign
-at least one is honest as long as one robot lies, and the honest sign only what they hold true, so no history has to be
-shown. A robot's claims on one plan are numbered: the last one counts.
+No robot raises the version of a slot alone. An exchange is signed by both robots; a slot is freed, or found blocked, by
+the statements of two witnesses; a claim on a free slot is signed by its owner and carries the statements that freed it.
+As long as one robot lies, at least one of two signers is honest, and honest robots sign only what they hold true, so no
+history has to be shown. A robot's claims on one plan are numbered, and the last one counts.
 
 Pure: keys are behind the `Authenticator`.
 """
@@ -21,28 +21,28 @@ from llm_flock.protocol.messages.codec import max_payload_bytes
 from llm_flock.protocol.messages.message import BLOCKED, MAX_BID, NO_OWNER, BidEntry, MissionStamp, Offer, Provenance
 
 OPERATOR = -2
-"""Member id of who gives missions."""
+"""Member id of the operator, who gives missions."""
 
 WIRE_SIGNED = 3
-"""First byte of a message that comes with its certificates."""
+"""First byte of a message with certificates."""
 
 WITNESSES = 2
-"""So many robots have to say that a place is free or blocked: one more than may lie."""
+"""Robots that must state that a slot is free or blocked: one more than may lie."""
 
 MOST_LOOKS = 64
-"""Nobody looks at a vacant place more often."""
+"""Largest number of visits to a vacant slot in a valid entry."""
 
 MOST_EPOCHS = 32
-"""A team's plan is remade at most so often for one mission."""
+"""Largest number of plans for one mission."""
 
 
 def most_claims(places: int) -> int:
-    """Highest number of a claim on a plan: honest bids lose at most once a place, and exchanges are few."""
+    """Highest number of a claim on a plan: honest bids lose at most once a slot, and exchanges are few."""
     return 4 * places + 64
 
 
 class Authenticator(Protocol):
-    """Signs as its robot, and checks what others signed."""
+    """Signs as its robot, and checks the signatures of others."""
 
     def sign(self, statement: bytes) -> bytes:
         """The own signature on a statement."""
@@ -68,13 +68,13 @@ Robot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 
 
 class ReleaseGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=0):
-    """Words of different robots that the place is free, or blocked, from this version on."""
+    """Statements of different robots that the slot is free, or blocked, from this version on."""
 
     words: Annotated[tuple[tuple[Robot, Signature], ...], msgspec.Meta(min_length=WITNESSES, max_length=WITNESSES)]
 
 
 class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=1):
-    """An offer, signed by its maker, and its acceptance, signed by who took it."""
+    """An offer, signed by its maker, and its acceptance, signed by the robot that took it."""
 
     maker: Robot
     to: Robot
@@ -90,14 +90,14 @@ class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True,
     accepted: Signature
 
     def entries(self) -> dict[int, tuple[BidEntry, int]]:
-        """What it makes of the two places, and the numbers that these claims have."""
+        """The entries of the two slots after the exchange, and the numbers of these claims."""
         return {
             self.give: ((self.give_version + 1, self.accepted_bid, self.to), self.accepted_number),
             self.take: ((self.take_version + 1, self.bid, self.maker), self.number),
         }
 
     def offer(self) -> Offer:
-        """What was accepted."""
+        """The offer that was accepted."""
         return Offer(
             to=self.to,
             give=self.give,
@@ -116,8 +116,8 @@ class Certificate:
     """Why an entry holds.
 
     Attributes:
-        number: of the owner's claim; 0 for a place without owner.
-        signature: the owner's on its claim; empty where the grant has it, or there is no owner.
+        number: number of the owner's claim; 0 for a slot without owner.
+        signature: the owner's signature on its claim; empty if the grant has it, or without owner.
         grant: why the version was raised; None for version 0.
     """
 
@@ -134,7 +134,7 @@ class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
 
 
 class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """A robot's word that a place is free or blocked from a version on."""
+    """A robot's statement that a slot is free or blocked from a version on."""
 
     slot: Robot
     version: Count
@@ -143,7 +143,7 @@ class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=Tr
 
 
 class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """What goes with a message: the certificates of what it says."""
+    """The certificates of a message."""
 
     claims: tuple[_Claim, ...] = ()
     grants: tuple[Grant, ...] = ()
@@ -154,7 +154,7 @@ class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
     beats: tuple[Signature, ...] | None = None
 
     def certificates(self) -> dict[int, Certificate]:
-        """By slot; grants that are named and not there are none."""
+        """By slot; an index of a grant that is missing gives a certificate without grant."""
         return {
             claim.slot: Certificate(
                 number=claim.number,
@@ -175,12 +175,12 @@ _DECODER = msgspec.msgpack.Decoder(_Signed)
 
 
 def max_signed_bytes(n_robots: int) -> int:
-    """Largest message with its certificates that a team of N can legitimately need [bytes]."""
+    """Largest message with certificates that a team of N legitimately needs [bytes]."""
     return max_payload_bytes(n_robots) + 2048 + 768 * n_robots
 
 
 def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...], tuple[Grant, ...]]:
-    """Certificates as they are sent: a grant that several need is said once."""
+    """Certificates as they are encoded: a grant that several of them need appears once."""
     grants: dict[Grant, int] = {}
     claims = tuple(
         _Claim(slot, w.number, w.signature, None if w.grant is None else grants.setdefault(w.grant, len(grants)))
@@ -190,12 +190,12 @@ def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...],
 
 
 def wrap(message: bytes, proofs: Proofs) -> bytes:
-    """A message with its certificates."""
+    """A message with its certificates, as bytes."""
     return bytes([WIRE_SIGNED]) + _ENCODER.encode(_Signed(message, proofs))
 
 
 def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
-    """A message, and its certificates, from bytes that any member may have sent.
+    """The message and its certificates in a payload from any member.
 
     Raises:
         MessageError: with reason `oversized`, `version` or `malformed`.
@@ -215,40 +215,40 @@ def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
 
 
 def claim_statement(context: Context, slot: int, entry: BidEntry, number: int) -> bytes:
-    """An owner's: this place is mine."""
+    """Signed by an owner: this slot is mine."""
     return _statement("claim", context, slot, *entry, number)
 
 
 def word_statement(context: Context, slot: int, version: int, owner: int) -> bytes:
-    """A witness's: from this version on the place is free, or blocked."""
+    """Signed by a witness: from this version on the slot is free, or blocked."""
     return _statement("word", context, slot, version, owner)
 
 
 def offer_statement(context: Context, maker: int, offer: Offer, number: int) -> bytes:
-    """A maker's: whoever it is made to may exchange these places with me."""
+    """Signed by an offer's maker: the addressee may exchange these slots with me."""
     return _statement("offer", context, maker, *_terms(offer), number)
 
 
 def acceptance_statement(context: Context, exchange: ExchangeGrant) -> bytes:
-    """A taker's: the exchange is made."""
+    """Signed by the addressee: the exchange is made."""
     terms = (exchange.maker, *_terms(exchange.offer()), exchange.number)
     return _statement("accept", context, *terms, exchange.accepted_bid, exchange.accepted_number)
 
 
 def origin_statement(origin: Provenance, plan: str) -> bytes:
-    """A proposer's: this plan is mine."""
+    """Signed by a proposer: this plan is mine."""
     stamp = MissionStamp(origin.mission, origin.mission_digest)
     place = (origin.epoch, origin.neighbors, origin.proposer, origin.sequence)
     return _statement("origin", Context(stamp, plan), *place)
 
 
 def beat_statement(robot: int, count: int) -> bytes:
-    """A robot's: my heart has beaten so often."""
+    """Signed by a robot: this is my heartbeat counter."""
     return _ENCODER.encode(("beat", robot, count))
 
 
 def mission_statement(stamp: MissionStamp) -> bytes:
-    """The operator's: this is the mission."""
+    """Signed by the operator: this is the mission."""
     return _ENCODER.encode(("mission", stamp.counter, stamp.digest))
 
 
@@ -261,7 +261,7 @@ def _statement(kind: str, context: Context, *values: float) -> bytes:
 
 
 def plausible(entry: BidEntry, number: int, places: int) -> bool:
-    """Whether anybody honest ever writes such an entry."""
+    """Whether an honest robot could ever write such an entry."""
     version, bid, owner = entry
     if owner == NO_OWNER:
         return 0.0 <= bid <= MOST_LOOKS

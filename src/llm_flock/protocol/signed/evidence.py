@@ -1,7 +1,7 @@
-"""One robot's book of signatures: what it takes from others' tables, what it signs, and what it can show for it.
+"""Evidence of one robot: which claims of others it accepts, what it signs, and the certificates that it can show.
 
-Tables and their merging are those of `auction`; this book decides which entries heard are fit to be merged, so a robot
-that lies holds one place at most and changes nobody else's. The rules are in `certificates` and docs/security.md.
+Bid tables and their merging belong to `auction`; evidence decides which received entries may be merged, so a lying
+robot holds at most one slot and changes no other robot's. `certificates` and the page on security state the rules.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from llm_flock.protocol.signed.certificates import (
 )
 
 REMEMBERED = 4096
-"""So many signatures are remembered as good."""
+"""Most signatures that are remembered as good."""
 
 
 class Evidence:
-    """Signatures about the places of one plan at a time.
+    """Signatures about the slots of one plan at a time.
 
     Args:
         robot: own id.
-        authenticator: signs and checks.
+        authenticator: signs and checks signatures.
     """
 
     def __init__(self, robot: int, authenticator: Authenticator) -> None:
@@ -65,13 +65,13 @@ class Evidence:
         self._outdated_before: set[tuple[int, BidEntry]] = set()
 
     def turn_to(self, context: Context) -> None:
-        """Another plan, or the same one for another mission, is a clean page."""
+        """Start without evidence unless mission and plan are the same as before."""
         if context != self._context:
             self._context = context
             self._forget()
 
     def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this; what was found good is not looked at twice."""
+        """Whether a member signed this; each good signature is checked once."""
         key = (member, statement, signature)
         if key in self._good:
             return True
@@ -90,12 +90,12 @@ class Evidence:
     # ---------------------------------------------------------------- what is heard
 
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
-        """The message without what it has no certificate for; entries that change nothing are left out unchecked.
+        """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
         Args:
-            message: on the plan of this page.
-            proofs: what came with it.
-            table: what is held now; of as many places.
+            message: a message on the plan in question.
+            proofs: its certificates.
+            table: the entries held now, of the same number of slots.
         """
         certificates, entries = proofs.certificates(), list(message.table or ())
         # The latest claims first: of all that one message gives to a robot, only its last is taken.
@@ -142,7 +142,7 @@ class Evidence:
             self._freed[slot, entry[0], NO_OWNER] = certificate.grant
 
     def _holds(self, slot: int, entry: BidEntry, certificate: Certificate) -> bool:
-        """Whether the certificate bears the entry out."""
+        """Whether the certificate proves the entry."""
         version, _, owner = entry
         grant = certificate.grant
         if isinstance(grant, ExchangeGrant):
@@ -170,7 +170,7 @@ class Evidence:
         )
 
     def _hear_word(self, sender: int, word: WitnessStatement, table: BidTable) -> None:
-        """A word counts where it is about the next version of what is held."""
+        """Keep a statement about the next version of an entry held."""
         slot, version, owner = what = (word.slot, word.version, word.owner)
         if slot >= len(table) or version != table[slot][0] + 1 or sender in self._words.get(what, {}):
             return
@@ -227,7 +227,7 @@ class Evidence:
                 words[self._robot] = self._authenticator.sign(word_statement(self._page, slot, version, owner))
 
     def granted(self, table: BidTable) -> BidTable:
-        """What enough robots have said of places: entries to merge, UNSAID elsewhere."""
+        """Entries that enough robots have stated together, to be merged; UNSAID elsewhere."""
         entries: list[BidEntry] = [UNSAID] * len(table)
         for (slot, version, owner), words in list(self._words.items()):
             if version <= table[slot][0]:
@@ -239,7 +239,7 @@ class Evidence:
         return tuple(entries)
 
     def attest(self, claim: Claim) -> None:
-        """Sign what this robot has just written in its table."""
+        """Sign what this robot has just written into its table."""
         table = claim.table
         if table is None:
             return
@@ -261,7 +261,7 @@ class Evidence:
         }
 
     def _accept(self, table: BidTable, maker: int, offer: Offer, number: int, signature: bytes) -> None:
-        """Sign the acceptance of an offer, if that is what the table says."""
+        """Sign the acceptance of an offer, if the table has it."""
         given, taken = table[offer.give], table[offer.take]
         new = (offer.give_version + 1, self._robot), (offer.take_version + 1, offer.bid, maker)
         if (given[::2], taken) != new or (offer.give, given) in self._held or (offer.take, taken) in self._held:
@@ -288,7 +288,7 @@ class Evidence:
     # ---------------------------------------------------------------- what is said
 
     def prove(self, message: Message) -> Proofs:
-        """The certificates of what a message of one's own says about places."""
+        """The certificates of the claims in one of this robot's own messages."""
         certificates: dict[int, Certificate] = {}
         for slot, entry in enumerate(message.table or ()):
             version, _, owner = entry
@@ -303,7 +303,7 @@ class Evidence:
         return Proofs(claims=claims, grants=grants, words=words, offer=self._offer(message.offer))
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
-        """An offer counts as the next claim, if it is accepted."""
+        """The signed offer; it counts as the next claim if it is accepted."""
         if offer is None:
             return None
         if offer not in self._offers:

@@ -1,1 +1,1 @@
-"""What is checked of plans and steps before anybody uses them."""
+"""Verification: checks plans and waypoints before they are used."""

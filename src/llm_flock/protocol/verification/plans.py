@@ -1,8 +1,8 @@
-"""What is checked before a plan or a step is used: reasons in words for whoever made it, and a class for the order.
+"""Checks of plans: reasons in words for the model that proposed a plan, and a class for the order of plans.
 
-Everything here is a pure function of the mission and of what one robot knows, so each receiver judges for itself and
-all come to the same verdict on the same plan. Tolerances are shares of the mission's lengths: they leave room for
-coordinates that a model has rounded, and less than the definition of a formed team leaves.
+All checks are pure functions of mission and plan, so every receiver comes to the same verdict by itself. Tolerances
+are shares of the mission's lengths: they accept coordinates that a model has rounded, and are tighter than the
+definition of a formed team.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.plan import DECIMALS, Plan
 
 CENTER_TOLERANCE = 0.05
-"""Share of the spacing by which the mean of the places may miss the centre: half a unit at the paper's spacing of 10,
-which is what whole-number coordinates can be off. The shape does not depend on it."""
+"""Largest distance of the mean of the places from the centre, as a share of the spacing: half a unit at the paper's
+spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
 
 SPACING_TOLERANCE = 0.1
-"""Share by which a place's nearest other place may be nearer or farther than in the shape."""
+"""Share by which the distance of a place from its nearest other place may differ from the shape's."""
 
 RESIDUAL_LIMIT = 0.05
-"""Share of the spacing that places may be off the ideal shape, on average: half of what a formed team may be."""
+"""Largest mean distance of places from the ideal shape, as a share of the spacing: half of a formed team's limit."""
 
 EXACT_RESIDUAL = 0.01
-"""Share of the spacing up to which a plan counts as exact. Two decimals suffice at any spacing from 1 on."""
+"""Mean distance up to which a plan counts as exact, as a share of the spacing. Two decimals suffice from spacing 1."""
 
 ROUNDING = 0.02
-"""Share of the spacing that two rounded coordinates may take away from a distance or add to it."""
+"""Share of the spacing by which two rounded coordinates may change a distance."""
 
 LENGTH_TOLERANCE = 0.01
-"""Share of the step limit by which printed decimals may make a waypoint too far; the shield clips it."""
+"""Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
 
 CACHED_PLANS = 4096
 
 
 class PlanClass(IntEnum):
-    """How good a plan is; in the order of plans, higher comes before the proposer's influence."""
+    """Quality of a plan. In the order of plans, a higher class counts before the proposer's influence."""
 
     REFUSED = 0
     ACCEPTABLE = 1
@@ -60,7 +60,7 @@ class _Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Expected:
-    """What a mission's plans are compared with; `near` and `far` bound a place's distance to its nearest other one."""
+    """The reference for a mission's plans; `near` and `far` bound a place's distance from its nearest other place."""
 
     target: metrics.ShapeTarget | None
     points: Points | None
@@ -69,22 +69,28 @@ class _Expected:
 
 
 def check_plan(mission: Mission, plan: Plan) -> str | None:
-    """Why this plan will not do, as a sentence for the model, or None.
+    """The reason to refuse a plan, as a sentence for the model, or None. Call before a plan is adopted or forwarded.
 
-    Checked in this order: as many points as robots, of the mission's dimension, finite; inside the arena; mean at the
-    centre; no pair nearer than the safe distance; every place about as far from its nearest one as in the shape; and,
-    where the ideal is known, close to it after the best rotation and correspondence.
+    The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
+    mean at the centre; no pair nearer than the safe distance; every place about as far from its nearest one as in the
+    shape; and, if the ideal is known, close to it after the best rotation and correspondence.
     """
     return _verdict(mission, plan).reason
 
 
 def blocked_within(mission: Mission) -> float:
-    """A place is out of everybody's reach if a body that does not move is nearer to it than this [units]."""
+    """No robot can reach a place if a body that does not move is nearer to it than this [units]."""
     return mission.safe_distance - metrics.AT_GOAL * mission.spacing
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str | None:
-    """As `check_plan`, for a plan of one's own: no place may be so near a body in sight that nobody can take it."""
+    """As `check_plan`, for a plan that the robot proposes itself: no body in sight may block a place.
+
+    Args:
+        mission: the mission of the plan.
+        plan: the proposed plan.
+        still: positions of bodies in sight that do not move [units].
+    """
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
@@ -99,13 +105,13 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str 
 
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
-    """The class of this plan; where no ideal is known (a shape in words, a single robot) it is acceptable at best."""
+    """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
     return _verdict(mission, plan).plan_class
 
 
 @lru_cache(maxsize=CACHED_PLANS)
 def _verdict(mission: Mission, plan: Plan) -> _Verdict:
-    """Both answers at once. Pure, so every plan is judged once however many robots of a process hear of it."""
+    """Class and reason. Cached, so that a plan is checked once even if many robots of a process receive it."""
     reason = _fault_of_form(mission, plan) or _fault_of_place(mission, plan) or _fault_of_spacing(mission, plan)
     if reason is not None:
         return _Verdict(PlanClass.REFUSED, reason)
@@ -138,11 +144,11 @@ def _expected(mission: Mission) -> _Expected:
 
 
 def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """For each of n >= 2 points the distance to its nearest other point and that one's number, shape (n,) each."""
+    """For each of n >= 2 points, distance and index of its nearest other point, shape (n,) each."""
     found = KDTree(points).query(points, k=2)
     distance, index = np.asarray(found[0]), np.asarray(found[1])
     rows = np.arange(len(points))
-    # Of two points in one place the tree may name the other one first.
+    # For two points at one position, the tree may return the other one first.
     other = np.where(index[:, 0] == rows, index[:, 1], index[:, 0])
     return distance[:, 1], other
 
@@ -179,7 +185,7 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
     distances, others = _nearest(plan.array)
     distances = distances.round(DECIMALS)
     closest = int(distances.argmin())
-    # Where the spacing is the safe distance itself, rounded coordinates cannot keep it to the last digit.
+    # If the spacing equals the safe distance, rounded coordinates cannot keep it to the last digit.
     if distances[closest] < min(mission.safe_distance, (1 - ROUNDING) * mission.spacing):
         i, j = sorted((closest, int(others[closest])))
         least = number_text(mission.safe_distance)
@@ -195,29 +201,25 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
 
 
 def _residual(mission: Mission, plan: Plan) -> float | None:
-    """Mean distance to the ideal shape [units], rounded so that the last digits of a machine do not decide."""
+    """Mean distance from the ideal shape [units], rounded so that the verdict does not depend on the machine."""
     expected = _expected(mission)
     if expected.target is None or expected.points is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = metrics.resemblance(plan.array, expected.points, exact) if mission.dim == 2 else None
+    quick = metrics.quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
         quick = expected.target.error(plan.array).mean
     return round(quick, DECIMALS)
 
 
 def outside(mission: Mission, point: Point) -> float:
-    """How far a point is beyond the nearest walls, along the worst axis [units]; zero inside."""
+    """Largest distance of a point beyond a wall, along any axis [units]; zero inside the arena."""
     low, high = mission.arena
-    beyond = 0.0
-    for a, x, b in zip(low, point, high, strict=True):
-        if x < a or x > b:
-            beyond = max(beyond, a - x, x - b)
-    return beyond
+    return max(0.0, *(max(a - x, x - b) for a, x, b in zip(low, point, high, strict=True)))
 
 
 def number_text(value: float) -> str:
-    """A number for a sentence, to four digits."""
+    """A number with four significant digits, for a sentence."""
     return f"{value:.4g}"
 
 

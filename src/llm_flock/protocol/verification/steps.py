@@ -1,7 +1,7 @@
-"""What is checked before a step is flown, and what can be made of one that fails.
+"""Checks of waypoints before they are flown, and clipping of those that fail.
 
-A step is judged by what its robot observed, so a planner can be told what is wrong before anything moves. This is
-advice, not safety: whatever passes here, the shield has the last word.
+The checks use what the robot observed, so a planner can be told what is wrong before anything moves. They are advice,
+not safety: the shield has the last word on whatever passes here.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from enum import StrEnum
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
+from llm_flock.obstacles.polygons import nearest_on_segment
 from llm_flock.protocol.planning import StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
 
 
 class Fault(StrEnum):
-    """What can be wrong with a waypoint."""
+    """A rule that a waypoint violates; `step_faults` lists them."""
 
     FORM = "form"
     LENGTH = "length"
@@ -29,23 +30,23 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StepFault:
-    """One fault of a waypoint, and the reason in words for the model."""
+    """A fault of a waypoint, with the reason in words for the model."""
 
     kind: Fault
     reason: str
 
 
 def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> tuple[StepFault, ...]:
-    """Everything that is wrong with a waypoint; empty if nothing is.
+    """All faults of a waypoint.
 
-    - form: not a finite point of the mission's dimension; nothing else is looked at then.
-    - length: more than `max_step` away, give or take the printed decimals.
-    - separation: nearer than `safe_distance` to the observed position of another robot, unless it leads away from one
-      that is that near already.
-    - arena: outside, and farther outside than the robot is already.
-    - overshoot: the way passes the goal.
-    - progress: not nearer to the goal than before. A step that ends at the goal needs no progress, and a robot whose
-      straight way is blocked (`blocked`) may go anywhere else: it neither overshoots nor lacks progress.
+    - form: not a finite point of the mission's dimension; nothing else is checked then.
+    - length: farther than `max_step`, with a tolerance for printed decimals.
+    - separation: nearer than `safe_distance` to the observed position of another robot, unless that robot is already
+      too near and the step leads away from it.
+    - arena: outside, and farther outside than the robot already is.
+    - overshoot: the step passes the goal.
+    - progress: no nearer to the goal than before. A step that ends at the goal needs no progress, and a robot whose
+      straight path is blocked (`blocked`) may go anywhere: it neither overshoots nor lacks progress.
     """
     if len(waypoint) != mission.dim or not all(map(math.isfinite, waypoint)):
         return (StepFault(Fault.FORM, f"the position must be {mission.dim} finite numbers"),)
@@ -55,16 +56,16 @@ def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> tu
 
 
 def check_step(mission: Mission, question: StepQuestion, waypoint: Point) -> str | None:
-    """Why this waypoint will not do, as a sentence for the model, or None."""
+    """The reason to refuse a waypoint, as a sentence for the model, or None."""
     faults = step_faults(mission, question, waypoint)
     return "; ".join(fault.reason for fault in faults) + "." if faults else None
 
 
 def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
-    """As `check_step`; where a path may be given, the reason names the first waypoint that will not do, from 1.
+    """As `check_step` for a whole answer. For a path, the reason names the first waypoint that fails, counted from 1.
 
-    Each waypoint of a path is judged as a step from the one before it. Only the first must keep the separation, and
-    with a shield not even that: where the others will be later nobody knows, and every step meets the shield anyway.
+    Each waypoint of a path is checked as a step from the one before. Only the first must keep the separation, and with
+    a shield not even that: later positions of the others are unknown, and every step passes through the shield.
     """
     if question.horizon == 1:
         return check_step(mission, question, answer.waypoint)
@@ -81,12 +82,12 @@ def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *
     return None
 
 
-def mended(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
-    """What a shield may make of a waypoint: itself if faultless, clipped to the goal, the step limit and the arena.
+def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
+    """A waypoint without faults: unchanged, or clipped to the goal, the step limit and the arena.
 
     Returns:
-        None where clipping does not help: a step in a wrong direction stays one. With the shield on, a want of
-        separation is left to it.
+        None if clipping does not help, as for a step in the wrong direction. With the shield on, missing separation is
+        left to the shield.
     """
     faults = step_faults(mission, question, waypoint)
     if not faults:
@@ -109,19 +110,15 @@ def mended(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_
 def blocked(mission: Mission, question: StepQuestion) -> bool:
     """Whether one straight step towards the goal comes nearer than the safe distance to an observed robot."""
     here, goal = question.position, question.goal
-    reach = min(mission.max_step, math.dist(here, goal))
+    distance = math.dist(here, goal)
+    share = min(1.0, mission.max_step / distance) if distance else 0.0
+    end = tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
     limit = mission.safe_distance + ROUNDING * mission.spacing
-    for other in question.neighbors:
-        along = min(max(_along(here, goal, other), 0.0), reach)
-        share = along / math.dist(here, goal) if along else 0.0
-        nearest = tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
-        if math.dist(nearest, other) < limit:
-            return True
-    return False
+    return any(math.dist(nearest_on_segment(other, here, end), other) < limit for other in question.neighbors)
 
 
 def _along(here: Point, goal: Point, point: Point) -> float:
-    """How far a point is ahead in the direction of the goal [units]; its distance where the goal is reached."""
+    """Distance of a point along the direction to the goal [units]; its plain distance if the robot is at the goal."""
     distance = math.dist(here, goal)
     if distance == 0.0:
         return math.dist(here, point)
@@ -160,7 +157,7 @@ def _arena(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFau
 
 
 def _advance(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
-    """Overshoot or want of progress."""
+    """An overshoot, or a lack of progress."""
     here, goal = question.position, question.goal
     before, after = math.dist(here, goal), math.dist(waypoint, goal)
     near = ROUNDING * mission.spacing

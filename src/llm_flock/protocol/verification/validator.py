@@ -1,4 +1,4 @@
-"""The checks of one robot: which plans it follows and forwards, and which waypoints it hands to its shield."""
+"""One robot's checks: of plans before it follows or forwards them, and of waypoints before its shield sees them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from llm_flock.protocol.events import Note
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan, check_proposal, plan_class
-from llm_flock.protocol.verification.steps import check_step, mended
+from llm_flock.protocol.verification.steps import check_step, clip_waypoint
 
 
 class Validator:
     """Checks plans and steps; with verification off it accepts everything.
 
     Args:
-        verify: whether anything is checked.
-        shield_on: whether a waypoint that only lacks separation may be left to the shield.
-        any_size: whether a plan may have fewer places than the mission, because it was made again for a smaller team.
+        verify: whether to check anything.
+        shield_on: whether the shield takes care of waypoints that only lack separation.
+        any_size: whether a plan may have fewer places than the mission, as plans for a smaller team do.
     """
 
     def __init__(self, *, verify: bool, shield_on: bool, any_size: bool = False) -> None:
@@ -27,33 +27,33 @@ class Validator:
         self._shield_on = shield_on
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
-        """Why this plan may not be followed, or None. Call before a plan is adopted or forwarded."""
+        """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
         return check_plan(self._standard(mission, plan), plan) if self.verify and plan is not None else None
 
     def plan_class(self, mission: Mission, plan: Plan | None) -> int:
-        """The plan's class in the total order of plans; 0 for every plan where nothing is checked."""
+        """The plan's class in the total order of plans; 0 for every plan with verification off."""
         if plan is None or not self.verify:
             return 0
         return int(plan_class(self._standard(mission, plan), plan))
 
     def _standard(self, mission: Mission, plan: Plan) -> Mission:
-        """The mission that a plan is measured by: as it is, or resized for a smaller team."""
+        """The mission against which a plan is checked: unchanged, or resized for a smaller team."""
         smaller = self._any_size and len(plan) < mission.n_places
         return (resized(mission, len(plan)) if smaller else None) or mission
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
-        """The planner's answer, or a failure with the reason why its plan is not acceptable."""
+        """The planner's answer, or a failure with the reason to refuse its plan. Call with every answer."""
         if not isinstance(answer, PlanAnswer) or not self.verify:
             return answer
         objection = check_proposal(question.mission, answer.plan, question.still)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
 
     def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The waypoint to head for: the answer, clipped if that suffices; otherwise the reason to hold."""
+        """The planner's waypoint, clipped if that suffices; otherwise the reason to hold. Call with every answer."""
         asked = answer.waypoint
         if not self.verify:
             return answer.waypoint if isinstance(answer, StepAnswer) else answer
-        fit = None if asked is None else mended(question.mission, question, asked, shield_on=self._shield_on)
+        fit = None if asked is None else clip_waypoint(question.mission, question, asked, shield_on=self._shield_on)
         if fit is not None:
             return fit
         if isinstance(answer, NoAnswer):
@@ -62,7 +62,7 @@ class Validator:
 
 
 def resized(mission: Mission, places: int) -> Mission | None:
-    """The mission for a plan of another size; None where its shape does not exist in that size."""
+    """The mission for a plan of another size; None if its shape does not exist in that size."""
     try:
         return mission.resized(places)
     except InputError:
@@ -70,7 +70,7 @@ def resized(mission: Mission, places: int) -> Mission | None:
 
 
 def fallback_notes(question: str, by: str, failure: NoAnswer | None) -> list[Note]:
-    """The note that plain geometry or a neighbour's plan replaced a planner's answer; empty where none failed."""
+    """A note that geometry or a neighbour's plan replaced a planner's answer; empty if the planner did not fail."""
     if failure is None:
         return []
     return [Note("fallback", {"question": question, "by": by, "cause": failure.cause, "reason": failure.reason})]

@@ -1,7 +1,7 @@
-"""Crazyflies, driven through the high-level commander on board by Bitcraze's cflib.
+"""Drives Crazyflies through their high-level commander, with Bitcraze's cflib.
 
-cflib is under the GPL, version 3, so it is an extra (`pip install 'llm-flock[crazyflie]'`) that is imported only when a
-link is opened, by `llm_flock.robots.crazyflie.link` alone.
+cflib is under the GPL, version 3, so it is an extra (`pip install 'llm-flock[crazyflie]'`), and only
+`llm_flock.robots.crazyflie.link` imports it, when a link is opened.
 """
 
 from llm_flock.robots.crazyflie.robot import CrazyflieRobot

@@ -1,11 +1,11 @@
 """One link to one Crazyflie: the only place that knows cflib, its threads and its traps.
 
-- cflib opens a link with callbacks and without a time limit: over UDP nothing is sent again, so that one lost packet
-  blocks it for ever. Here packets are sent again, and an attempt in which nothing comes for a while is given up.
-- cflib's `close_link` sends a set-point of no thrust first. In flight that would take the drone from its high-level
-  commander and drop it, so that set-point is not sent.
-- cflib notices a dead radio link, but not a silent UDP one: `silent_s` tells.
-- cflib's calls may block (a radio's queue holds one packet): they run in threads of their own, never on the event loop.
+- cflib opens a link with callbacks and without a time limit: over UDP it resends nothing, so one lost packet blocks it
+  for ever. Here packets are resent, and an attempt that stays silent for a while is given up.
+- cflib's `close_link` first sends a set-point without thrust. In flight it would take the drone from its high-level
+  commander and drop it, so it is not sent.
+- cflib notices a dead radio link, but not a silent UDP one: `silent_s` does.
+- cflib's calls may block (a radio's queue holds one packet): they run in threads, never on the event loop.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from llm_flock.robots.base import RobotError
 from llm_flock.robots.crazyflie.threads import Worker, in_thread, new_thread
 
 SILENCE_S = 1.0
-"""An attempt to open a link is given up when nothing came for so long [s]."""
+"""An attempt to open a link is given up after this silence [s]."""
 
 PAUSE_S = 0.1
 """Between two attempts [s]."""
 
 SEND_S = 2.5
-"""The longest that sending one packet may block: cflib's radio driver gives up after 2 s."""
+"""Longest time to send one packet: cflib's radio driver gives up after 2 s [s]."""
 
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
 
 
 def library() -> Any:
-    """`cflib.crazyflie`, its link drivers ready.
+    """`cflib.crazyflie`, with its link drivers ready.
 
     Raises:
         InputError: it is not installed.
@@ -50,13 +50,13 @@ def library() -> Any:
     return crazyflie
 
 
-class Link:
+class CrazyflieLink:
     """One link, opened and closed once.
 
     Args:
         name: of the robot, for errors.
         uri: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850` and so on.
-        cache: folder for the drone's tables; without one they are fetched at every connect.
+        cache: folder for the drone's tables; without it every connect fetches them.
     """
 
     def __init__(self, name: str, uri: str, cache: Path | None) -> None:
@@ -93,13 +93,13 @@ class Link:
         return f"the link is lost: {self.lost}" if self.lost else "is not connected"
 
     def silent_s(self, now: float) -> float:
-        """How long nothing was heard [s]."""
+        """Time since the last packet [s]."""
         return now - self._heard_s
 
     # ------------------------------------------------------------ opening
 
     async def connect(self, timeout_s: float, parameters: Mapping[str, float]) -> None:
-        """Open the link, fetch the tables, set the parameters; try again as often as time allows.
+        """Open the link, fetch the tables, set the parameters; retry as long as time allows.
 
         Raises:
             InputError: cflib is not installed, or a parameter cannot be set.
@@ -130,10 +130,10 @@ class Link:
                 return
 
     async def _attempt(self, end: float, with_values: bool) -> None:
-        """One try to open the link, up to `end`.
+        """Try once to open the link, until `end`.
 
         Raises:
-            RobotError: it failed, or nothing came for too long.
+            RobotError: it failed.
             TimeoutError: not done in time.
         """
         self.lost, self._heard_s = None, time.monotonic()
@@ -165,7 +165,7 @@ class Link:
                 continue
 
     async def _set(self, parameters: Mapping[str, float], end: float) -> None:
-        """Have parameters set, up to `end`.
+        """Set parameters, until `end`.
 
         Raises:
             InputError: the firmware has no such parameter, or it cannot be written.
@@ -181,13 +181,13 @@ class Link:
     async def log(
         self, name: str, period_ms: int, variables: Mapping[str, str], take: Callable[[Mapping[str, float]], None]
     ) -> None:
-        """Have variables logged.
+        """Start a log block.
 
         Args:
             name: of the block.
             period_ms: of the packets, a multiple of 10.
-            variables: names and as what they travel.
-            take: called in cflib's thread with a dictionary of values.
+            variables: their types in packets, by name.
+            take: called in cflib's thread with the values by name.
 
         Raises:
             RobotError: the firmware does not know one of them.
@@ -209,7 +209,7 @@ class Link:
     # ------------------------------------------------------------ sending
 
     async def send(self, call: Callable[[Any], None], *, urgent: bool = False) -> None:
-        """Send something with cflib's `Crazyflie`, after what was sent before; something urgent waits for nothing.
+        """Send something with cflib's `Crazyflie`, in order; something urgent overtakes the queue.
 
         Raises:
             RobotError: the link is not open, or does not take the packet.
@@ -228,11 +228,7 @@ class Link:
             worker.do(None)
 
     async def ask(self, command: int, call: Callable[[Any], None], timeout_s: float) -> int | None:
-        """Send a command of the high-level commander and wait for its answer: 0, or the firmware's error.
-
-        Returns:
-            None when no answer came in time.
-        """
+        """Send a command of the high-level commander; returns its answer (0 or an error), or None after a time-out."""
         answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         self._answers[command] = answer
         try:
@@ -244,14 +240,14 @@ class Link:
             self._answers.pop(command, None)
 
     async def close(self) -> None:
-        """Close the link; the drone goes on with what it does."""
+        """Close the link; the drone flies on."""
         self._end_worker()
         cf, self._cf = self._cf, None
         if cf is None:
             return
 
         def shut() -> None:
-            # Before the link goes: this thread of cflib's sends through it without looking twice.
+            # First, as this thread of cflib's sends through the link without checking it.
             cf.link_statistics.stop()
             cf.close_link()
 
@@ -284,4 +280,4 @@ class Link:
 
 
 def _nothing(*_: object) -> None:
-    """Instead of a set-point of no thrust."""
+    """Replaces a set-point without thrust."""

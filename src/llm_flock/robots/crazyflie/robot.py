@@ -1,4 +1,4 @@
-"""A Crazyflie behind the protocol of `llm_flock.robots.base`."""
+"""A Crazyflie with the interface of `llm_flock.robots.base`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError
-from llm_flock.robots.base import Commanded, Limits, Position, RobotError, RobotState
-from llm_flock.robots.crazyflie.link import SCHEMES, Link
+from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
+from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink
 from llm_flock.robots.crazyflie.telemetry import (
     ARMED,
     FLYING,
@@ -29,42 +29,42 @@ TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
 """Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
 
 GO_TO_VERSION = 8
-"""Of the protocol: the first that knows `GO_TO`."""
+"""First version of the protocol that knows `GO_TO`."""
 
 ANSWER_S = 0.2
-"""How long a command waits for its answer before it is sent again [s]."""
+"""Wait for the answer to a command before it is resent [s]."""
 
 ATTEMPTS = 8
-"""So often: where a tenth of all packets is lost, four tries fail once in 800 commands, eight once in 600,000."""
+"""Tries of a command: with a tenth of all packets lost, four fail once in 800 commands, eight once in 600,000."""
 
 SHORTEST_S = 0.1
-"""Least duration of a command that is sent again [s]."""
+"""Least duration of a command that is resent [s]."""
 
 ARM_S = 2.0
 STOP_S = 1.0
-"""How long arming, and an emergency stop, are tried for [s]."""
+"""Longest time to try arming, and an emergency stop [s]."""
 
 HOLD_S = 1.0
-"""Time in which a robot that shall hold comes to rest [s]."""
+"""Time in which a robot comes to rest on `hold` [s]."""
 
 REFUSED = 1
-"""The firmware's answer to a take-off of one that flies, and to a landing of one that lands."""
+"""The firmware's answer to a take-off in flight, and to a second landing."""
 
 
 class _Refused(RobotError):
-    """The firmware answered, and the answer was no."""
+    """The firmware refused a command."""
 
 
 class CrazyflieRobot:
-    """One Crazyflie. Commands are confirmed by the firmware, and sent again with what is left of their duration.
+    """One Crazyflie. The firmware confirms each command; it is resent with the rest of its duration until then.
 
     Args:
         name: for reports and errors.
         uri: where it is: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850`.
-        limits: what the driver never exceeds.
-        link_timeout_s: a link from which nothing came for so long is lost.
+        limits: enforced by the driver.
+        link_timeout_s: a link is lost after this silence [s].
         parameters: firmware parameters to set on connect, by `group.name`.
-        cache: folder for the drones' tables, which saves seconds at every connect but the first.
+        cache: folder for the drones' tables: saves seconds at every connect but the first.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class CrazyflieRobot:
         name: str,
         uri: str,
         *,
-        limits: Limits | None = None,
+        limits: MotionLimits | None = None,
         link_timeout_s: float = 1.0,
         parameters: Mapping[str, float] | None = None,
         cache: Path | None = None,
@@ -81,11 +81,11 @@ class CrazyflieRobot:
             raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
         self.uri = uri
         self._name = name
-        self._limits = limits or Limits()
+        self._limits = limits or MotionLimits()
         self._link_timeout_s = link_timeout_s
         self._parameters = dict(parameters or {})
         self._cache = cache
-        self._link = Link(name, uri, cache)
+        self._link = CrazyflieLink(name, uri, cache)
         self._log = Telemetry()
         self._connected = self._lost = self._aloft = False
         self._set_point: Position | None = None
@@ -100,7 +100,7 @@ class CrazyflieRobot:
     # ------------------------------------------------------------ link and state
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link and wait for the first estimate; a lost link is opened anew, also in flight.
+        """Open the link and wait for the first estimate; reopens a lost link, also in flight.
 
         Raises:
             InputError: cflib is not installed, or a parameter cannot be set.
@@ -108,7 +108,7 @@ class CrazyflieRobot:
         """
         end = time.monotonic() + timeout_s
         await self._link.close()
-        self._link, log = Link(self._name, self.uri, self._cache), Telemetry()
+        self._link, log = CrazyflieLink(self._name, self.uri, self._cache), Telemetry()
         self._set_point, self._segment = None, None
         await self._link.connect(timeout_s, self._parameters)
         try:
@@ -128,7 +128,7 @@ class CrazyflieRobot:
         self._log, self._connected, self._lost = log, True, False
 
     def state(self) -> RobotState:
-        """The newest that was logged; the last that came where the link is lost."""
+        """The newest state that was logged."""
         log, now = self._log, time.monotonic()
         if not self._connected or log.position is None:
             raise RobotError(self._name, "was never connected")
@@ -150,7 +150,7 @@ class CrazyflieRobot:
         await self._link.close()
 
     def _ready(self) -> RobotState:
-        """The state, of a robot whose link works.
+        """The state, if the link works.
 
         Raises:
             RobotError: not connected, or the link is lost.
@@ -165,7 +165,7 @@ class CrazyflieRobot:
     # ------------------------------------------------------------ flying
 
     async def arm(self) -> None:
-        """Ask until the supervisor says that it is armed."""
+        """Arm the drone, and repeat until the supervisor confirms it."""
         end = time.monotonic() + ARM_S
         while not self._ready().armed:
             if time.monotonic() >= end:
@@ -178,7 +178,7 @@ class CrazyflieRobot:
         start = self._ready().position
         sent = self._limits.clip(start, (start[0], start[1], height_m), duration_s)
         height, before = sent.target[2], self._aloft
-        # Without an answer it may be in the air all the same: then it has to be landed.
+        # Without an answer it may be in the air all the same, and then has to be landed.
         self._yaw, self._aloft = math.radians(self._log.yaw_deg), True
         try:
             await self._command(TAKE_OFF, lambda cf, left: cf.takeoff(height, left, yaw=None), duration_s, "take-off")
@@ -211,7 +211,7 @@ class CrazyflieRobot:
             self._segment, self._set_point = None, stop
 
     async def land(self, height_m: float, duration_s: float) -> None:
-        """Sink straight down; tried even where the link is lost. One that stands on the ground stays there."""
+        """Land straight down; tried even with a lost link. On the ground, do nothing."""
         if not self._connected:
             self._ready()
         if not self._aloft and not self.state().flying:
@@ -221,7 +221,7 @@ class CrazyflieRobot:
         self._aloft = False
 
     async def stop_motors(self) -> bool:
-        """Emergency stop, sent again until the supervisor says that it is locked; tried even where the link is lost."""
+        """Emergency stop, repeated until the supervisor confirms it; tried even with a lost link."""
         end = time.monotonic() + STOP_S
         while time.monotonic() < end and self._link.open:
             try:
@@ -245,7 +245,7 @@ class CrazyflieRobot:
         await self._command(number, lambda cf, left: cf.go_to(x, y, z, self._yaw, left), duration_s, "a way-point")
 
     async def _command(self, number: int, send: Callable[[Any, float], None], duration_s: float, what: str) -> None:
-        """Send until the firmware answers; every time with what is left of the duration.
+        """Send until the firmware answers, each time with the rest of the duration.
 
         Raises:
             RobotError: refused, or never answered.
@@ -256,7 +256,7 @@ class CrazyflieRobot:
             answer = await self._link.ask(number, lambda cf, left=left: send(cf.high_level_commander, left), ANSWER_S)
             if answer == 0:
                 return
-            # Sent again because only the answer was lost: the robot does it already.
+            # The first answer was lost: the drone is doing it already.
             if answer == REFUSED and (number == LAND or (number == TAKE_OFF and attempt)):
                 return
             if answer is not None:

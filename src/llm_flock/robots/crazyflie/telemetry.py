@@ -1,4 +1,4 @@
-"""What a Crazyflie's log packets say, as a state: sans-IO."""
+"""The state of a Crazyflie from its log packets: sans-IO."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ POSITION_LOG: Mapping[str, str] = MappingProxyType(
         "supervisor.info": "uint16_t",
     }
 )
-"""What is logged often, and as what it travels: 18 of the 26 bytes that a packet holds."""
+"""Variables of the frequent log block, and their types in packets: 18 of the 26 bytes that a packet holds."""
 
 VARIANCE_LOG: Mapping[str, str] = MappingProxyType(
     {"kalman.varPX": "float", "kalman.varPY": "float", "kalman.varPZ": "float"}
 )
-"""What is logged for `settled`."""
+"""Variables of the log block for `settled`."""
 
 POSITION_PERIOD_MS = 50
 VARIANCE_PERIOD_MS = 100
@@ -47,12 +47,12 @@ _NAMES = {
 
 
 def says(info: int) -> str:
-    """What the supervisor says, in words."""
+    """The supervisor's state, in words."""
     return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
 
 
 class Telemetry:
-    """The newest of everything that was logged. Written by one thread, read by any."""
+    """The newest values that were logged. Written by one thread, read by any."""
 
     def __init__(self) -> None:
         self.position: Position | None = None
@@ -64,7 +64,7 @@ class Telemetry:
         self._variance_stamp_s = 0.0
 
     def take_position(self, data: Mapping[str, float], now: float) -> None:
-        """One packet of `POSITION_LOG`, come at `now`."""
+        """Take a packet of `POSITION_LOG` that arrived at `now`."""
         self.battery_v = float(data["pm.vbat"])
         self.info = int(data["supervisor.info"])
         self.yaw_deg = float(data["stateEstimate.yaw"])
@@ -76,12 +76,12 @@ class Telemetry:
         self.stamp_s = now
 
     def take_variance(self, data: Mapping[str, float], now: float) -> None:
-        """One packet of `VARIANCE_LOG`, come at `now`."""
+        """Take a packet of `VARIANCE_LOG` that arrived at `now`."""
         self._variances.append((data["kalman.varPX"], data["kalman.varPY"], data["kalman.varPZ"]))
         self._variance_stamp_s = now
 
     def settled(self, now: float) -> bool:
-        """Whether the estimator has converged, and says so still."""
+        """Whether the estimator has converged, by recent samples."""
         samples = list(self._variances)
         if len(samples) < SETTLED_SAMPLES or now - self._variance_stamp_s > SETTLED_SAMPLES * VARIANCE_PERIOD_MS / 1e3:
             return False

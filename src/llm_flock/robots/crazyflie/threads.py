@@ -1,4 +1,4 @@
-"""Blocking calls beside an event loop, in threads that may hang without anybody hanging with them."""
+"""Runs blocking calls in threads beside an event loop, which never waits for one that hangs."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ T = TypeVar("T")
 
 
 def new_thread(work: Callable[[], None]) -> None:
-    """Have a new thread do something; nobody waits for it."""
+    """Run something in a new thread, without waiting for it."""
     threading.Thread(target=work, name="crazyflie", daemon=True).start()
 
 
 class Worker:
-    """A thread that does one thing after the other: starting one for each command takes longer than sending it."""
+    """A thread that runs one job after another: starting a thread takes longer than sending a command."""
 
     def __init__(self) -> None:
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         new_thread(self._run)
 
     def do(self, job: Callable[[], None] | None) -> None:
-        """Do this next; None ends the thread."""
+        """Queue a job; None ends the thread."""
         self._jobs.put(job)
 
     def _run(self) -> None:
@@ -35,15 +35,15 @@ class Worker:
 async def in_thread(
     call: Callable[[], T], timeout_s: float, start: Callable[[Callable[[], None]], None] = new_thread
 ) -> T:
-    """Run a blocking call in a thread that nobody waits for when it hangs.
+    """Run a blocking call in a thread, and wait for it with a time limit.
 
     Args:
-        call: what to run.
-        timeout_s: how long to wait for it.
-        start: has it run by some thread.
+        call: to run.
+        timeout_s: longest wait [s].
+        start: runs a function in some thread.
 
     Raises:
-        TimeoutError: not done in time; the thread is left to itself.
+        TimeoutError: not done in time; the thread is abandoned.
     """
     loop = asyncio.get_running_loop()
     future: asyncio.Future[T] = loop.create_future()
@@ -61,7 +61,7 @@ async def in_thread(
         failure: Exception | None = None
         try:
             result = call()
-        except Exception as error:  # noqa: BLE001  # handed to the one who waits
+        except Exception as error:  # noqa: BLE001  # raised where the result is awaited
             failure = error
         if not loop.is_closed():
             loop.call_soon_threadsafe(settle, result, failure)

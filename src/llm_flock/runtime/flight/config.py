@@ -1,127 +1,139 @@
-"""The flight file: a run's configuration, where it is in the world, who flies it, and what keeps it safe."""
+"""The flight file: a run's configuration, its place in the world, the drones, and the safety limits."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from llm_flock.errors import InputError
-from llm_flock.robots.base import PEAK_SPEED, Limits, Position
-from llm_flock.runtime.config import RunConfig, Section
-from llm_flock.runtime.flight.frame import Frame, middle
+from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
+from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
+from llm_flock.runtime.flight.frame import MissionFrame, middle
 
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 
 NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
-"""Fields of a run that mean nothing where real things happen to real bodies."""
+"""Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
 
 ROUNDING_M = 1e-6
-"""Lengths this much beyond a limit are still within it [m]."""
+"""Tolerance of limits on lengths and times [m, s]."""
 
 
-def _length(default: float, description: str) -> float:
+def _length(default: float, description: str) -> Any:
     return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
 
 
-def _seconds(default: float, description: str) -> float:
-    return Field(default=default, gt=0, le=3600, allow_inf_nan=False, description=f"{description} [s]")
+def _seconds(default: float, description: str) -> Any:
+    return seconds(default, description, most=3600)
 
 
-class WorldConfig(Section):
-    """Where the mission is in the world of the localisation system, z up."""
+class WorldConfig(ConfigSection):
+    """Place of the mission in the world frame of the localisation system, z up."""
 
-    scale_m: float = _length(0.1, "One mission unit")
+    scale_m: float = _length(0.1, "Length of one mission unit")
     stretch: float = Field(
-        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: z is scaled so much more"
+        default=1.0,
+        ge=1,
+        le=100,
+        allow_inf_nan=False,
+        description="Missions in space: extra scale of z over x and y",
     )
     yaw_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
+        default=0.0,
+        ge=-360,
+        le=360,
+        description="The mission's x axis in the world, counterclockwise [degrees]",
     )
     origin_m: tuple[Metres, Metres] = Field(
-        default=(0.0, 0.0), description="Where the middle of the arena is in the world, x and y [m]"
+        default=(0.0, 0.0), description="Middle of the arena in the world, x and y [m]"
     )
-    altitude_m: float = _length(1.0, "z of a mission in the plane, or of the middle of the arena")
-    floor_m: Metres = Field(default=0.0, description="z of the floor [m]")
+    altitude_m: float = _length(1.0, "Height of a mission in the plane, or of the middle of the arena: z")
+    floor_m: Metres = Field(default=0.0, description="Height of the floor: z [m]")
     geofence: tuple[tuple[Metres, Metres, Metres], tuple[Metres, Metres, Metres]] = Field(
         default=((-6.0, -6.0, -0.5), (6.0, 6.0, 2.5)),
-        description="Lower and upper corner of the box that nobody leaves, in the world [m]",
+        description="Lower and upper corner of the box that no drone may leave, in the world [m]",
     )
 
 
-class Drone(Section):
+class DroneConfig(ConfigSection):
     """One robot of the fleet."""
 
-    name: str = Field(min_length=1, max_length=64, description="Its name in reports")
-    uri: str | None = Field(default=None, description="Its address: radio://... or udp://...")
+    name: str = Field(min_length=1, max_length=64, description="Name in reports")
+    uri: str | None = Field(default=None, description="Address: radio://... or udp://...")
     start: tuple[Metres, ...] | None = Field(
-        default=None, min_length=2, max_length=3, description="Where it stands before take-off, x, y and z [m]"
+        default=None, min_length=2, max_length=3, description="Position before take-off: x, y and z [m]"
     )
     parameters: dict[str, float] = Field(
-        default_factory=dict, description="Firmware parameters to set when connecting, by group.name"
+        default_factory=dict, description="Firmware parameters to set on connecting, by group.name"
     )
 
 
-class FleetConfig(Section):
-    """Who flies: robot 0 of the mission is the first drone, and so on."""
+class FleetConfig(ConfigSection):
+    """The drones: robot 0 of the mission is the first, and so on."""
 
     robot: str = Field(
         default="simulated", description="Driver: simulated, crazyflie, physics, or package.module:function"
     )
-    drones: tuple[Drone, ...] = Field(default=(), description="The drones, in the order of the mission's robots")
+    drones: tuple[DroneConfig, ...] = Field(default=(), description="Drones, in the order of the mission's robots")
     crazyflies: str | None = Field(
-        default=None, description="Crazyswarm2's crazyflies.yaml with the drones, instead of a list of them"
+        default=None, description="Read the drones from Crazyswarm2's crazyflies.yaml, instead of a list"
     )
     cache: str | None = Field(
-        default=None, description="Folder for the drones' tables: connecting is faster from the second time on"
+        default=None, description="Folder to cache the drones' tables in: speeds up every connection but the first"
     )
-    take_off_group: int = Field(default=1, ge=1, le=1000, description="Drones that take off at once")
+    take_off_group: int = Field(default=1, ge=1, le=1000, description="Number of drones that take off at once")
     connect_s: float = _seconds(10.0, "Longest wait for a connection")
-    deadman: bool = Field(default=True, description="A process apart lands the drones where this one dies or hangs")
-    deadman_s: float = _seconds(1.5, "Silence of the flight process after which the deadman takes over")
+    deadman: bool = Field(default=True, description="Start a process that lands the drones if this one dies or hangs")
+    deadman_s: float = _seconds(1.5, "Let the deadman take over after this silence of the flight process")
 
     @property
     def watched(self) -> bool:
-        """Whether a deadman is started: drones that are part of the flight process end with it."""
+        """Whether to start a deadman: drones simulated in the flight process end with it anyway."""
         return self.deadman and self.robot not in ("simulated", "physics")
 
 
-class SafetyConfig(Section):
-    """What is kept, what is watched, and how soon something is done about it."""
+class SafetyConfig(ConfigSection):
+    """Distances to keep, conditions to monitor, and times to react."""
 
-    min_separation_m: float = _length(0.2, "Smallest distance of two drones side by side, centre to centre")
-    downwash_m: float = _length(0.6, "Smallest distance of two drones above each other")
-    tracking_m: float = _length(0.05, "Largest distance of a drone from its moving set-point")
+    min_separation_m: float = _length(0.2, "Smallest distance between two drones side by side, centre to centre")
+    downwash_m: float = _length(0.6, "Smallest distance between two drones above each other")
+    tracking_m: float = _length(0.05, "Largest distance between a drone and its moving set-point")
     max_speed_m_s: float = Field(
         default=1.0, gt=0, le=20, allow_inf_nan=False, description="Highest speed of a set-point [m/s]"
     )
-    round_s: float = _seconds(3.0, "Time of each motion, from rest to rest")
-    settle_s: float = _seconds(1.0, "Longest wait after a motion for the drones to be where they were sent")
-    take_off_s: float = _seconds(2.5, "Time of a take-off")
-    land_s: float = _seconds(3.0, "Time of a landing")
+    round_s: float = _seconds(3.0, "Duration of each motion, from rest to rest")
+    settle_s: float = _seconds(1.0, "Longest wait after a motion for the drones to arrive")
+    take_off_s: float = _seconds(2.5, "Duration of a take-off")
+    land_s: float = _seconds(3.0, "Duration of a landing")
     start_tolerance_m: float = _length(0.15, "Preflight: largest distance from the given start position")
     ready_battery_v: float = Field(default=3.8, ge=0, le=100, description="Preflight: lowest battery voltage [V]")
-    ready_link: float = Field(default=0.7, ge=0, le=1, description="Preflight: lowest share of acknowledged packets")
-    low_battery_v: float = Field(default=3.2, ge=0, le=100, description="In flight: below it, everybody lands [V]")
-    low_battery_s: float = _seconds(1.0, "So long the battery must be low")
-    stall_s: float = _seconds(0.5, "Oldest position estimate")
-    jump_m: float = _length(0.3, "A position estimate may be so much farther from the last than a drone flies")
-    off_course_s: float = _seconds(0.5, "So long a drone may be farther than tracking_m from its set-point")
-    cut_outside_m: float = _length(1.0, "A drone so far outside the geofence has its motors cut")
+    ready_link: float = Field(default=0.7, ge=0, le=1, description="Preflight: smallest share of acknowledged packets")
+    low_battery_v: float = Field(
+        default=3.2, ge=0, le=100, description="In flight: land below this battery voltage [V]"
+    )
+    low_battery_s: float = _seconds(1.0, "Time for which the battery must stay low before that")
+    stall_s: float = _seconds(0.5, "Largest age of a position estimate")
+    jump_m: float = _length(0.3, "Largest jump of a position estimate, beyond what a drone can fly")
+    off_course_s: float = _seconds(0.5, "Longest time that a drone may be farther than tracking_m from its set-point")
+    cut_outside_m: float = _length(1.0, "Cut the motors of a drone that is this far outside the geofence")
     silent_rounds: int = Field(
-        default=3, ge=1, le=1000, description="Rounds on end without an answer of a drone's model: everybody lands"
+        default=3,
+        ge=1,
+        le=1000,
+        description="Land after this many rounds in a row without an answer of a model",
     )
     think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
-    max_flight_s: float = _seconds(240.0, "Everybody lands after so long in the air")
-    reach_s: float = _seconds(15.0, "So long a drone that is out of reach is called again to land it")
+    max_flight_s: float = _seconds(240.0, "Land after this time in the air")
+    reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
 
 
 class FlightConfig(RunConfig):
     """Everything that defines a flight.
 
     Raises:
-        InputError: what is asked for cannot be flown safely, or not within the given limits.
+        InputError: the mission cannot be flown safely, or not within the given limits.
     """
 
     world: WorldConfig = Field(default_factory=WorldConfig)
@@ -165,7 +177,7 @@ class FlightConfig(RunConfig):
                     )
 
     def _check_distances(self) -> None:
-        """The safe distance contains what may not be less, and twice what a drone may be off its set-point."""
+        """The safe distance must hold the smallest distance of two drones and twice the tracking error."""
         safety, world = self.safety, self.world
         least = safety.min_separation_m + 2 * safety.tracking_m
         if self.safe_distance_m < least - ROUNDING_M:
@@ -180,7 +192,7 @@ class FlightConfig(RunConfig):
             raise InputError(
                 "stretch",
                 world.stretch,
-                f"at least {above / self.safe_distance_m:.3g}, so that nobody flies in another's downwash: "
+                f"at least {above / self.safe_distance_m:.3g}, so that no drone flies in another's downwash: "
                 f"downwash_m + 2 tracking_m = {above:g} m above each other",
             )
 
@@ -234,16 +246,16 @@ class FlightConfig(RunConfig):
 
     @property
     def inner_fence(self) -> tuple[Position, Position]:
-        """The box for set-points: a drone that is off by the tracking error is still within the geofence [m]."""
+        """The box for set-points: a drone that is off by the tracking error stays within the geofence [m]."""
         margin = self.safety.tracking_m
         (a, b, c), (x, y, z) = self.world.geofence
         return (a + margin, b + margin, c + margin), (x - margin, y - margin, z - margin)
 
     @property
-    def frame(self) -> Frame:
-        """Where the mission is in the world."""
+    def frame(self) -> MissionFrame:
+        """The mission in the world."""
         world = self.world
-        return Frame(
+        return MissionFrame(
             anchor=middle(self.mission),
             scale_m=world.scale_m,
             stretch=world.stretch if self.mission.dim == 3 else 1.0,
@@ -253,7 +265,7 @@ class FlightConfig(RunConfig):
         )
 
     @property
-    def driver_limits(self) -> Limits:
-        """What the drivers hold to by themselves, as a last gate behind the checks of the flight."""
+    def driver_limits(self) -> MotionLimits:
+        """Limits that the drivers enforce by themselves, as a last gate behind the checks of the flight."""
         low, high = self.world.geofence
-        return Limits(low=low, high=high, max_speed_m_s=1.001 * self.safety.max_speed_m_s)
+        return MotionLimits(low=low, high=high, max_speed_m_s=1.001 * self.safety.max_speed_m_s)

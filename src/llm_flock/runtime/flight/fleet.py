@@ -1,4 +1,4 @@
-"""Builds the drones of a flight from its file: which driver, which addresses, where they stand."""
+"""Builds the drones of a flight: their driver, addresses and starts."""
 
 from __future__ import annotations
 
@@ -10,18 +10,15 @@ from typing import TypeAlias, cast
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Position, Robot
 from llm_flock.robots.simulated import draw_start
-from llm_flock.runtime.config import build_config_of
-from llm_flock.runtime.flight.config import Drone, FlightConfig
+from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.seeds import Stream, stream
 
-Driver: TypeAlias = Callable[[FlightConfig, Sequence[Drone]], Sequence[Robot]]
-"""Makes the robots of a flight, one for each drone, in their order."""
+Driver: TypeAlias = Callable[[FlightConfig, Sequence[DroneConfig]], Sequence[Robot]]
+"""Makes the robots of a flight, one for each drone, in order."""
 
 
 def with_drones(config: FlightConfig) -> FlightConfig:
-    """The same flight with all its drones named.
-
-    They are those of the flight file, or of `crazyflies.yaml`; where there are none, they stand where the seed says.
+    """The same flight with its drones listed: those of the file, those of `crazyflies.yaml`, or else drawn starts.
 
     Raises:
         InputError: the file cannot be used, or has another number of drones than the mission.
@@ -33,7 +30,7 @@ def with_drones(config: FlightConfig) -> FlightConfig:
         from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
 
         found = [
-            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": dict(drone.parameters)}
+            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": drone.parameters}
             for drone in read_crazyflies(Path(config.fleet.crazyflies))
         ]
     else:
@@ -41,15 +38,14 @@ def with_drones(config: FlightConfig) -> FlightConfig:
         places = [config.frame.to_world(tuple(row)) for row in rows]
         found = [{"name": f"drone{robot}", "start": place[:2]} for robot, place in enumerate(places)]
     fleet = config.fleet.model_dump(exclude={"drones", "crazyflies"})
-    base = {**config.model_dump(exclude={"fleet"}), "fleet": {**fleet, "drones": found}}
-    return build_config_of(FlightConfig, base)
+    return FlightConfig.build({**config.model_dump(exclude={"fleet"}), "fleet": {**fleet, "drones": found}})
 
 
 def build_fleet(config: FlightConfig) -> Sequence[Robot]:
-    """The robots of a flight; nobody is connected yet.
+    """The robots of a flight, not connected yet.
 
     Raises:
-        InputError: there is no such driver, or it cannot make these drones.
+        InputError: there is no such driver, or it cannot drive these drones.
     """
     wanted = config.fleet.drones
     if not wanted:
@@ -60,8 +56,8 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     return robots
 
 
-def start_of(config: FlightConfig, drone: Drone) -> Position:
-    """Where a drone stands before take-off [m].
+def start_of(config: FlightConfig, drone: DroneConfig) -> Position:
+    """Position of a drone before take-off [m].
 
     Raises:
         InputError: the file does not say it.
@@ -71,7 +67,7 @@ def start_of(config: FlightConfig, drone: Drone) -> Position:
     return (drone.start[0], drone.start[1], config.world.floor_m if len(drone.start) < 3 else drone.start[2])
 
 
-def _simulated(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+def _simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
     from llm_flock.robots.point_mass import PointMass
     from llm_flock.robots.simulated_robot import SimulatedRobot
 
@@ -83,7 +79,7 @@ def _simulated(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]
     return robots
 
 
-def _crazyflie(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
     from llm_flock.robots.crazyflie import CrazyflieRobot
 
     cache = None if config.fleet.cache is None else Path(config.fleet.cache)
@@ -97,13 +93,13 @@ def _crazyflie(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]
     return robots
 
 
-def _physics(config: FlightConfig, wanted: Sequence[Drone]) -> Sequence[Robot]:
+def _physics(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
     from llm_flock.robots.physics import PhysicsWorld
 
     if config.world.floor_m != 0.0:
         raise InputError("floor_m", config.world.floor_m, "0 in physics")
     world = PhysicsWorld([start_of(config, drone) for drone in wanted])
-    world.__enter__()  # its thread ends with the process: a flight is all that this process does
+    world.start()  # its thread ends with the process, which does nothing but this flight
     return [world.robot(k, drone.name, config.driver_limits) for k, drone in enumerate(wanted)]
 
 

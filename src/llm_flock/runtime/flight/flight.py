@@ -1,4 +1,4 @@
-"""One flight: connect, preflight, take off, flock, land; and down safely from wherever anything goes wrong."""
+"""One flight: connect, preflight, take off, flock, land; whatever goes wrong, land safely from there."""
 
 from __future__ import annotations
 
@@ -8,46 +8,42 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Robot, RobotError
-from llm_flock.runtime.api import minds, open_books
+from llm_flock.runtime.api import build_trial, open_outputs
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.guard import Grounded, Guard
-from llm_flock.runtime.flight.heartbeat import Heartbeat
+from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
-from llm_flock.runtime.flight.lift import NotAloft, take_off
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.monitors import Kind, Trouble
-from llm_flock.runtime.flight.patience import Impatient
-from llm_flock.runtime.flight.preflight import Report, preflight
+from llm_flock.runtime.flight.monitors import Trouble, TroubleKind
+from llm_flock.runtime.flight.preflight import PreflightReport, preflight
+from llm_flock.runtime.flight.supervisor import FlightEnded, FlightSupervisor
+from llm_flock.runtime.flight.takeoff import TakeOffFailed, take_off
 from llm_flock.runtime.flight.team import FlyingTeam, SetPointRefused
+from llm_flock.runtime.flight.timed_planner import TimedPlanner
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
-from llm_flock.runtime.roster import Roster
-from llm_flock.runtime.rules import assignment_rule, consensus_rule
-from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.team import Thinkers
 from llm_flock.runtime.trial import Trial, TrialProgress
-from llm_flock.transport.memory import MemoryTransport
 
 TAKING_OFF = "taking off"
-"""What is said when it begins: from then on the operator may end the flight."""
+"""Name of the stage from which on the operator may end the flight."""
 
 NEVER_UP = "never took off"
 CUT = "motors cut"
 CUT_UNCONFIRMED = "motors cut, not confirmed"
 SAFE_ENDS = frozenset({LANDED, STOPPED, NEVER_UP, CUT})
-"""Ends of a drone after which nothing is to be done about it."""
+"""Ends after which a drone needs no attention."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """One flight, or why it was none.
+    """The result of a flight, or of a preflight that was not passed.
 
     Attributes:
         report: the preflight.
-        result: the trial that was flown, figures of the flight in its summary; None where nothing took off.
+        result: the trial that was flown, with the flight in its summary; None if nothing took off.
     """
 
-    report: Report
+    report: PreflightReport
     result: RunResult | None = None
 
 
@@ -57,8 +53,8 @@ class Flight:
     Args:
         config: the flight file.
         robots: one for each robot of the mission, not connected yet.
-        on_round: told after each round, for a live display.
-        on_stage: told what begins now, in a few words.
+        on_round: called after each round, for a live display.
+        on_stage: called with the name of each stage as it begins.
     """
 
     def __init__(
@@ -72,126 +68,117 @@ class Flight:
         self._config = config
         self._robots = robots
         self._on_round = on_round
-        self._say = on_stage or _silently
-        self._guard: Guard | None = None
+        self._on_stage = on_stage or _ignore
+        self._supervisor: FlightSupervisor | None = None
 
     def abort(self) -> bool:
-        """Land everybody; whether anybody had taken off, or was about to."""
-        if self._guard is None:
+        """Land all drones; returns False if the flight has not begun."""
+        if self._supervisor is None:
             return False
-        self._guard.abort()
+        self._supervisor.abort()
         return True
 
     def emergency(self) -> bool:
-        """Cut all motors; whether there was a flight."""
-        if self._guard is None:
+        """Cut all motors; returns False if the flight has not begun."""
+        if self._supervisor is None:
             return False
-        self._guard.emergency()
+        self._supervisor.emergency()
         return True
 
-    async def run(self, confirm: Callable[[Report], Awaitable[bool]]) -> FlightResult:
+    async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
         """Fly.
 
         Args:
-            confirm: is shown a preflight that was passed; nothing takes off unless it says so.
+            confirm: called with a preflight that was passed; nothing takes off unless it returns True.
 
         Raises:
-            InputError: the file, or a place to write to, will not do; nothing has moved.
-            FlockError: the deadman did not start, or a file cannot be written any more; everybody was landed.
+            InputError: the file, or a path to write to, cannot be used; nothing has moved.
+            FlockError: the deadman did not start, or a file cannot be written any more; all drones were landed.
         """
         config = self._config
-        thinkers = Thinkers(config)
+        planners = TeamPlanners(config)
         try:
-            self._say("connecting")
+            self._on_stage("connecting")
             report = await preflight(config, self._robots)
             if not report.passed or not await confirm(report):
                 return FlightResult(report=report)
-            with open_books(config, thinkers) as (journal, record):
-                return FlightResult(report=report, result=await self._fly(thinkers, journal, record, report))
+            with open_outputs(config, planners) as (journal, record):
+                return FlightResult(report=report, result=await self._fly(planners, journal, record, report))
         finally:
-            await thinkers.close()
+            await planners.close()
             for robot in self._robots:
-                with suppress(TimeoutError, RobotError):  # whoever is out of reach has been named already
+                with suppress(TimeoutError, RobotError):  # a drone out of reach is named in the result
                     await robot.close()
 
-    async def _fly(self, thinkers: Thinkers, journal: Journal, record: str | None, report: Report) -> RunResult:
+    async def _fly(
+        self, planners: TeamPlanners, journal: Journal, record: str | None, report: PreflightReport
+    ) -> RunResult:
         config = self._config
         log = FlightLog(config, journal.writer)
         team = FlyingTeam(config, self._robots, log)
-        guard = self._guard = Guard(config, team, log)
-        self._impatience(thinkers, guard)
-        trial = self._trial(thinkers, journal, team)
-        journal.mission_given(config.mission, 0, team.set_point_rows)
+        supervisor = self._supervisor = FlightSupervisor(config, team, log)
+        self._limit_waits(planners, supervisor)
+        rules, start = config.protocol.rules(), team.set_point_rows
+        trial = build_trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
         landing = Landing(config, team, log)
-        async with Heartbeat(config, lambda: team.aloft) as heart:
-            team.tell_deadman = heart.tell
-            watching = asyncio.create_task(guard.watch())
-            watching.add_done_callback(lambda task: _unwatched(task, guard))
+        async with HeartbeatSender(config, lambda: team.aloft) as heartbeats:
+            team.on_take_off = heartbeats.beat
+            watching = asyncio.create_task(supervisor.watch())
+            watching.add_done_callback(lambda task: _end_unwatched(task, supervisor))
             try:
-                await self._mission(guard, team, trial, log)
+                await self._mission(supervisor, team, trial, log)
             finally:
-                self._say("landing")
-                await landing.all_down()
-                await guard.settled()
+                self._on_stage("landing")
+                await landing.land_all()
+                await supervisor.cuts_done()
                 watching.cancel()
         if log.failure is not None:
             raise log.failure
-        return trial.finish(record, self._figures(guard, landing, log))
+        return trial.finish(record, self._result(supervisor, landing, log))
 
-    async def _mission(self, guard: Guard, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
-        """Take off and flock, until the mission or the flight is over."""
-        with suppress(Grounded):
-            await self._until_grounded(guard, team, trial, log)
-        trial.begin()
-        if guard.trouble is not None:
-            trial.stopped, trial.reason = guard.trouble.kind.value, guard.trouble.detail
-
-    async def _until_grounded(self, guard: Guard, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
+    async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
+        """Take off and flock, until the mission or the flight ends."""
         try:
-            self._say(TAKING_OFF)
-            await guard.while_safe(take_off(self._config, team, log))
-            self._say("flying")
-            await guard.while_safe(trial.run())
+            self._on_stage(TAKING_OFF)
+            await supervisor.while_safe(take_off(self._config, team, log))
+            self._on_stage("flying")
+            await supervisor.while_safe(trial.run())
+        except FlightEnded:
+            pass  # the supervisor knows the trouble
         except SetPointRefused as refused:
-            guard.trip(Trouble(kind=Kind.SET_POINT, detail=str(refused)))
-        except (RobotError, NotAloft, TimeoutError) as error:
-            guard.trip(Trouble(kind=Kind.REFUSED, detail=str(error) or "a drone did not answer in time"))
+            supervisor.trip(Trouble(TroubleKind.SET_POINT, detail=str(refused)))
+        except (RobotError, TakeOffFailed, TimeoutError) as error:
+            supervisor.trip(Trouble(TroubleKind.REFUSED, detail=str(error) or "a drone did not answer in time"))
+        trial.begin()
+        if supervisor.trouble is not None:
+            trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
 
-    def _impatience(self, thinkers: Thinkers, guard: Guard) -> None:
+    def _limit_waits(self, planners: TeamPlanners, supervisor: FlightSupervisor) -> None:
         safety = self._config.safety
 
-        def told(robot: int) -> Callable[[int], None]:
+        def on_silence(robot: int) -> Callable[[int], None]:
             name = self._robots[robot].name
-            return lambda rounds: guard.trip(
-                Trouble(kind=Kind.MODEL_SILENT, robot=robot, detail=f"{name}: no answer in {rounds} rounds on end")
+            return lambda rounds: supervisor.trip(
+                Trouble(TroubleKind.MODEL_SILENT, robot, f"{name}: no answer in {rounds} rounds in a row")
             )
 
-        thinkers.wrap(lambda robot, inner: Impatient(inner, safety.think_s, safety.silent_rounds, told(robot)))
+        planners.wrap(lambda robot, inner: TimedPlanner(inner, safety.think_s, safety.silent_rounds, on_silence(robot)))
 
-    def _trial(self, thinkers: Thinkers, journal: Journal, team: FlyingTeam) -> Trial:
-        config = self._config
-        protocol, mission = config.protocol, config.mission
-        rules = consensus_rule(protocol.consensus or ""), assignment_rule(protocol.assignment or "")
-        schedule = config.schedule()
-        roster = Roster(minds(config, *rules), mission.n_robots, schedule.asleep)
-        transport = MemoryTransport(mission.n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
-        return Trial(config, schedule, roster, thinkers, team, transport, journal, self._on_round)
-
-    def _figures(self, guard: Guard, landing: Landing, log: FlightLog) -> FlightFigures:
+    def _result(self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog) -> FlightFigures:
         ends: dict[str, str] = {}
         for robot, body in enumerate(self._robots):
-            if robot in guard.confirmed:
-                ends[body.name] = CUT if guard.confirmed[robot] else CUT_UNCONFIRMED
+            if robot in supervisor.confirmed:
+                ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
-        found, trouble = log.figures, guard.trouble
+        found, trouble = log.measurements, supervisor.trouble
         return FlightFigures(
             ended="mission" if trouble is None else trouble.kind.value,
             reason=None if trouble is None else trouble.detail,
             ends=ends,
             safe=set(ends.values()) <= SAFE_ENDS,
-            air_s=round(guard.aloft_s, 3),
+            air_s=round(supervisor.aloft_s, 3),
             min_separation_m=found.nearest_m if found.nearest_m < float("inf") else None,
             tracking_rms_m=(found.squares / found.counted) ** 0.5 if found.counted else None,
             tracking_max_m=found.worst_m if found.counted else None,
@@ -199,11 +186,11 @@ class Flight:
         )
 
 
-def _silently(stage: str) -> None:
-    """Nobody is told."""
+def _ignore(_: str) -> None:
+    pass
 
 
-def _unwatched(task: asyncio.Task[None], guard: Guard) -> None:
-    """A flight that nobody watches must not go on."""
+def _end_unwatched(task: asyncio.Task[None], supervisor: FlightSupervisor) -> None:
+    """End a flight whose supervision has failed."""
     if not task.cancelled() and (error := task.exception()) is not None:
-        guard.trip(Trouble(kind=Kind.UNWATCHED, detail=f"{type(error).__name__}: {error}"))
+        supervisor.trip(Trouble(TroubleKind.UNWATCHED, detail=f"{type(error).__name__}: {error}"))

@@ -1,4 +1,4 @@
-"""From mission units to metres and back: scale, rotation, origin and altitude."""
+"""Converts mission units to metres and back: scale, rotation, origin and altitude."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from llm_flock.robots.base import Position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
-    """Where a mission is in the world.
+class MissionFrame:
+    """Position, orientation and scale of a mission in the world.
 
-    A mission in the plane is flown at one altitude. One in space has its z scaled by `stretch` more than its x and y,
-    so that its sphere of the safe distance becomes an ellipsoid that is as much higher: downwash reaches far down.
+    A mission in the plane is flown at one altitude. In space, z is scaled by `stretch` more than x and y, so that the
+    sphere of the safe distance becomes an ellipsoid that is higher by as much: downwash reaches far down.
 
     Attributes:
         anchor: point of the mission that lies at the origin, d coordinates [units].
@@ -25,7 +25,7 @@ class Frame:
         stretch: one unit of height over one unit in the plane, in metres.
         yaw: from the mission's x axis to the world's, counterclockwise [rad].
         origin: of the plane [m; world frame].
-        altitude_m: z of the anchor, and of all of a mission in the plane [m; world frame].
+        altitude_m: z of the anchor, and of every point of a mission in the plane [m; world frame].
     """
 
     anchor: Point
@@ -47,7 +47,7 @@ class Frame:
         )
 
     def to_mission(self, position: Position) -> Point:
-        """A position of the world in the mission [units]; in the plane its altitude is left out."""
+        """A position of the world in the mission [units]; a mission in the plane drops the altitude."""
         east, north = position[0] - self.origin[0], position[1] - self.origin[1]
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         plane = (

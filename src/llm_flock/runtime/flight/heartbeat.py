@@ -1,4 +1,4 @@
-"""The flight's side of the deadman: starts it, and tells it again and again that the flight is alive."""
+"""Starts the deadman process, and sends it heartbeats for as long as the flight process works."""
 
 from __future__ import annotations
 
@@ -12,27 +12,45 @@ from collections.abc import Callable, Collection
 from types import TracebackType
 from typing import Self
 
+from pydantic import BaseModel, ConfigDict
+
 from llm_flock.errors import FlockError
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.deadman import BEATS, Beat
+
+HEARTBEATS_PER_TIMEOUT = 5
+"""Heartbeats in the silence after which the deadman takes over."""
 
 READY_S = 60.0
-"""Longest wait for the deadman to be ready [s]: it imports all that it may need before it says so."""
+"""Longest start of the deadman, which first imports everything that it may need [s]."""
 
 FAREWELL_S = 5.0
-"""Longest wait for the deadman to go after the farewell [s]."""
+"""Longest wait for the deadman to end after the farewell [s]."""
 
 
 class NoDeadman(FlockError):
-    """The process that lands the drones where this one dies did not start."""
+    """The deadman process did not start."""
 
 
-class Heartbeat:
-    """Keeps a deadman at rest for as long as the event loop of this process turns.
+class Heartbeat(BaseModel):
+    """A sign of life of the flight process: one line of JSON.
+
+    Attributes:
+        aloft: ids of the drones in the air, which the deadman has to land.
+        farewell: the flight is over; the deadman is to end.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    aloft: tuple[int, ...] = ()
+    farewell: bool = False
+
+
+class HeartbeatSender:
+    """Runs a deadman as long as its context lasts; its heartbeats stop when this process's event loop does.
 
     Args:
-        config: the flight; nothing is started where it wants no deadman.
-        aloft: tells who is in the air.
+        config: the flight; no process is started where it needs no deadman.
+        aloft: returns the drones in the air.
     """
 
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]]) -> None:
@@ -49,16 +67,17 @@ class Heartbeat:
     async def __aenter__(self) -> Self:
         if self._config.fleet.watched:
             process = self._process = self._open()
+            assert process.stdout is not None
             try:
-                line = await asyncio.wait_for(asyncio.to_thread(_first_line, process), READY_S)
+                line = await asyncio.wait_for(asyncio.to_thread(process.stdout.readline), READY_S)
             except TimeoutError:
                 line = b""
             if line.strip() != b"ready":
                 process.kill()
-                await asyncio.to_thread(_gone, process, None)
+                await asyncio.to_thread(_wait_for_end, process, None)
                 raise NoDeadman("the deadman process did not start; nothing has taken off")
-            self.tell()
-            self._beating = asyncio.create_task(self._beat())
+            self.beat()
+            self._beating = asyncio.create_task(self._beat_periodically())
         return self
 
     def _open(self) -> subprocess.Popen[bytes]:
@@ -66,54 +85,48 @@ class Heartbeat:
             [sys.executable, "-m", "llm_flock.runtime.flight.deadman"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # the terminal's Ctrl-C and its end are not for the deadman
+            start_new_session=True,  # keeps the terminal's Ctrl-C and hang-up from the deadman
         )
         assert process.stdin is not None
         settings = self._config.model_dump(mode="json", exclude_none=True)
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(json.dumps(settings).encode() + b"\n")
             process.stdin.flush()
-        # From here on a beat that does not fit is left out: the flight waits for nobody.
+        # From now on a heartbeat that does not fit into the pipe is dropped: the flight never waits for the deadman.
         os.set_blocking(process.stdin.fileno(), False)
         return process
 
-    async def _beat(self) -> None:
+    async def _beat_periodically(self) -> None:
         while True:
-            self.tell()
-            await asyncio.sleep(self._config.fleet.deadman_s / BEATS)
+            self.beat()
+            await asyncio.sleep(self._config.fleet.deadman_s / HEARTBEATS_PER_TIMEOUT)
 
-    def tell(self) -> None:
-        """Tell the deadman now who is in the air; what is written it reads, even if this process dies at once."""
+    def beat(self) -> None:
+        """Send a heartbeat now. The deadman reads it even if this process dies right after: call before a take-off."""
         if self._process is not None:
-            self.say(Beat(aloft=tuple(sorted(self._aloft()))))
+            self._send(Heartbeat(aloft=tuple(sorted(self._aloft()))))
 
-    def say(self, beat: Beat) -> None:
-        """Send a beat; nothing where the deadman is gone."""
+    def _send(self, heartbeat: Heartbeat) -> None:
         process = self._process
         assert process is not None and process.stdin is not None
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
-            os.write(process.stdin.fileno(), beat.model_dump_json().encode() + b"\n")
+            os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Say farewell, unless this process fails while somebody is in the air: then the deadman takes over."""
+        """Send the farewell; if this process fails with drones in the air, let the deadman take over instead."""
         process = self._process
         if process is None:
             return
         if self._beating is not None:
             self._beating.cancel()
         left = tuple(sorted(self._aloft())) if error is not None else ()
-        self.say(Beat(aloft=left, farewell=not left))
-        await asyncio.to_thread(_gone, process, None if left else FAREWELL_S)
+        self._send(Heartbeat(aloft=left, farewell=not left))
+        await asyncio.to_thread(_wait_for_end, process, None if left else FAREWELL_S)
 
 
-def _first_line(process: subprocess.Popen[bytes]) -> bytes:
-    assert process.stdout is not None
-    return process.stdout.readline()
-
-
-def _gone(process: subprocess.Popen[bytes], longest_s: float | None) -> None:
+def _wait_for_end(process: subprocess.Popen[bytes], longest_s: float | None) -> None:
     """Close the pipes and wait for the process to end."""
     assert process.stdin is not None and process.stdout is not None
     process.stdin.close()

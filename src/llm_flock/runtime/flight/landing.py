@@ -1,4 +1,4 @@
-"""Landing: who lands where and when, so that nobody lands on another or under one, until all are down."""
+"""Landing: where and when each drone lands, so that none lands on or under another."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from llm_flock.runtime.flight.setpoints import SetPointCheck, moving
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
 MARGIN_S = 3.0
-"""After the time of a landing, so much longer is waited for a drone to say that its motors are off [s]: a Crazyflie
-says so two seconds late (docs/firmware.md)."""
+"""Wait this much longer than the duration of a landing for a drone to report its motors off [s]: a Crazyflie does so
+two seconds late (docs/reference/firmware.md)."""
 
 LANDED = "landed"
-"""How a landing should end."""
+"""End of a drone that landed."""
 
 STOPPED = "motors stopped, not seen to land"
-"""How it ends for a drone that is not heard to have landed, but that its motors were cut when it should have."""
+"""End of a drone that did not report its landing in time, but confirmed that its motors were cut."""
 
 TOLD = "told to land, not confirmed"
-"""How it ends for a drone that took the command to land, and was not heard of again."""
+"""End of a drone that accepted the command to land, then fell silent."""
 
 LOST = "out of reach"
-"""How it ends for a drone that took no command any more: it hovers at its last set-point."""
+"""End of a drone that accepted no command any more: it hovers at its last set-point."""
 
 DOWN_M = 0.12
-"""An estimate this near to the floor is of a drone that is down [m]."""
+"""A drone with an estimate this near to the floor is down [m]."""
 
 LOOK_S = 0.05
-"""Time between two looks at a drone that sinks [s]."""
+"""Time between two checks of a sinking drone [s]."""
 
 AGAIN_S = 0.5
 """Time between two calls of a drone that is out of reach [s]."""
 
 CONNECT_S = 3.0
-"""Longest wait for one connection to such a drone [s]."""
+"""Longest wait for one connection to a drone out of reach [s]."""
 
 RINGS, SPOTS = 12, 24
-"""A free spot is looked for on so many rings, in so many directions each."""
+"""Number of rings on which a free spot is searched, and of directions on each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Descent:
-    """How one drone lands: aside first where `via` says so, then straight down.
+    """How one drone lands: first aside to `via` if given, then straight down.
 
     Attributes:
-        robot: who.
-        spot: where, x and y [m].
-        via: set-point above that spot, at the drone's own altitude; None where it is there already.
+        robot: id.
+        spot: where it lands, x and y [m].
+        via: set-point above that spot at the drone's altitude; None if it hovers there already.
     """
 
     robot: int
@@ -64,15 +64,15 @@ class Descent:
 def plan_landing(
     config: FlightConfig, places: Mapping[int, Position], standing: Sequence[Position]
 ) -> list[list[Descent]]:
-    """Groups of drones that land at once, one group after the other.
+    """Groups of drones that land at once, one group after another.
 
-    Whoever is lowest lands first: so nobody sinks past another, and nobody lands under one who hovers near by. Drones
-    side by side, which those of a mission in the plane always are, land straight down and all at once.
+    The lowest drone lands first, so none sinks past another or lands under one that hovers near by. Drones side by
+    side, as in every mission in the plane, land straight down all at once.
 
     Args:
         config: distances and geofence.
         places: set-points of those in the air, by robot [m].
-        standing: where others stand on the floor, or must be thought to be [m].
+        standing: positions of the other drones, on the floor or last seen there [m].
     """
     apart = config.safety.min_separation_m + 2 * config.safety.tracking_m
     order = sorted(places, key=lambda robot: (places[robot][2], robot))
@@ -105,7 +105,7 @@ def _descent(
     hovering: Sequence[Position],
     apart: float,
 ) -> Descent:
-    """The nearest spot that is free, with a way to it that is free; straight down where there is none at all."""
+    """The nearest free spot with a free path to it; straight down if there is none."""
     check = SetPointCheck(config)
     low, high = config.inner_fence
     if _free(taken, [_flat(place)], apart):
@@ -118,7 +118,7 @@ def _descent(
             inside = low[0] <= x <= high[0] and low[1] <= y <= high[1]
             if not inside or not _free(taken, [(x, y)], apart):
                 continue
-            # Whoever is near now may be nearer than allowed already; the way must not lead nearer.
+            # Drones may be nearer than allowed already; the path must not bring them nearer.
             allowed = min(apart, check.separation([place, *hovering], [place, *hovering]))
             if check.separation([place, *hovering], [via, *hovering]) >= allowed - 1e-3:
                 return Descent(robot=robot, spot=(x, y), via=via)
@@ -126,15 +126,15 @@ def _descent(
 
 
 class Landing:
-    """Lands drones, and calls those that are out of reach until they answer or the time for it is over.
+    """Lands drones, and keeps calling those out of reach until they answer or the time is up.
 
     Args:
         config: times and distances.
         team: the drones.
-        log: takes note.
+        log: records events.
 
     Attributes:
-        ends: how each drone ended: landed, not seen to land, or out of reach.
+        ends: how each drone ended: LANDED, STOPPED, TOLD or LOST.
     """
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
@@ -144,8 +144,8 @@ class Landing:
         self._team = team
         self._log = log
 
-    async def all_down(self) -> None:
-        """Land everybody who is in the air."""
+    async def land_all(self) -> None:
+        """Land every drone in the air."""
         team = self._team
         set_points = team.set_points()
         up = sorted(team.aloft)
@@ -159,7 +159,7 @@ class Landing:
                         group.create_task(self._call_down(descent))
 
     async def _land(self, descent: Descent) -> bool:
-        """Land one drone; False if a command did not reach it."""
+        """Land one drone; returns False if a command did not reach it."""
         safety, robot = self._config.safety, self._team.robots[descent.robot]
         self._team.airborne.discard(descent.robot)
         if descent.robot not in self._team.aloft:
@@ -179,7 +179,7 @@ class Landing:
         return True
 
     async def _sink(self, robot: int) -> None:
-        """Straight down, and motors off."""
+        """Land straight down, and see the motors off."""
         world, safety = self._config.world, self._config.safety
         began = time.monotonic()
         body = self._team.robots[robot]
@@ -191,7 +191,7 @@ class Landing:
             self._log.note("landed", robot, seconds=round(time.monotonic() - began, 3))
             self.ends[robot] = LANDED
         else:
-            # An emergency stop locks a drone until it is started anew: only for one that did not stop by itself.
+            # An emergency stop locks a drone until it is restarted: only for one that did not stop by itself.
             stopped = await asyncio.wait_for(body.stop_motors(), 2 * SEND_S)
             self._log.note("not_down", robot, stopped=stopped)
             if not stopped:
@@ -200,7 +200,7 @@ class Landing:
         self._team.aloft.discard(robot)
 
     async def _down(self, robot: int, until_s: float) -> bool:
-        """Wait until a drone says that its motors have stopped; in the end, low is enough. False if neither comes."""
+        """Wait until a drone reports its motors off; at the time limit, near the floor is enough. False if neither."""
         told_s = time.monotonic()
         floor = self._config.world.floor_m + DOWN_M
         while True:
@@ -214,7 +214,7 @@ class Landing:
             await asyncio.sleep(LOOK_S)
 
     async def _call_down(self, descent: Descent) -> None:
-        """A drone that does not hear hovers where it is; it is called until it hears, and landed then."""
+        """Call a drone that hovers out of reach until it answers, then land it."""
         robot, safety = descent.robot, self._config.safety
         body = self._team.robots[robot]
         until = time.monotonic() + safety.reach_s

@@ -1,28 +1,28 @@
-"""What a flight writes down: events, samples of every body, and the figures made of them."""
+"""Records a flight: events, samples of every drone, and measurements over both."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from llm_flock import metrics
 from llm_flock.errors import RecordError
-from llm_flock.record.schema import BodySample, FlightEvent
+from llm_flock.record.schema import BodySample, Entry, FlightEvent
 from llm_flock.record.writer import RecordSink
-from llm_flock.robots.base import Position, RobotState
+from llm_flock.robots.base import RobotState
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Motion, squeezed
+from llm_flock.runtime.flight.setpoints import Motion, scale_heights
 
 SAMPLE_S = 0.1
 """Time between two samples in the record [s]."""
 
 
 @dataclass(slots=True, kw_only=True)
-class Figures:
-    """Running figures of a flight; distances of drones in the air only."""
+class FlightMeasurements:
+    """Running measurements of a flight, over drones in the air only."""
 
     nearest_m: float = math.inf
     worst_m: float = 0.0
@@ -32,20 +32,20 @@ class Figures:
 
 
 class FlightLog:
-    """Writes a flight's own entries of the record.
+    """Writes the entries of a record that only flights have.
 
     Args:
         config: the vertical rule, by which distances are measured.
         sink: takes the record.
 
     Attributes:
-        failure: why the record cannot be written any more; what happens is still counted.
+        failure: error after which the record is no longer written; measurements go on.
     """
 
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
         self.round = 0
         self.failure: RecordError | None = None
-        self.figures = Figures()
+        self.measurements = FlightMeasurements()
         self.events: list[FlightEvent] = []
         self._safety = config.safety
         self._sink = sink
@@ -53,49 +53,45 @@ class FlightLog:
         self._sampled = -math.inf
 
     def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
-        """Something happened."""
+        """Record an event."""
         seconds = round(time.monotonic() - self._began, 3)
         event = FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail)
         self.events.append(event)
-        self._write(lambda: self._sink.flight(event))
+        self._write(event)
 
     def look(
         self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
     ) -> None:
-        """Take a reading of all bodies; some of them go to the record."""
+        """Measure all drones; every `SAMPLE_S` also record them."""
         commanded = [motion.at(state.stamp_s) for state, motion in zip(states, motions, strict=True)]
-        figures = self.figures
+        measured = self.measurements
         for robot in airborne:
             off = math.dist(states[robot].position, commanded[robot])
-            figures.worst_m = max(figures.worst_m, off)
-            figures.squares += off * off
-            figures.counted += 1
+            measured.worst_m = max(measured.worst_m, off)
+            measured.squares += off * off
+            measured.counted += 1
         safety = self._safety
         flying = [states[robot].position for robot in sorted(airborne)]
         if len(flying) > 1:
-            nearest = metrics.min_separation(squeezed(flying, safety.min_separation_m, safety.downwash_m))
-            figures.nearest_m = min(figures.nearest_m, nearest)
+            nearest = metrics.min_separation(scale_heights(flying, safety.min_separation_m, safety.downwash_m))
+            measured.nearest_m = min(measured.nearest_m, nearest)
         if now_s - self._sampled >= SAMPLE_S:
             self._sampled = now_s
             sample = BodySample(
                 round=self.round,
                 time_s=round(now_s - self._began, 3),
-                measured=[_millimetres(state.position) for state in states],
-                commanded=[_millimetres(point) for point in commanded],
+                measured=[[round(x, 4) for x in state.position] for state in states],
+                commanded=[[round(x, 4) for x in point] for point in commanded],
                 flying=[state.flying for state in states],
                 battery_v=[state.battery_v for state in states],
                 link=[0.0 if state.link_lost else state.link for state in states],
             )
-            self._write(lambda: self._sink.body(sample))
+            self._write(sample)
 
-    def _write(self, write: Callable[[], None]) -> None:
-        """A record that cannot be written must not keep anybody from landing."""
+    def _write(self, entry: Entry) -> None:
+        """Write unless writing has failed before: a broken record must not keep a drone from landing."""
         if self.failure is None:
             try:
-                write()
+                self._sink.write(entry)
             except RecordError as error:
                 self.failure = error
-
-
-def _millimetres(position: Position) -> list[float]:
-    return [round(x, 4) for x in position]

@@ -1,4 +1,4 @@
-"""Preflight: everybody connected, awake, where it should be, and apart; a report that names every check."""
+"""Preflight: every drone connected, ready, at its start and apart from the others; reports every check."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from llm_flock.robots.base import Robot, RobotError, RobotState
 from llm_flock.runtime.flight.config import FlightConfig
 
 SETTLE_S = 3.0
-"""So long drones may take until they pass, once they are connected: estimators converge, batteries are read [s]."""
+"""Longest time from the connections until all checks pass: estimators converge, batteries are read [s]."""
 
 LOOK_S = 0.05
-"""Time between two looks [s]."""
+"""Time between two checks [s]."""
 
 ON_FLOOR_M = 0.3
-"""A drone on the floor may be estimated so far above or below it [m]."""
+"""Largest distance of the estimate from the floor for a drone on it [m]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Check:
     """One check of one drone, or of the team.
 
@@ -29,8 +29,8 @@ class Check:
         name: of the check.
         who: name of the drone, or "team".
         passed: whether it may fly.
-        found: what was found.
-        asked: what is asked for; empty where that is plain.
+        found: the finding.
+        asked: the requirement; empty where it is obvious.
     """
 
     name: str
@@ -44,12 +44,12 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
-    """What the preflight found.
+class PreflightReport:
+    """The results of a preflight.
 
     Attributes:
-        checks: all that were made.
-        connect_s: from the first call until all were connected, or had failed [s].
+        checks: all checks, in order.
+        connect_s: time until all were connected, or had failed [s].
     """
 
     checks: tuple[Check, ...]
@@ -62,30 +62,30 @@ class Report:
 
 
 async def connect(config: FlightConfig, robots: Sequence[Robot]) -> tuple[list[Check], float]:
-    """Connect to all at once; how it went, and how long it took [s]."""
+    """Connect to all drones at once; returns a check of each connection, and the time taken [s]."""
     began = time.monotonic()
 
     async def one(robot: Robot) -> Check:
         try:
             await robot.connect(config.fleet.connect_s)
         except RobotError as error:
-            return Check(name="connected", who=robot.name, passed=False, found=error.what)
-        return Check(name="connected", who=robot.name, passed=True, found=f"{time.monotonic() - began:.2f} s")
+            return Check("connected", robot.name, False, error.what)
+        return Check("connected", robot.name, True, f"{time.monotonic() - began:.2f} s")
 
     checks = await asyncio.gather(*map(one, robots))
     return list(checks), time.monotonic() - began
 
 
-async def preflight(config: FlightConfig, robots: Sequence[Robot]) -> Report:
-    """Connect, and look at everybody until all checks are passed or the time for that is over."""
+async def preflight(config: FlightConfig, robots: Sequence[Robot]) -> PreflightReport:
+    """Connect, then repeat the checks until all pass or the time for that is over."""
     connections, seconds = await connect(config, robots)
     if not all(check.passed for check in connections):
-        return Report(checks=tuple(connections), connect_s=seconds)
+        return PreflightReport(checks=tuple(connections), connect_s=seconds)
     until = time.monotonic() + SETTLE_S
     while True:
         checks = look(config, [robot.name for robot in robots], [robot.state() for robot in robots], time.monotonic())
         if all(check.passed for check in checks) or time.monotonic() > until:
-            return Report(checks=(*connections, *checks), connect_s=seconds)
+            return PreflightReport(checks=(*connections, *checks), connect_s=seconds)
         await asyncio.sleep(LOOK_S)
 
 
@@ -93,24 +93,23 @@ def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState
     """Every check but the connection, by drone.
 
     Args:
-        config: what is asked for.
+        config: the limits.
         names: of the drones.
         states: of the drones.
         now_s: monotonic time [s].
     """
-    found: list[Check] = []
-    for robot, (name, state) in enumerate(zip(names, states, strict=True)):
-        for title, check in _CHECKS:
-            passed, said, asked = check(config, robot, state, now_s)
-            found.append(Check(name=title, who=name, passed=passed, found=said, asked=asked))
-    found.append(_apart(config, names, states))
-    return found
+    found = [
+        Check(title, name, *check(config, robot, state, now_s))
+        for robot, (name, state) in enumerate(zip(names, states, strict=True))
+        for title, check in _CHECKS
+    ]
+    return [*found, _apart(config, names, states)]
 
 
 def _link(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
+    least = config.safety.ready_link
     if state.link_lost:
         return False, "lost", "there"
-    least = config.safety.ready_link
     if state.link is None:
         return True, "not told", ""
     return state.link >= least, f"{state.link:.0%}", f"at least {least:.0%} of packets acknowledged"
@@ -126,19 +125,14 @@ def _battery(config: FlightConfig, robot: int, state: RobotState, now: float) ->
 def _estimator(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     age = now - state.stamp_s
     fresh = age <= config.safety.stall_s
-    said = "converged" if state.settled else "not converged"
-    if not fresh:
-        said = f"{age:.1f} s old"
+    said = f"{age:.1f} s old" if not fresh else "converged" if state.settled else "not converged"
     return state.settled and fresh, said, "a fresh estimate of a converged estimator"
 
 
 def _on_floor(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     above = state.position[2] - config.world.floor_m
-    return (
-        not state.flying and abs(above) <= ON_FLOOR_M,
-        f"{above:+.2f} m",
-        f"at most {ON_FLOOR_M:g} m from the floor, motors off",
-    )
+    passed = not state.flying and abs(above) <= ON_FLOOR_M
+    return passed, f"{above:+.2f} m", f"at most {ON_FLOOR_M:g} m from the floor, motors off"
 
 
 def _start(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
@@ -171,7 +165,7 @@ _CHECKS: tuple[tuple[str, Callable[[FlightConfig, int, RobotState, float], tuple
 
 
 def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
-    """Side by side, as heights do not count on the floor."""
+    """Distances side by side: on the floor, heights do not count."""
     least = config.safe_distance_m
     pairs = [
         (math.dist(a.position[:2], b.position[:2]), f"{names[j]} and {names[i]}")
@@ -181,8 +175,8 @@ def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotSta
     nearest, who = min(pairs, default=(math.inf, ""))
     said = f"{nearest:.2f} m" if pairs else "alone"
     asked = f"at least {least:g} m between {who}"
-    return Check(name="apart", who="team", passed=nearest >= least, found=said, asked=asked)
+    return Check("apart", "team", nearest >= least, said, asked)
 
 
 NAMES = ("connected", *(name for name, _ in _CHECKS), "apart")
-"""Every check, in the order in which it is made."""
+"""Names of all checks, in order."""

@@ -1,4 +1,4 @@
-"""Set-points: where each drone is meant to be at any time, and what every command is checked for before it is sent."""
+"""Set-points: where each drone should be at any time, and the checks of every command before it is sent."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 
 SLACK_M = 1e-4
-"""The shield's rounding in metres, generously: set-points may be so much nearer than planned [m]."""
+"""Set-points may be nearer than planned by this: a generous bound of the shield's rounding [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """One motion along a straight line, as the drones fly it, and when it began.
+    """One motion from rest to rest along a straight line, and when it began.
 
     Attributes:
-        way: from rest to rest.
+        segment: the straight line.
         began_s: monotonic time at which it was commanded [s].
     """
 
-    way: Segment
+    segment: Segment
     began_s: float
 
     @property
     def end(self) -> Position:
-        """Where it ends [m]."""
-        return self.way.target
+        """Its target [m]."""
+        return self.segment.target
 
     def at(self, now_s: float) -> Position:
         """The set-point at a time [m]."""
-        return self.way.at(now_s - self.began_s)[0]
+        return self.segment.at(now_s - self.began_s)[0]
 
 
 def moving(start: Position, end: Position, began_s: float, duration_s: float) -> Motion:
     """A motion from rest to rest."""
-    return Motion(way=Segment(start=start, target=end, duration_s=duration_s), began_s=began_s)
+    return Motion(segment=Segment(start=start, target=end, duration_s=duration_s), began_s=began_s)
 
 
 def resting(position: Position) -> Motion:
-    """A set-point that stands still."""
+    """A set-point that does not move."""
     return moving(position, position, -math.inf, 1.0)
 
 
-def squeezed(positions: Sequence[Position], beside: float, above: float) -> Points:
-    """Positions with their heights scaled so that an ellipsoid of these half axes becomes a sphere of `beside`."""
+def scale_heights(positions: Sequence[Position], beside: float, above: float) -> Points:
+    """Positions with heights scaled so that an ellipsoid with these half axes becomes a sphere of radius `beside`."""
     scaled = np.array(positions, dtype=np.float64).reshape(-1, 3)
     scaled[:, 2] *= beside / above
     return scaled
@@ -72,13 +72,13 @@ class SetPointCheck:
         self._above = safety.downwash_m + 2 * safety.tracking_m
 
     def separation(self, before: Sequence[Position], after: Sequence[Position]) -> float:
-        """Smallest distance of two set-points on the way, heights scaled by the vertical rule [m]."""
+        """Smallest distance of two set-points during the motion, heights scaled by the vertical rule [m]."""
         return metrics.segment_separation(
-            squeezed(before, self._beside, self._above), squeezed(after, self._beside, self._above)
+            scale_heights(before, self._beside, self._above), scale_heights(after, self._beside, self._above)
         )
 
     def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
-        """What is wrong with a motion of all from rest to rest, in words; nothing where it may be flown.
+        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown.
 
         Args:
             before: set-points now, by robot [m].

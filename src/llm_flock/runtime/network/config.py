@@ -1,4 +1,4 @@
-"""A swarm's configuration: that of a run, and how its processes find each other and keep time."""
+"""A swarm's configuration: that of a run, and how its processes connect and keep time."""
 
 from __future__ import annotations
 
@@ -8,53 +8,61 @@ from pydantic import Field, model_validator
 
 from llm_flock.errors import InputError
 from llm_flock.llm.models import parse_model, parse_models
-from llm_flock.runtime.config import RunConfig, Section
+from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
 
 
-def _seconds(default: float, description: str) -> float:
-    return Field(default=default, gt=0, allow_inf_nan=False, description=f"{description} [s]")
-
-
-class NetworkConfig(Section):
-    """Endpoints and periods. All robots of a swarm need the same."""
+class NetworkConfig(ConfigSection):
+    """Endpoints and periods: the same for all robots of a swarm."""
 
     swarm: str = Field(
-        default="flock", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Name of the swarm; others are not heard"
+        default="flock",
+        pattern=r"^[A-Za-z0-9_-]{1,64}$",
+        description="Name of the swarm; others are ignored",
     )
     listen: str = Field(
-        default="tcp/127.0.0.1:0", description="Own endpoints, with commas between them; port 0 takes a free one"
+        default="tcp/127.0.0.1:0", description="Own endpoints, separated by commas; port 0 takes a free one"
     )
     connect: str = Field(
         default="tcp/127.0.0.1:7447",
-        description="Endpoints of peers to connect to, with commas between them; one that is there is enough",
+        description="Endpoints of peers to connect to, separated by commas; one that answers is enough",
     )
     keys: str | None = Field(
-        default=None, description="Folder that `llm-flock keys` has made: everything is signed, and goes over TLS"
+        default=None, description="Folder made by `llm-flock keys`: sign every message, and connect over TLS"
     )
-    lease_s: float = _seconds(2.0, "Silence after which a link is given up")
-    gossip_s: float = _seconds(0.1, "Time between two message exchanges")
-    control_s: float = _seconds(0.1, "Control period: so often the way is projected on what is safe")
-    step_s: float = _seconds(0.5, "Time that a move of max_step takes: the bodies' speed")
-    frame_s: float = _seconds(0.04, "Time between two readings of the sensors")
-    beacon_s: float = _seconds(0.1, "Time between two beacons")
-    lag_s: float = _seconds(0.05, "Longest way of a command to the body: later ones are not obeyed")
+    lease_s: float = seconds(2.0, "Give up a link after this silence")
+    gossip_s: float = seconds(0.1, "Time between two message exchanges")
+    control_s: float = seconds(0.1, "Control period: time between two projections of the motion on what is safe")
+    step_s: float = seconds(0.5, "Time that a body takes for max_step: sets the bodies' speed")
+    frame_s: float = seconds(0.04, "Time between two readings of the sensors")
+    beacon_s: float = seconds(0.1, "Time between two beacons")
+    lag_s: float = seconds(0.05, "Longest delay of a command to the body; later ones are refused")
     clock_error_s: float = Field(
-        default=0.002, ge=0, allow_inf_nan=False, description="Largest difference of two machines' clocks [s]"
+        default=0.002,
+        ge=0,
+        allow_inf_nan=False,
+        description="Largest difference between two machines' clocks [s]",
     )
     gather_s: float = Field(
-        default=5.0, ge=0, allow_inf_nan=False, description="How long a robot waits for the others before it begins [s]"
+        default=5.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="Longest wait for the other robots before the first round [s]",
     )
-    answer_s: float = _seconds(300.0, "Longest wait for a planner, retries included")
-    max_s: float = _seconds(120.0, "The swarm is ended after so long")
+    answer_s: float = seconds(300.0, "Longest wait for a model's answer, retries included")
+    max_s: float = seconds(120.0, "End the swarm after this time")
     partition: str | None = Field(
         default=None,
         pattern=r"^\d+(\.\d+)?-\d+(\.\d+)?$",
-        description="For tests: FROM-UNTIL, seconds in which the two halves of the ids do not hear each other",
+        description="For tests: FROM-UNTIL, the seconds in which the two halves of the ids do not hear each other",
     )
 
 
 class SwarmConfig(RunConfig):
-    """Everything that defines a swarm."""
+    """Everything that defines a swarm.
+
+    Raises:
+        InputError: a field of runs that swarms do not support.
+    """
 
     network: NetworkConfig = Field(default_factory=NetworkConfig)
 
@@ -82,12 +90,12 @@ class SwarmConfig(RunConfig):
 
 
 def endpoints(text: str) -> list[str]:
-    """Endpoints with commas between them."""
+    """Endpoints from a list separated by commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def check_models(config: SwarmConfig) -> None:
-    """Refuse models on board in a swarm on one machine: each process would have an engine, all on the same cores.
+    """Refuse several local models in a swarm on one machine: each process would load an engine on the same cores.
 
     Raises:
         InputError: for field `model`.

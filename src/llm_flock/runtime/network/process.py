@@ -1,68 +1,82 @@
-"""What every process of a swarm does about its end: it goes when it is told to, and with whoever started it."""
+"""Event loop, periods and end of a swarm's process: it stops on a signal, and with the process that started it."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import ctypes
 import gc
-import os
+import math
 import signal
 import sys
 from collections.abc import Coroutine
 from typing import Any
 
-try:  # each of a robot's many small wake-ups costs half as much there
+try:  # halves the cost of a robot's many short wake-ups
     from uvloop import new_event_loop
 except ImportError:
     from asyncio import new_event_loop
 
 PR_SET_PDEATHSIG = 1
-LOOK_S = 0.5
-"""So often a process looks whether its parent is still there [s]."""
+
+
+class PeriodClock:
+    """Fires once per period, at the moments `phase_s + k * period_s` of the event loop's clock.
+
+    A moment that has passed is skipped, not made up for. Clocks of equal period and phase fire together, so messages
+    sent on them leave together.
+
+    Args:
+        period_s: time between two moments [s].
+        phase_s: one of the moments [s].
+    """
+
+    def __init__(self, period_s: float, phase_s: float = 0.0) -> None:
+        self._period_s, self._phase_s = period_s, phase_s
+        self._count = -math.inf
+
+    async def next(self) -> None:
+        """Wait for the next moment."""
+        loop = asyncio.get_running_loop()
+        passed = math.floor((loop.time() - self._phase_s) / self._period_s)
+        self._count = max(self._count, passed) + 1  # a timer may fire slightly early and must not count twice
+        await asyncio.sleep(self._phase_s + self._count * self._period_s - loop.time())
+
+
+def phase_s(robot: int, n_robots: int, period_s: float) -> float:
+    """Offset of a robot's periods, by its id [s].
+
+    Robots on one machine begin together. Without offsets they would all wake, send and receive in the same millisecond,
+    and wait for each other's processor time.
+    """
+    return robot / n_robots * period_s
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """Run a process's work in an event loop of its own."""
+    """Run a process's work in a new event loop."""
     with asyncio.Runner(loop_factory=new_event_loop) as runner:
         runner.run(work)
 
 
-def end_with(parent: int | None) -> None:
-    """Die with the process that started this one, a stopped one as well; Ctrl-C is the parent's to handle.
-
-    Raises:
-        SystemExit: the parent is gone already.
-    """
-    if parent is None:
-        return
+def end_with_parent() -> None:
+    """End together with the parent process, even while stopped (on Linux); leave Ctrl-C to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
 
 
-async def until_stopped(*work: Coroutine[None, None, None], parent: int | None = None) -> None:
-    """Do the work until it is done, fails, or the process is told to end (SIGTERM, SIGINT or a lost parent).
+async def until_stopped(work: Coroutine[None, None, None]) -> None:
+    """Do the work until it is done or fails, or until SIGTERM or SIGINT.
 
     Raises:
-        Exception: the first one of the work.
+        Exception: the work's own.
     """
-    gc.freeze()  # what is there by now stays: looking through it again and again costs tens of milliseconds each time
+    gc.freeze()  # spares later collections tens of milliseconds each: what exists by now stays
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
-        if number is signal.SIGTERM or signal.getsignal(number) is not signal.SIG_IGN:
+        if signal.getsignal(number) is not signal.SIG_IGN:
             loop.add_signal_handler(number, stop.set)
-
-    async def told() -> None:
-        began_with = os.getppid()
-        while not stop.is_set():
-            if parent is not None and os.getppid() != began_with:
-                return
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(stop.wait(), LOOK_S)
-
-    tasks = [asyncio.create_task(told()), *map(asyncio.create_task, work)]
+    tasks: list[asyncio.Task[Any]] = [asyncio.create_task(work), asyncio.create_task(stop.wait())]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:

@@ -1,4 +1,4 @@
-"""One robot as a process of its own: its mind, its radio, its model and the wires to its body."""
+"""One robot as a process: connects its agent, radio, planner and body to the network."""
 
 from __future__ import annotations
 
@@ -8,30 +8,28 @@ from typing import Any
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.llm.port import Attempt
-from llm_flock.protocol.agent import Agent
-from llm_flock.runtime.journal import llm_entry
-from llm_flock.runtime.network.body import Pilotage
+from llm_flock.members import OPERATOR, WORLD
+from llm_flock.runtime.entries import llm_entry
+from llm_flock.runtime.network.agent_loop import AgentLoop
+from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.joining import load_keys, open_link
-from llm_flock.runtime.network.mind import Mind
-from llm_flock.runtime.network.pace import Beat, phase_s
-from llm_flock.runtime.network.process import until_stopped
-from llm_flock.runtime.network.wire import Beacon, Frame, Order, Report, Saying, pack, unpack
-from llm_flock.runtime.rules import assignment_rule, consensus_rule
+from llm_flock.runtime.network.connection import load_keys, open_link, receive
+from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stopped
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, MissionOrder, WorldState, pack
+from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime.roster import make_agent
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.team import Thinkers
 from llm_flock.transport.radio import Radio, Seen
-from llm_flock.transport.seal import OPERATOR, WORLD
-from llm_flock.transport.zenoh import Link
+from llm_flock.transport.zenoh import ZenohLink
 
 REPORT_S = 0.2
 """Time between two reports to observers [s]."""
 
-ALREADY_TOLD = 0.9
-"""No beacon is due before so many of its periods after a message that has brought one."""
+BEACON_DUE = 0.9
+"""Share of a beacon period after which a message's beacon no longer replaces the next one."""
 
 
-class Robot:
+class RobotProcess:
     """The wiring of one robot.
 
     Args:
@@ -40,32 +38,20 @@ class Robot:
         link: the network.
     """
 
-    def __init__(self, config: SwarmConfig, robot: int, link: Link) -> None:
-        mission, protocol, network = config.mission, config.protocol, config.network
+    def __init__(self, config: SwarmConfig, robot: int, link: ZenohLink) -> None:
+        mission, network = config.mission, config.network
         self._config, self._robot, self._link = config, robot, link
         self._loop = asyncio.get_running_loop()
-        self.thinkers = Thinkers(config)
-        self.thinkers.listen(self._called)
+        self._phase_s = phase_s(robot, mission.n_robots, network.gossip_s)
+        self.planners = TeamPlanners(config)
+        self.planners.listen(self._record_call)
         self._calls: list[dict[str, Any]] = []
         self._latencies_s: list[float] = []
-        self._shone = 0.0
+        self._beacon_sent_s = 0.0
         self._known: set[str] = {mission.digest}
         self._alive: set[int] = set()
         self._all_here = asyncio.Event()
         self._sees = asyncio.Event()
-        agent = Agent(
-            robot,
-            mission,
-            consensus_rule(protocol.consensus or ""),
-            assignment_rule(protocol.assignment or ""),
-            shield_on=bool(protocol.shield),
-            verify=bool(protocol.verify),
-            on_event=config.model.decide == "on-event",
-            time_out=protocol.time_out,
-            gaps=protocol.gaps,
-            own_clock=True,
-            authenticator=load_keys(config, robot),
-        )
         self.radio = Radio(
             robot,
             mission,
@@ -75,132 +61,113 @@ class Robot:
             delay_s=network.gossip_s,
             clock_error_s=network.clock_error_s,
         )
-        self.body = Pilotage(
+        self.body = BodyControl(
             mission,
             speed=config.speed,
             period_s=network.control_s,
             lag_s=network.lag_s,
-            shield_on=bool(protocol.shield),
+            shield_on=bool(config.protocol.shield),
         )
-        planner = self.thinkers.planners[robot]
-        self.mind = Mind(config, agent, planner, self.radio, self.body, self._say)
-        link.listen("frame", None, self._frame)
-        link.listen("beacon", None, self._beacon)
-        link.listen("say", None, self._hear)
-        link.listen("mission", robot, self._order)
-        link.watch_alive(self._comes_or_goes)
+        keys = load_keys(config, robot)
+        agent = make_agent(config, config.protocol.rules(), robot, own_clock=True, authenticator=keys)
+        self.agent_loop = AgentLoop(config, agent, self.planners[robot], self.radio, self.body, self._broadcast)
+        receive(link, "frame", WorldState, self._on_state, sender=WORLD)
+        receive(link, "beacon", Beacon, self._on_beacon)
+        receive(link, "say", BeaconedMessage, self._on_message)
+        receive(link, "mission", MissionOrder, self._on_order, number=robot, sender=OPERATOR)
+        link.watch_alive(self._on_alive)
 
     # ---------------------------------------------------------------- the network
 
-    def _say(self, message: bytes) -> None:
+    def _broadcast(self, message: bytes) -> None:
         beacon = self._own_beacon()
-        assert beacon is not None, "a robot speaks when it knows where it is"
-        self._link.publish("say", self._robot, pack(Saying(beacon=beacon, message=message)))
+        assert beacon is not None, "a robot speaks once it knows where it is"
+        self._link.publish("say", self._robot, pack(BeaconedMessage(beacon=beacon, message=message)))
 
     def _own_beacon(self) -> Beacon | None:
         position, end = self.body.position, self.body.end
         if position is None or end is None:
             return None
-        self._shone = time.monotonic()
+        self._beacon_sent_s = time.monotonic()
         return Beacon(stamp=time.time(), position=position, end=end)
 
-    def _hear(self, sender: int, payload: bytes) -> None:
-        try:
-            said = unpack(Saying, payload)
-            seen = self._placed(sender, said.beacon)
-        except MessageError as error:
-            self._link.traffic.refused[error.reason] += 1
-            return
+    def _on_message(self, sender: int, message: BeaconedMessage) -> None:
+        seen = self._place(sender, message.beacon)
 
         def hand_over() -> None:
             self.radio.beacon(sender, seen)
-            self.mind.receive(said.message, sender)
+            self.agent_loop.receive(message.message, sender)
 
         self.radio.deliver(sender, hand_over, self._loop.call_later)
 
-    def _beacon(self, sender: int, payload: bytes) -> None:
-        try:
-            seen = self._placed(sender, unpack(Beacon, payload))
-        except MessageError as error:
-            self._link.traffic.refused[error.reason] += 1
-            return
+    def _on_beacon(self, sender: int, beacon: Beacon) -> None:
+        seen = self._place(sender, beacon)
         self.radio.deliver(sender, lambda: self.radio.beacon(sender, seen), self._loop.call_later)
 
-    def _placed(self, sender: int, said: Beacon) -> Seen:
-        """Where a sender is, told to the radio."""
+    def _place(self, sender: int, beacon: Beacon) -> Seen:
+        """Tell the radio where a sender is."""
         dim = self._config.mission.dim
-        if len(said.position) != dim or len(said.end) != dim:
+        if len(beacon.position) != dim or len(beacon.end) != dim:
             raise MessageError("wrong_length", "a beacon of another dimension")
         now = time.time()
-        self._latencies_s.append(now - said.stamp)
-        # Who claims to be of the future would look younger than it is.
-        seen = Seen(stamp=min(said.stamp, now), position=said.position, end=said.end)
+        self._latencies_s.append(now - beacon.stamp)
+        # A stamp in the future would make the beacon look younger than it is.
+        seen = Seen(stamp=min(beacon.stamp, now), position=beacon.position, end=beacon.end)
         self.radio.place(sender, seen)
         return seen
 
-    def _frame(self, sender: int, payload: bytes) -> None:
-        if sender != WORLD:
-            return
-        try:
-            frame = unpack(Frame, payload)
-        except MessageError as error:
-            self._link.traffic.refused[error.reason] += 1
-            return
-        if len(frame.bodies) == self._config.mission.n_robots:
-            self.radio.frame(frame.stamp, [body.position for body in frame.bodies])
-            self.body.felt(frame.bodies[self._robot])
+    def _on_state(self, _sender: int, state: WorldState) -> None:
+        if len(state.bodies) == self._config.mission.n_robots:
+            self.radio.frame(state.stamp, [body.position for body in state.bodies])
+            self.body.update(state.bodies[self._robot])
             self._sees.set()
 
-    def _order(self, sender: int, payload: bytes) -> None:
-        if sender == OPERATOR:
-            try:
-                self.mind.take_order(unpack(Order, payload))
-            except MessageError as error:
-                self._link.traffic.refused[error.reason] += 1
+    def _on_order(self, _sender: int, order: MissionOrder) -> None:
+        self.agent_loop.take_order(order)
 
-    def _comes_or_goes(self, number: int, comes: bool) -> None:
-        (self._alive.add if comes else self._alive.discard)(number)
+    def _on_alive(self, number: int, alive: bool) -> None:
+        (self._alive.add if alive else self._alive.discard)(number)
         if len(self._alive - {WORLD}) >= self._config.mission.n_robots:
             self._all_here.set()
 
-    def _called(self, attempt: Attempt) -> None:
+    def _record_call(self, attempt: Attempt) -> None:
         self._calls.append(llm_entry(attempt).model_dump(mode="json"))
 
     # ---------------------------------------------------------------- its life
 
     async def live(self) -> None:
-        """Wait for the own senses, then for the others as long as the configuration says; then begin."""
+        """Wait for the own sensors, then for the other robots as long as the configuration says; then begin."""
         network = self._config.network
         await self._sees.wait()
-        self._link.be_alive(self._robot)
+        self._link.declare_alive(self._robot)
         try:
             async with asyncio.timeout(network.gather_s), asyncio.TaskGroup() as group:
-                beacons = group.create_task(self._shine())
+                beacons = group.create_task(self._send_beacons())
                 await self._all_here.wait()
                 await asyncio.sleep(3 * network.beacon_s)
                 beacons.cancel()
         except TimeoutError:
             pass
         async with asyncio.TaskGroup() as group:
-            for task in (self._shine(), self._control(), self.mind.gossip(), self._report(), self._divide()):
+            loops = self._send_beacons(), self._control(), self.agent_loop.gossip(), self._report(), self._partition()
+            for task in loops:
                 group.create_task(task)
-            # Who comes late hears the others out before it begins.
+            # A robot that joins late hears the others out before it begins.
             await asyncio.sleep(2 * network.gossip_s)
-            group.create_task(self.mind.live())
+            group.create_task(self.agent_loop.live())
 
-    async def _shine(self) -> None:
-        """Tell who is near where the body is and where it will stop, unless a message has just told it."""
-        network = self._config.network
-        phase = phase_s(self._robot, self._config.mission.n_robots, network.gossip_s)
-        beat = Beat(network.beacon_s, phase + 0.5 * network.beacon_s)
+    async def _send_beacons(self) -> None:
+        """Broadcast where the body is and where it will stop, unless a message has just carried that."""
+        beacon_s = self._config.network.beacon_s
+        clock = PeriodClock(beacon_s, self._phase_s + 0.5 * beacon_s)
         while True:
-            await beat.next()
-            told_s = time.monotonic() - self._shone
-            if told_s > ALREADY_TOLD * network.beacon_s and (beacon := self._own_beacon()) is not None:
+            await clock.next()
+            silent_s = time.monotonic() - self._beacon_sent_s
+            if silent_s > BEACON_DUE * beacon_s and (beacon := self._own_beacon()) is not None:
                 self._link.publish("beacon", self._robot, pack(beacon))
 
     async def _control(self) -> None:
-        """Project the way anew in every control period, or with the next news where there was nothing to command."""
+        """Command the body in every control period, or on the next news where there was nothing to command."""
         body = self.body
         while True:
             now, command = time.time(), None
@@ -214,20 +181,14 @@ class Robot:
                 await asyncio.sleep(self._config.network.control_s)
 
     async def _report(self) -> None:
-        beat = Beat(REPORT_S, phase_s(self._robot, self._config.mission.n_robots, self._config.network.gossip_s))
+        clock = PeriodClock(REPORT_S, self._phase_s)
         while True:
-            await beat.next()
-            calls, self._calls = self._calls, []
-            latencies_s, self._latencies_s = self._latencies_s, []
-            fields = self.mind.report(known=self._known, calls=calls, latencies_s=latencies_s)
-            traffic = self._link.traffic
-            fields["rejected"] = {**fields["rejected"], **traffic.refused}
-            sent = traffic.sent["say"]
-            size = traffic.bytes["say"] + traffic.bytes["beacon"]
-            report = Report(stamp=time.time(), sent=sent, bytes=size, **fields)
+            await clock.next()
+            report = self.agent_loop.report(self._known, self._calls, self._latencies_s, self._link.traffic)
+            self._calls, self._latencies_s = [], []
             self._link.publish("report", self._robot, pack(report))
 
-    async def _divide(self) -> None:
+    async def _partition(self) -> None:
         """For tests: do not hear the other half of the ids for a while."""
         network, n = self._config.network, self._config.mission.n_robots
         if network.partition is None:
@@ -240,13 +201,12 @@ class Robot:
         self.radio.cut = frozenset()
 
 
-async def run_robot(config: SwarmConfig, robot: int, parent: int | None = None) -> None:
+async def run_robot(config: SwarmConfig, robot: int) -> None:
     """Be one robot until the process is told to end.
 
     Args:
         config: the swarm.
         robot: own id.
-        parent: process to end with, None to go on without it.
 
     Raises:
         InputError: no such robot, or an endpoint that cannot be opened.
@@ -256,10 +216,10 @@ async def run_robot(config: SwarmConfig, robot: int, parent: int | None = None) 
         raise InputError("id", robot, f"0 .. {mission.n_robots - 1}")
     link = open_link(config, robot)
     try:
-        one = Robot(config, robot, link)
+        process = RobotProcess(config, robot, link)
         try:
-            await until_stopped(one.live(), parent=parent)
+            await until_stopped(process.live())
         finally:
-            await one.thinkers.close()
+            await process.planners.close()
     finally:
         link.close()

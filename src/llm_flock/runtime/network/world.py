@@ -1,64 +1,163 @@
-"""The world: one process with everybody's body and sensors. It knows no plan, no goal and no mind.
+"""The world process: every robot's simulated body and sensors. It knows no plan, no goal and no agent.
 
-On real robots there is no such process: each has its own body, and sensors or a motion-capture system.
+Real robots need no such process: each has a body, and sensors or a motion-capture system.
+
+A body obeys a command that arrives in time and begins where the body will stop; it answers every command by its number.
+If the deadline passes before the end of the path, the body stops where it is, so no body moves on outdated commands.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 
-from llm_flock.errors import MessageError
-from llm_flock.robots.simulated import check_start, draw_start
-from llm_flock.runtime.network.bodies import Bodies
+import numpy as np
+
+from llm_flock import metrics
+from llm_flock.arrays import Point, Points
+from llm_flock.members import WORLD
+from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.joining import open_link
+from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.process import until_stopped
-from llm_flock.runtime.network.wire import Command, Frame, pack, unpack
+from llm_flock.runtime.network.wire import Body, Command, WorldState, pack
 from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.transport.seal import WORLD
+
+SUBSTEP_S = 0.01
+"""Longest piece of a path along which the separation is measured: paths have corners [s]."""
+
+SAME_POSITION = 1e-9
+"""Two positions this near are the same [units]."""
+
+
+class WorldBodies:
+    """True positions of all bodies, and the path that each is flying.
+
+    Args:
+        start: shape (n, d) [units].
+        speed: of every body [units/s].
+        period_s: time in which a command's segment is to be flown [s].
+        lag_s: largest age of a command on arrival; its deadline is later by as much [s].
+        now: the time [s].
+    """
+
+    def __init__(self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float) -> None:
+        self.positions: Points = np.array(start, dtype=np.float64)
+        self.late = 0
+        self.smallest = metrics.min_separation(self.positions)
+        self._closest = self.smallest
+        self._standing: float | None = None
+        self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
+        self._now = now
+        self._paths: list[list[Point]] = [[] for _ in self.positions]
+        self._deadlines = [now] * len(self.positions)
+        self._answered = [0] * len(self.positions)
+
+    def command(self, robot: int, order: Command, now: float) -> bool:
+        """Take a command; returns whether it is obeyed."""
+        self.advance(now)
+        if order.number <= self._answered[robot]:
+            return False
+        self._answered[robot] = order.number
+        end = self._end(robot)
+        usable = len(order.target) == len(end) and all(map(math.isfinite, order.target))
+        if not usable or abs(now - order.stamp) > self._lag_s:
+            self.late += 1
+            return False
+        if len(order.origin) != len(end) or math.dist(order.origin, end) > SAME_POSITION:
+            return False
+        self._paths[robot].append(order.target)
+        self._deadlines[robot] = order.stamp + self._period_s + self._lag_s
+        return True
+
+    def advance(self, now: float) -> None:
+        """Fly until now, and measure the separation on the way."""
+        while self._now < now:
+            step = min(SUBSTEP_S, now - self._now)
+            if not any(self._paths):
+                self._now = now
+                return
+            before = self.positions.copy()
+            for robot, path in enumerate(self._paths):
+                if path:
+                    self._fly(robot, path, step)
+            self._now += step
+            nearest = metrics.segment_separation(before, self.positions)
+            self._closest = min(self._closest, nearest)
+            self.smallest = min(self.smallest, nearest)
+
+    def _fly(self, robot: int, path: list[Point], step: float) -> None:
+        left = self._speed * min(step, self._deadlines[robot] - self._now)
+        here: Point = tuple(self.positions[robot].tolist())
+        while path and left > 0.0:
+            distance = math.dist(here, path[0])
+            if distance <= left:
+                left -= distance
+                here = path.pop(0)
+            else:
+                share = left / distance
+                here = tuple(x + share * (y - x) for x, y in zip(here, path[0], strict=True))
+                left = 0.0
+        if path and self._deadlines[robot] <= self._now + step:
+            path.clear()
+        self.positions[robot] = here
+
+    def _end(self, robot: int) -> Point:
+        path = self._paths[robot]
+        return path[-1] if path else tuple(self.positions[robot].tolist())
+
+    def closest(self) -> float:
+        """Smallest distance of two bodies since the last call, also along their segments [units]."""
+        closest, self._closest = self._closest, math.inf
+        if closest < math.inf:
+            self._standing = None
+            return closest
+        if self._standing is None:  # the first call since the bodies stopped
+            self._standing = metrics.min_separation(self.positions)
+        return self._standing
+
+    def states(self) -> tuple[Body, ...]:
+        """Every body, by id."""
+        rows: list[Point] = [tuple(row) for row in self.positions.tolist()]
+        return tuple(
+            Body(position=row, end=self._end(robot), command=self._answered[robot]) for robot, row in enumerate(rows)
+        )
 
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
-    """Fly the bodies until the process is told to end.
+    """Simulate the bodies until the process is told to end.
 
     Args:
-        config: the swarm; `start` and `seed` say where the bodies are at first.
-        on_ready: told when the endpoint is open.
+        config: the swarm; `start` and `seed` choose the start positions.
+        on_ready: called once the endpoint is open.
 
     Raises:
         InputError: the endpoint cannot be opened, or there is no room for the starts.
     """
     mission, network, trial = config.mission, config.network, config.trial
-    given = trial.start_positions
-    rng = stream(trial.seed, Stream.START)
-    start = draw_start(mission, trial.start, rng) if given is None else check_start(mission, given)
-    bodies = Bodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
+    start = start_positions(mission, trial.start_positions, trial.start, stream(trial.seed, Stream.START))
+    bodies = WorldBodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
     link = open_link(config, WORLD)
 
-    def obey(sender: int, payload: bytes) -> None:
-        try:
-            order = unpack(Command, payload)
-        except MessageError as error:
-            link.traffic.refused[error.reason] += 1
-            return
+    def obey(sender: int, order: Command) -> None:
         if 0 <= sender < mission.n_robots:
             bodies.command(sender, order, time.time())
 
-    async def show() -> None:
+    async def publish_states() -> None:
         while True:
             now = time.time()
             bodies.advance(now)
-            frame = Frame(stamp=now, closest=bodies.closest(), bodies=bodies.frame(), late=bodies.late)
-            link.publish("frame", WORLD, pack(frame))
+            state = WorldState(stamp=now, closest=bodies.closest(), bodies=bodies.states(), late=bodies.late)
+            link.publish("frame", WORLD, pack(state))
             await asyncio.sleep(network.frame_s)
 
     try:
-        link.listen("command", None, obey)
-        link.be_alive(WORLD)
+        receive(link, "command", Command, obey)
+        link.declare_alive(WORLD)
         if on_ready is not None:
             on_ready()
-        await until_stopped(show())
+        await until_stopped(publish_states())
     finally:
         link.close()

@@ -1,8 +1,8 @@
-"""Stand-ins for Crazyflies: they speak the drones' protocol (CRTP) over UDP, as Bitcraze's cflib uses it.
+"""Stand-ins for Crazyflies: point masses that speak the drones' protocol (CRTP) over UDP, as Bitcraze's cflib uses it.
 
-The link source, the protocol version, the tables of log variables and parameters, the list of memories, arming, the
-high-level commander, log blocks and the emergency stop are there; the drone behind them is a point mass
-(`llm_flock.robots.point_mass`). Loss, death, an empty battery, and an estimate that jumps or stalls come on demand.
+They answer for the link, the protocol version, tables of log variables and parameters, memories, arming, the high-level
+commander, log blocks and the emergency stop; each drone is a `llm_flock.robots.point_mass.PointMass`. Lost packets,
+death, an empty battery, and an estimate that jumps or stalls can be caused at any time.
 
 from llm_flock.testing.crtp import StandIns
 

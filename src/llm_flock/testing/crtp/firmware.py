@@ -1,8 +1,8 @@
-"""What a Crazyflie answers to each packet, sans-IO: bytes and the time go in, bytes come out.
+"""The answers of a Crazyflie to packets, sans-IO: bytes and the time go in, bytes come out.
 
 Numbers of ports, channels and commands are the firmware's (`crtp.h`, `crtp_commander_high_level.c`,
 `crtp_supervisor.c`, `log.c`, `param_logic.c`, `platformservice.c`); times and states are its supervisor's
-(`supervisor.c`, `supervisor_state_machine.c`). See docs/firmware.md.
+(`supervisor.c`, `supervisor_state_machine.c`). See docs/reference/firmware.md.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from llm_flock.testing.crtp.tables import LOG_TYPES, LOGGED, contents, parameter
 PARAM, COMMANDER, MEM, LOGGING, LOCALIZATION = 2, 3, 4, 5, 6
 HIGH_LEVEL, SUPERVISOR, PLATFORM, LINK = 8, 9, 13, 15
 VERSION = 12
-"""Of the protocol: the first that knows the supervisor's port."""
+"""Protocol version: the first that knows the supervisor's port."""
 
 FLYING_LINGERS_S = 2.0
-"""`IS_FLYING_HYSTERESIS_THRESHOLD`: so long after its motors slowed down, a drone still says that it flies."""
+"""`IS_FLYING_HYSTERESIS_THRESHOLD`: time for which a drone still reports flying after its motors stopped [s]."""
 
 SETPOINT_TIMEOUT_S = 2.0
-"""`COMMANDER_WDT_TIMEOUT_SHUTDOWN`: without a low-level set-point for so long after the first, a flying drone locks."""
+"""`COMMANDER_WDT_TIMEOUT_SHUTDOWN`: after the first low-level set-point, a drone locks after this silence [s]."""
 
 STOP_WATCHDOG_S = 1.0
-"""`DEFAULT_EMERGENCY_STOP_WATCHDOG_TIMEOUT`: the watchdog, once started, wants to hear something so often."""
+"""`DEFAULT_EMERGENCY_STOP_WATCHDOG_TIMEOUT`: the watchdog, once started, stops a drone after this silence [s]."""
 
 NO_SUCH = 2
 EXISTS = 17
 
 
 def packet(port: int, channel: int, data: bytes | Sequence[int]) -> bytes:
-    """One packet as it travels."""
+    """The bytes of a packet."""
     return bytes([port << 4 | 3 << 2 | channel]) + bytes(data)
 
 
 @dataclass(slots=True)
 class _Block:
-    """One log block: what it sends, how often, and when next."""
+    """One log block: its variables, its period, and the time of its next packet."""
 
     variables: list[tuple[str, str]]
     period_s: float = 0.0
@@ -47,14 +47,14 @@ class _Block:
 
 
 class Firmware:
-    """One drone's answers.
+    """The firmware of one drone.
 
     Args:
-        body: the drone itself.
-        noise_m: how much the estimate trembles [m].
+        body: the drone.
+        noise_m: noise of the estimate [m].
 
     Attributes:
-        commands: when [s] and which commands of the high-level commander came, the refused ones included.
+        commands: time [s] and number of each high-level command received, refused ones included.
         parameters: values by name.
     """
 
@@ -74,14 +74,14 @@ class Firmware:
         self._watchdog: float | None = None
         self._tremble = 0
 
-    # ------------------------------------------------------------ what comes in
+    # ------------------------------------------------------------ packets in
 
     def handle(self, raw: bytes, now: float) -> list[bytes]:
         """Answers to one packet."""
         if not raw or raw[0] == 0xFF:
             return [b"\xff"]
         port, channel, data = raw[0] >> 4, raw[0] & 3, raw[1:]
-        self._pass_time(now)
+        self.advance(now)
         answer = self._answer(port, channel, data, now)
         return [] if answer is None else [packet(port, channel, answer)]
 
@@ -186,16 +186,16 @@ class Firmware:
             self._watchdog = now
 
     def _set_point(self, now: float) -> None:
-        """A low-level set-point goes before the high-level commander, which stops; here its thrust is always none."""
+        """A low-level set-point stops the high-level commander; here it never has thrust."""
         if self.body.flying:
             self._low_level = now
             self.body.stop(now)
 
-    # ------------------------------------------------------------ what goes out by itself
+    # ------------------------------------------------------------ log packets out
 
     def tick(self, now: float) -> list[bytes]:
         """Log packets that are due."""
-        self._pass_time(now)
+        self.advance(now)
         out: list[bytes] = []
         for number, block in self._blocks.items():
             if block.due is None or now < block.due:
@@ -208,7 +208,7 @@ class Firmware:
         return out
 
     def info(self, now: float) -> int:
-        """`supervisor.info`: what the supervisor thinks, one bit each."""
+        """`supervisor.info`: the supervisor's state, in bits."""
         body, flies = self.body, self._flies(now)
         bits = (
             not body.armed and not body.locked,
@@ -229,12 +229,13 @@ class Firmware:
             return False
         return self.body.flying or (self._flew is not None and now < self._flew + FLYING_LINGERS_S)
 
-    def _pass_time(self, now: float) -> None:
+    def advance(self, now: float) -> None:
+        """Let time pass."""
         self.body.advance(now)
         if self.body.flying:
             self._flew = now
         elif self._flew is not None and not self._flies(now):
-            # Landed: the supervisor starts over, and disarms.
+            # After a landing the supervisor starts over, and disarms.
             self._flew = None
             self.body.armed = self.body.auto_arm and not self.body.locked
         if self._watchdog is not None and now >= self._watchdog + STOP_WATCHDOG_S:
@@ -244,7 +245,7 @@ class Firmware:
             self.body.emergency_stop(now)
 
     def _logged(self, now: float) -> dict[str, float | int]:
-        # The trembling need not be random: it only has to keep the estimate from being the same twice.
+        # The noise need not be random: it only keeps two estimates from being equal.
         self._tremble = (self._tremble + 1) % 7
         shake = self._noise_m * (self._tremble - 3) / 3.0
         x, y, z = self.body.estimate(now)

@@ -1,4 +1,4 @@
-"""The UDP side of the stand-ins: one socket a drone, one thread for all of them."""
+"""UDP server of the stand-ins: one socket per drone, one thread for all."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import selectors
 import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,18 +17,20 @@ from llm_flock.robots.point_mass import PointMass
 from llm_flock.testing.crtp.firmware import Firmware
 
 STEP_S = 0.002
-"""How exactly log packets keep their times [s]."""
+"""Time between two checks for log packets that are due [s]."""
 
 LARGEST = 64
 
+T = TypeVar("T")
+
 
 class StandIn:
-    """One drone behind one socket. Everything here may be called while it flies, from any thread.
+    """One drone behind one socket. Call anything here while it flies, from any thread.
 
     Attributes:
-        uri: where cflib finds it.
+        uri: address for cflib.
         loss: share of packets lost, in each direction.
-        firmware: what answers.
+        firmware: answers the packets.
     """
 
     def __init__(self, host: str, port: int, body: PointMass, loss: float, rng: np.random.Generator) -> None:
@@ -38,69 +41,65 @@ class StandIn:
         self._silent = self._mute = False
         self._peer: tuple[str, int] | None = None
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((host, port))
+        try:
+            self.socket.bind((host, port))
+        except OSError:
+            self.socket.close()
+            raise
         self.socket.setblocking(False)
         self.uri = f"udp://{host}:{self.socket.getsockname()[1]}"
 
-    # ------------------------------------------------------------ what can be seen of it
+    def _at_once(self, act: Callable[[PointMass, float], T]) -> T:
+        """Read or change the body at this time."""
+        with self._lock:
+            now = time.monotonic()
+            self.firmware.advance(now)
+            return act(self.firmware.body, now)
 
     @property
     def position(self) -> Position:
-        """Where the body really is now [m]."""
-        with self._lock:
-            return self.firmware.body.position(time.monotonic())
+        """True position of the body now [m]."""
+        return self._at_once(PointMass.position)
 
     @property
     def flying(self) -> bool:
-        """Motors turn."""
-        with self._lock:
-            self.firmware.body.advance(time.monotonic())
-            return self.firmware.body.flying
+        """Whether the motors turn."""
+        return self._at_once(lambda body, _: body.flying)
 
     @property
     def locked(self) -> bool:
-        """An emergency stop has come, or the supervisor gave up."""
-        with self._lock:
-            self.firmware.tick(time.monotonic())
-            return self.firmware.body.locked
-
-    # ------------------------------------------------------------ what goes wrong
+        """Whether an emergency stop, or the supervisor, has locked the drone."""
+        return self._at_once(lambda body, _: body.locked)
 
     def lose_link(self, lost: bool = True) -> None:
-        """Nothing gets through in either direction; the drone flies on. Or all gets through again."""
-        with self._lock:
-            self._silent = lost
+        """Lose every packet, in both directions, while the drone flies on; or none again."""
+        self._silent = lost
 
     def die(self) -> None:
-        """The drone fails: it falls, and says nothing more."""
-        with self._lock:
-            self._silent = True
-            self.firmware.body.emergency_stop(time.monotonic())
+        """Let the drone fail: it falls, and falls silent."""
+        self._silent = True
+        self._at_once(PointMass.emergency_stop)
 
     def mute_log(self, mute: bool = True) -> None:
-        """Log packets come no more while all else is answered; or come again."""
-        with self._lock:
-            self._mute = mute
+        """Send no log packets while answering everything else; or send them again."""
+        self._mute = mute
 
     def set_battery(self, volts: float) -> None:
-        """[V]."""
-        with self._lock:
-            self.firmware.body.battery_v = volts
+        """Set the voltage [V]."""
+        self._at_once(lambda body, _: setattr(body, "battery_v", volts))
 
     def jump(self, offset: Position) -> None:
-        """The position estimate is off by that much from now on [m]."""
-        with self._lock:
-            self.firmware.body.jump(offset, time.monotonic())
+        """Shift the position estimate from now on [m]."""
+        self._at_once(lambda body, now: body.jump(offset, now))
 
     def stall(self, stalled: bool = True) -> None:
-        """The position estimate stands still and its variance grows; or works again."""
-        with self._lock:
-            self.firmware.body.stall(time.monotonic(), stalled)
+        """Freeze the position estimate, with growing variance; or let it work again."""
+        self._at_once(lambda body, now: body.stall(now, stalled))
 
     # ------------------------------------------------------------ for the thread that serves it
 
     def receive(self) -> None:
-        """Answer everything that has come."""
+        """Answer all packets that have arrived."""
         while True:
             try:
                 data, peer = self.socket.recvfrom(LARGEST)
@@ -114,7 +113,7 @@ class StandIn:
                     self._send(answer)
 
     def tick(self) -> None:
-        """Send what is due."""
+        """Send log packets that are due."""
         with self._lock:
             due = self.firmware.tick(time.monotonic())
             if not self._silent and not self._mute:
@@ -134,12 +133,12 @@ class StandIns:
     """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`.
 
     Args:
-        homes: where they stand at first [m], one each.
+        homes: position of each before take-off [m].
         host: address to listen at.
-        port: of the first; the others follow. 0 takes free ones.
+        port: of the first; the others follow. 0 takes free ports.
         loss: share of packets lost, in each direction.
         auto_arm: as Crazyflies 2.1 are shipped: armed from the start.
-        seed: of what is lost.
+        seed: of the losses.
     """
 
     def __init__(
@@ -166,7 +165,7 @@ class StandIns:
 
     @property
     def uris(self) -> list[str]:
-        """Where cflib finds them."""
+        """Addresses for cflib."""
         return [drone.uri for drone in self._drones]
 
     def __getitem__(self, index: int) -> StandIn:

@@ -1,4 +1,4 @@
-"""The tables of contents that a drone shows: what it can log, and its parameters."""
+"""The tables of contents of a drone: its log variables and its parameters."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ LOGGED: Mapping[str, int] = MappingProxyType(
         "supervisor.info": 2,
     }
 )
-"""Name and type of each log variable, in the order of their numbers."""
+"""Type of each log variable by name, in order."""
 
 
 @dataclass(slots=True)
 class Parameter:
-    """One parameter: its type and value."""
+    """One parameter."""
 
     kind: int
     value: float
 
     def packed(self) -> bytes:
-        """The value as it travels."""
+        """The bytes of the value."""
         code = PARAMETER_TYPES[self.kind]
         return struct.pack(code, self.value if code == "<f" else int(self.value))
 
     def take(self, data: bytes) -> None:
-        """Set from what travelled."""
+        """Set the value from its bytes."""
         self.value = float(struct.unpack(PARAMETER_TYPES[self.kind], data)[0])
 
 
 def parameters() -> dict[str, Parameter]:
-    """The parameters that flights set, by name, in the order of their numbers."""
+    """The parameters that flights set, by name, in order."""
     return {
         "stabilizer.estimator": Parameter(0x08, 2),
         "stabilizer.controller": Parameter(0x08, 1),
@@ -61,7 +61,7 @@ def parameters() -> dict[str, Parameter]:
 
 
 def contents(names: Sequence[str], kinds: Sequence[int]) -> tuple[int, list[bytes]]:
-    """Checksum of a table, and each of its entries as it travels."""
+    """Checksum of a table, and the bytes of each entry."""
     rows = [
         bytes([kind]) + group.encode() + b"\0" + name.encode() + b"\0"
         for (group, name), kind in zip((n.split(".") for n in names), kinds, strict=True)

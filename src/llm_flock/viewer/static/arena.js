@@ -1,6 +1,6 @@
 // The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles; zoom and pan.
 import { cells, links } from "llm-flock-viewer/geometry.js";
-import { FONT, Paper, dash, look, theme } from "llm-flock-viewer/paper.js";
+import { FONT, Surface, dash, look, theme } from "llm-flock-viewer/surface.js";
 
 const TRAIL = 24; // rounds
 const EDGE = 10; // pixels around the arena
@@ -8,26 +8,26 @@ const RULER = 22; // pixels below it, for the length to compare with
 const MANY = 250; // robots from which on letters and rims are left out
 
 export class Arena {
-  constructor(element, reels, clock, options, emit) {
-    [this.reel] = reels;
+  constructor(element, runs, clock, options, emit) {
+    [this.run] = runs;
     this.clock = clock;
     this.emit = emit;
     this.layers = { ...options.layers };
     this.selected = options.selected || [];
-    this.paper = new Paper(element, `Arena of ${options.title}. Keys: brackets choose a robot, plus, minus and zero zoom, shift and arrows pan.`);
-    this.paper.redraw = () => this.draw();
+    this.surface = new Surface(element, `Arena of ${options.title}. Keys: brackets choose a robot, plus, minus and zero zoom, shift and arrows pan.`);
+    this.surface.redraw = () => this.draw();
     this.view = null; // centre and pixels a unit; null fits all
     this.drawn = 0;
     this.pointers = new Map();
     this.forget = clock.listen(() => this.draw());
     this.listen();
-    this.paper.fit();
+    this.surface.fit();
   }
 
   // ------------------------------------------------------------- controls
 
   listen() {
-    const canvas = this.paper.canvas;
+    const canvas = this.surface.canvas;
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
@@ -40,7 +40,7 @@ export class Arena {
   }
 
   down(event) {
-    this.paper.canvas.setPointerCapture(event.pointerId);
+    this.surface.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
     this.moved = this.pointers.size > 1;
     this.began = [event.offsetX, event.offsetY];
@@ -84,8 +84,8 @@ export class Arena {
   }
 
   next(by) {
-    if (!this.reel.about) return;
-    const n = this.reel.about.robots;
+    if (!this.run.about) return;
+    const n = this.run.about.robots;
     const now = this.selected.length ? this.selected[0] : by > 0 ? -1 : 0;
     this.choose((now + by + n) % n, false);
   }
@@ -104,7 +104,7 @@ export class Arena {
   }
 
   choose(robot, second) {
-    // Shown at once; the words follow when the server has sent them.
+    // Shown at once; the text follows when the server has sent it.
     this.select(second && this.selected.length ? [this.selected[0], robot] : [robot, ...this.selected.slice(1)]);
     this.emit("select", { robot, second });
   }
@@ -132,14 +132,14 @@ export class Arena {
     this.draw();
   }
 
-  zoom(factor, x = this.paper.width / 2, y = this.paper.height / 2) {
+  zoom(factor, x = this.surface.width / 2, y = this.surface.height / 2) {
     if (!this.scale) return;
     const at = this.point(x, y);
     this.view ||= { center: [...this.center], scale: this.scale };
     this.view.scale = Math.max(0.02, Math.min(400, this.view.scale * factor));
     this.view.center = [
-      at[0] - (x - this.paper.width / 2) / this.view.scale,
-      at[1] + (y - this.paper.height / 2) / this.view.scale,
+      at[0] - (x - this.surface.width / 2) / this.view.scale,
+      at[1] + (y - this.surface.height / 2) / this.view.scale,
     ];
     this.draw();
   }
@@ -147,8 +147,8 @@ export class Arena {
   // ------------------------------------------------------------- geometry of the view
 
   place() {
-    const [[left, bottom], [right, top]] = this.reel.about.arena;
-    const { width, height } = this.paper;
+    const [[left, bottom], [right, top]] = this.run.about.arena;
+    const { width, height } = this.surface;
     if (this.view) {
       this.center = this.view.center;
       this.scale = this.view.scale;
@@ -160,43 +160,43 @@ export class Arena {
 
   pixel([x, y]) {
     return [
-      this.paper.width / 2 + (x - this.center[0]) * this.scale,
-      this.paper.height / 2 - (y - this.center[1]) * this.scale,
+      this.surface.width / 2 + (x - this.center[0]) * this.scale,
+      this.surface.height / 2 - (y - this.center[1]) * this.scale,
     ];
   }
 
   point(x, y) {
     return [
-      this.center[0] + (x - this.paper.width / 2) / this.scale,
-      this.center[1] - (y - this.paper.height / 2) / this.scale,
+      this.center[0] + (x - this.surface.width / 2) / this.scale,
+      this.center[1] - (y - this.surface.height / 2) / this.scale,
     ];
   }
 
   // ------------------------------------------------------------- drawing
 
   draw() {
-    const { paper, reel, clock } = this;
-    if (!paper.width) return;
-    const round = Math.min(clock.round, Math.max(0, reel.last));
-    const found = reel.about ? reel.frame(round) : null;
+    const { surface, run, clock } = this;
+    if (!surface.width) return;
+    const round = Math.min(clock.round, Math.max(0, run.last));
+    const found = run.about ? run.frame(round) : null;
     if (!found) {
-      // What is on its way is waited for with the last picture, not with an empty one.
-      if (!this.frame || !reel.about) this.say(reel.failure || "Waiting for the first round …");
+      // While a round is on its way, the last picture stays.
+      if (!this.frame || !run.about) this.say(run.failure || "Waiting for the first round …");
       else this.picture(this.frame);
       return;
     }
-    const after = round < reel.last ? reel.frame(round + 1) : null;
-    const ended = round >= reel.last;
+    const after = round < run.last ? run.frame(round + 1) : null;
+    const ended = round >= run.last;
     this.picture(clock.part > 0 && after && !ended ? between(found, after, clock.part) : found);
     this.drawn += 1;
     this.shown = round;
-    paper.canvas.dataset.round = String(round);
-    paper.canvas.dataset.drawn = String(this.drawn);
+    surface.canvas.dataset.round = String(round);
+    surface.canvas.dataset.drawn = String(this.drawn);
   }
 
   say(text) {
-    const { pen, width, height } = this.paper;
-    this.paper.clear();
+    const { pen, width, height } = this.surface;
+    this.surface.clear();
     pen.fillStyle = theme().soft;
     pen.font = `14px ${FONT}`;
     pen.textAlign = "center";
@@ -204,13 +204,13 @@ export class Arena {
   }
 
   picture(frame) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     this.frame = frame;
     this.place();
-    const about = this.reel.about;
+    const about = this.run.about;
     // A disk is as wide as the body, and never too small to be seen and touched.
     this.radius = Math.max(frame.x.length > MANY ? 3 : 9, (about.safe_distance / 2) * this.scale * 0.8);
-    this.paper.clear();
+    this.surface.clear();
     pen.lineJoin = "round";
     this.walls(about);
     if (this.layers.cells) this.cells(frame, about);
@@ -224,7 +224,7 @@ export class Arena {
   }
 
   walls(about) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     const [low, high] = about.arena;
     const [left, bottom] = this.pixel(low);
     const [right, top] = this.pixel(high);
@@ -248,7 +248,7 @@ export class Arena {
   }
 
   cells(frame, about) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     pen.lineWidth = 1;
     pen.setLineDash([]);
     const silent = new Set([...frame.d, ...frame.z]);
@@ -257,7 +257,7 @@ export class Arena {
       pen.beginPath();
       cell.forEach((corner, k) => pen[k ? "lineTo" : "moveTo"](...this.pixel(corner)));
       pen.closePath();
-      const { line } = look(this.reel, frame.p[robot]);
+      const { line } = look(this.run, frame.p[robot]);
       pen.globalAlpha = 0.1;
       pen.fillStyle = line;
       pen.fill();
@@ -269,7 +269,7 @@ export class Arena {
   }
 
   links(frame, about) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     const silent = new Set([...frame.d, ...frame.z]);
     const pairs = links(frame.x, about.comm_range, silent);
     pen.strokeStyle = theme().soft;
@@ -286,12 +286,12 @@ export class Arena {
   }
 
   trails(frame) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     const rounds = [];
     for (let k = frame.r; k >= Math.max(0, frame.r - TRAIL); k -= 1) {
-      const past = this.reel.frames.get(k);
+      const past = this.run.frames.get(k);
       if (!past) {
-        if (k > frame.r - 3) this.reel.want(k);
+        if (k > frame.r - 3) this.run.want(k);
         break;
       }
       rounds.push(past);
@@ -301,7 +301,7 @@ export class Arena {
     pen.setLineDash([]);
     pen.globalAlpha = 0.45;
     frame.x.forEach((at, robot) => {
-      pen.strokeStyle = look(this.reel, frame.p[robot]).line;
+      pen.strokeStyle = look(this.run, frame.p[robot]).line;
       pen.beginPath();
       pen.moveTo(...this.pixel(at));
       for (const past of rounds) pen.lineTo(...this.pixel(past.x[robot]));
@@ -311,11 +311,11 @@ export class Arena {
   }
 
   goals(frame) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     pen.lineWidth = 2;
     frame.g.forEach((goal, robot) => {
       if (!goal) return;
-      const { line, rim } = look(this.reel, frame.p[robot]);
+      const { line, rim } = look(this.run, frame.p[robot]);
       pen.strokeStyle = line;
       pen.setLineDash(dash(rim));
       pen.beginPath();
@@ -337,7 +337,7 @@ export class Arena {
   }
 
   safety(frame, about) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     pen.strokeStyle = theme().warn;
     pen.lineWidth = 1;
     pen.setLineDash([3, 3]);
@@ -350,7 +350,7 @@ export class Arena {
   }
 
   robots(frame) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     const few = frame.x.length <= MANY;
     const dead = new Set(frame.d);
     const asleep = new Set(frame.z);
@@ -359,7 +359,7 @@ export class Arena {
     pen.textBaseline = "middle";
     frame.x.forEach((at, robot) => {
       const [x, y] = this.pixel(at);
-      const { fill, ink, rim } = look(this.reel, frame.p[robot]);
+      const { fill, ink, rim } = look(this.run, frame.p[robot]);
       pen.beginPath();
       pen.arc(x, y, this.radius, 0, 2 * Math.PI);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
@@ -380,15 +380,15 @@ export class Arena {
     });
   }
 
-  /** Letters of plans and influence, below all disks: where robots stand close, their numbers are read first. */
+  /** Letters of plans and influence, below all disks: where robots stand close, their numbers come first. */
   labels(frame) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     frame.x.forEach((at, robot) => {
       if (frame.x.length > MANY && !this.selected.includes(robot)) return;
       const [x, y] = this.pixel(at);
-      const { name } = look(this.reel, frame.p[robot]);
+      const { name } = look(this.run, frame.p[robot]);
       const label = [this.layers.plans && name, this.layers.influence && frame.i[robot].toFixed(2)]
         .filter(Boolean).join(" ");
       if (!label) return;
@@ -402,9 +402,9 @@ export class Arena {
     });
   }
 
-  /** Who is looked at: a ring around the disk, apart from it so that no colour of a plan hides it. */
+  /** Marks a selected robot: a ring around the disk, apart from it so that no colour of a plan hides it. */
   ring(x, y) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     for (const [wide, ink] of [[6, theme().paper], [3, theme().accent]]) {
       pen.beginPath();
       pen.arc(x, y, this.radius + 5, 0, 2 * Math.PI);
@@ -416,7 +416,7 @@ export class Arena {
 
   /** A length to compare with. */
   ruler() {
-    const { pen, height } = this.paper;
+    const { pen, height } = this.surface;
     const rough = 80 / this.scale;
     const power = 10 ** Math.floor(Math.log10(rough));
     const units = power * (rough / power >= 5 ? 5 : rough / power >= 2 ? 2 : 1);
@@ -434,7 +434,7 @@ export class Arena {
 
   close() {
     this.forget();
-    this.paper.close();
+    this.surface.close();
   }
 }
 

@@ -1,42 +1,42 @@
-// The cursor over rounds that all parts of a page share: play, pause, step, speed, and following a live run.
+// The cursor over rounds that all canvases of a page share: play, pause, step, speed, and following a live run.
 
 export class Clock {
   constructor() {
     this.cursor = 0; // rounds, with a part of the next one while playing
     this.playing = false;
     this.following = false;
-    this.held = false; // somebody has taken the cursor
+    this.held = false; // the user has moved the cursor
     this.speed = 4; // rounds a second
-    this.reels = [];
+    this.runs = [];
     this.listeners = new Set();
     this.pending = false;
     this.before = 0;
   }
 
-  attach(reel) {
-    this.reels.push(reel);
-    reel.clock = this;
-    reel.start(() => this.grown(reel));
+  attach(run) {
+    this.runs.push(run);
+    run.clock = this;
+    run.start(() => this.grown(run));
   }
 
-  grown(reel) {
-    if (reel.fresh && this.grows(reel)) {
-      // A live run is followed from its first appearance on, until somebody takes the cursor.
+  grown(run) {
+    if (run.fresh && this.grows(run)) {
+      // A live run is followed from its first appearance on, until the user moves the cursor.
       this.following = !this.held;
-      reel.fresh = false;
+      run.fresh = false;
     }
     if (this.following) this.cursor = this.last;
-    if (!this.reels.some((one) => one.open)) this.following = false;
+    if (!this.runs.some((one) => one.open)) this.following = false;
     this.changed();
   }
 
   /** Whether a run goes on; a record that is still being read is open, and does not. */
-  grows(reel) {
-    return reel.open && reel.about && reel.about.live;
+  grows(run) {
+    return run.open && run.about && run.about.live;
   }
 
   get last() {
-    return Math.max(0, ...this.reels.map((reel) => reel.last));
+    return Math.max(0, ...this.runs.map((run) => run.last));
   }
 
   get round() {
@@ -49,7 +49,7 @@ export class Clock {
 
   listen(listener) {
     this.listeners.add(listener);
-    this.changed(); // what came before it listened, it is told too
+    this.changed(); // a listener hears of earlier changes too
     return () => this.listeners.delete(listener);
   }
 
@@ -65,15 +65,15 @@ export class Clock {
   }
 
   advance(now) {
-    const waiting = this.reels.some((reel) => !reel.has(Math.min(reel.last, this.round + 1)));
+    const waiting = this.runs.some((run) => !run.has(Math.min(run.last, this.round + 1)));
     if (this.before && !waiting) {
       this.cursor += (this.speed * Math.min(250, now - this.before)) / 1000;
     }
     this.before = now;
     if (this.cursor >= this.last) {
       this.cursor = this.last;
-      this.following = this.reels.some(this.grows);
-      this.playing = !this.following && this.reels.some((reel) => reel.open); // it is still being read
+      this.following = this.runs.some(this.grows);
+      this.playing = !this.following && this.runs.some((run) => run.open); // it is still being read
     }
   }
 
@@ -94,7 +94,7 @@ export class Clock {
       this.playing = this.following = false;
       this.held = true;
     } else {
-      if (this.cursor >= this.last && !this.reels.some((reel) => reel.open)) this.cursor = 0;
+      if (this.cursor >= this.last && !this.runs.some((run) => run.open)) this.cursor = 0;
       this.playing = true;
       this.before = 0;
     }
@@ -103,7 +103,7 @@ export class Clock {
 
   live() {
     this.playing = false;
-    this.following = this.reels.some(this.grows);
+    this.following = this.runs.some(this.grows);
     this.held = false;
     this.cursor = this.last;
     this.changed();

@@ -1,4 +1,4 @@
-// Who is in whose radio range, and the buffered Voronoi cells, with a grid so that a thousand robots are quick.
+// Radio links and buffered Voronoi cells; a grid makes a thousand robots quick.
 
 function grid(points, edge) {
   const boxes = new Map();
@@ -12,7 +12,7 @@ function grid(points, edge) {
 
 const MOST_LINKS = 12000;
 
-/** Pairs of robots within range of each other; at most MOST_LINKS, which nobody could tell apart anyway. */
+/** Pairs of robots within range of each other; at most MOST_LINKS, which cannot be told apart anyway. */
 export function links(points, range, silent) {
   const boxes = grid(points, range);
   const pairs = [];
@@ -46,7 +46,7 @@ export function cells(points, safe, [low, high]) {
     order.sort((a, b) => a[0] - b[0]);
     for (const [squared, other] of order) {
       const gap = Math.sqrt(squared);
-      // Nobody farther than twice the farthest corner can cut anything off any more.
+      // A robot farther away than twice the farthest corner cuts nothing off.
       const reach = Math.max(0, ...corners.map(([a, b]) => Math.hypot(a - x, b - y)));
       if (gap - safe > 2 * reach) break;
       const normal = [(points[other][0] - x) / gap, (points[other][1] - y) / gap];

@@ -1,22 +1,22 @@
 // Small plots over rounds, linked to the cursor. Several runs are told apart by the stroke as well as by the colour.
-import { FONT, Paper, theme } from "llm-flock-viewer/paper.js";
+import { FONT, Surface, theme } from "llm-flock-viewer/surface.js";
 
 const LEFT = 52;
 const RIGHT = 12;
 const STROKES = [[], [6, 3], [2, 3]];
 
 export class Plots {
-  constructor(element, reels, clock, options) {
-    this.reels = reels;
+  constructor(element, runs, clock, options) {
+    this.runs = runs;
     this.clock = clock;
     this.charts = options.charts;
-    this.paper = new Paper(element, `Plots over rounds: ${this.charts.map((chart) => chart.title).join(", ")}`);
-    this.paper.redraw = () => this.draw();
+    this.surface = new Surface(element, `Plots over rounds: ${this.charts.map((chart) => chart.title).join(", ")}`);
+    this.surface.redraw = () => this.draw();
     this.forget = clock.listen(() => this.draw());
-    const canvas = this.paper.canvas;
+    const canvas = this.surface.canvas;
     const seek = (event) => {
       clock.playing = false;
-      const share = (event.offsetX - LEFT) / Math.max(1, this.paper.width - LEFT - RIGHT);
+      const share = (event.offsetX - LEFT) / Math.max(1, this.surface.width - LEFT - RIGHT);
       clock.seek(Math.round(Math.max(0, Math.min(1, share)) * Math.max(1, clock.last)));
     };
     canvas.addEventListener("pointerdown", (event) => {
@@ -26,26 +26,26 @@ export class Plots {
     });
     canvas.addEventListener("pointermove", (event) => this.dragging && seek(event));
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { this.dragging = false; });
-    this.paper.fit();
+    this.surface.fit();
   }
 
   draw() {
-    const { width, height } = this.paper;
+    const { width, height } = this.surface;
     if (!width) return;
-    this.paper.clear();
+    this.surface.clear();
     const each = height / this.charts.length;
     this.charts.forEach((chart, k) => this.chart(chart, k * each, each));
   }
 
   chart(chart, top, room) {
-    const { pen, width } = this.paper;
+    const { pen, width } = this.surface;
     const colours = theme();
     const [y0, y1] = [top + room - 14, top + 22];
     const span = Math.max(1, this.clock.last);
     const x = (round) => LEFT + (round / span) * (width - LEFT - RIGHT);
     const series = chart.series.flatMap((one, s) =>
-      this.reels.map((reel, r) => ({ ...one, values: reel.figures[one.figure]?.values || [], stroke: s + r, reel })));
-    const edge = chart.edge && this.reels[0].about ? this.reels[0].about[chart.edge] : null;
+      this.runs.map((run, r) => ({ ...one, values: run.figures[one.figure]?.values || [], stroke: s + r, run })));
+    const edge = chart.edge && this.runs[0].about ? this.runs[0].about[chart.edge] : null;
     let high = edge || 0;
     for (const one of series) for (const value of one.values) if (value > high) high = value;
     if (chart.edge && edge) high = Math.min(high, 6 * edge);
@@ -81,7 +81,7 @@ export class Plots {
   }
 
   curve(one, x, y, ink) {
-    const { pen } = this.paper;
+    const { pen } = this.surface;
     pen.strokeStyle = ink;
     pen.setLineDash(STROKES[one.stroke % 3]);
     pen.beginPath();
@@ -102,7 +102,7 @@ export class Plots {
   }
 
   cursor(chart, series, x, y0, y1, top, inks) {
-    const { pen, width } = this.paper;
+    const { pen, width } = this.surface;
     const round = this.clock.round;
     pen.strokeStyle = theme().accent;
     pen.lineWidth = 1.5;
@@ -132,7 +132,7 @@ export class Plots {
 
   close() {
     this.forget();
-    this.paper.close();
+    this.surface.close();
   }
 }
 

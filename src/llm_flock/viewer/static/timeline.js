@@ -1,22 +1,22 @@
-// Rounds from left to right: marks of what happened, the cursor, and what is not flown yet.
-import { FONT, Paper, theme } from "llm-flock-viewer/paper.js";
+// Rounds from left to right, with marks for events, and the cursor.
+import { FONT, Surface, theme } from "llm-flock-viewer/surface.js";
 
 const LEFT = 64;
 const RIGHT = 14;
 const AXIS = 20;
 
 export class Timeline {
-  constructor(element, reels, clock, options, emit) {
-    this.reels = reels;
+  constructor(element, runs, clock, options, emit) {
+    this.runs = runs;
     this.clock = clock;
-    this.lanes = options.lanes;
+    this.tracks = options.tracks;
     this.emit = emit;
-    this.paper = new Paper(element, "Time line: rounds and what happened in them. Left and right arrows step.");
-    this.paper.canvas.setAttribute("role", "slider");
-    this.paper.redraw = () => this.draw();
+    this.surface = new Surface(element, "Time line: rounds and what happened in them. Left and right arrows step.");
+    this.surface.canvas.setAttribute("role", "slider");
+    this.surface.redraw = () => this.draw();
     this.forget = clock.listen(() => this.draw());
-    this.told = null;
-    const canvas = this.paper.canvas;
+    this.sent = null;
+    const canvas = this.surface.canvas;
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       this.dragging = true;
@@ -31,10 +31,10 @@ export class Timeline {
     }
     this.keys = (event) => this.key(event);
     document.addEventListener("keydown", this.keys);
-    this.paper.fit();
+    this.surface.fit();
   }
 
-  /** Keys of the whole page, but where somebody types or works another control. */
+  /** Keys of the whole page, except where another control has the focus. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
     if (event.target.closest("input, textarea, select, [role=tab], [role=listbox], [contenteditable]")) return;
@@ -54,31 +54,31 @@ export class Timeline {
   }
 
   x(round) {
-    return LEFT + (round / this.span) * (this.paper.width - LEFT - RIGHT);
+    return LEFT + (round / this.span) * (this.surface.width - LEFT - RIGHT);
   }
 
   round(x) {
-    const share = (x - LEFT) / Math.max(1, this.paper.width - LEFT - RIGHT);
+    const share = (x - LEFT) / Math.max(1, this.surface.width - LEFT - RIGHT);
     return Math.round(Math.max(0, Math.min(1, share)) * this.span);
   }
 
-  lane(y) {
-    const rows = this.lanes.length;
-    const k = Math.floor((y / (this.paper.height - AXIS)) * rows);
-    return this.lanes[k] ? this.lanes[k].name : null;
+  track(y) {
+    const rows = this.tracks.length;
+    const k = Math.floor((y / (this.surface.height - AXIS)) * rows);
+    return this.tracks[k] ? this.tracks[k].name : null;
   }
 
-  /** The round of the nearest mark of a lane within a finger's width, or the round itself. */
+  /** The round of the nearest mark of a track within a finger's width, or the round itself. */
   near(x, y) {
-    const lane = this.lane(y);
+    const track = this.track(y);
     const round = this.round(x);
-    if (!lane) return round;
+    if (!track) return round;
     let best = round;
     let nearest = 10;
-    for (const reel of this.reels) {
-      for (const [number, counts] of reel.marks) {
+    for (const run of this.runs) {
+      for (const [number, counts] of run.marks) {
         const far = Math.abs(this.x(number) - x);
-        if (counts[lane] && far < nearest) [best, nearest] = [number, far];
+        if (counts[track] && far < nearest) [best, nearest] = [number, far];
       }
     }
     return best;
@@ -90,31 +90,31 @@ export class Timeline {
   }
 
   hover(event) {
-    const lane = this.lanes.find((one) => one.name === this.lane(event.offsetY));
-    this.paper.canvas.title = lane ? `${lane.name}: ${lane.about}` : "";
+    const track = this.tracks.find((one) => one.name === this.track(event.offsetY));
+    this.surface.canvas.title = track ? `${track.name}: ${track.about}` : "";
   }
 
   draw() {
-    const { pen, width, height } = this.paper;
+    const { pen, width, height } = this.surface;
     if (!width) return;
     const colours = theme();
-    this.paper.clear();
-    const rows = this.lanes.length;
+    this.surface.clear();
+    const rows = this.tracks.length;
     const row = (height - AXIS) / rows;
     pen.font = `11px ${FONT}`;
     pen.textBaseline = "middle";
-    this.lanes.forEach((lane, k) => {
+    this.tracks.forEach((track, k) => {
       const y = (k + 0.5) * row;
       pen.fillStyle = colours.soft;
       pen.textAlign = "left";
-      pen.fillText(lane.name, 4, y);
+      pen.fillText(track.name, 4, y);
       pen.strokeStyle = colours.grid;
       pen.lineWidth = 1;
       pen.beginPath();
       pen.moveTo(LEFT, y);
       pen.lineTo(width - RIGHT, y);
       pen.stroke();
-      this.marks(lane, y, Math.min(5, row / 2 - 1));
+      this.marks(track, y, Math.min(5, row / 2 - 1));
     });
     this.axis(height - AXIS);
     const x = this.x(Math.min(this.clock.cursor, this.span));
@@ -124,55 +124,55 @@ export class Timeline {
     pen.moveTo(x, 0);
     pen.lineTo(x, height - AXIS + 4);
     pen.stroke();
-    const canvas = this.paper.canvas;
+    const canvas = this.surface.canvas;
     canvas.setAttribute("aria-valuemin", "0");
     canvas.setAttribute("aria-valuemax", String(this.clock.last));
     canvas.setAttribute("aria-valuenow", String(this.clock.round));
-    this.tell();
+    this.send();
   }
 
-  /** The server is told where the cursor is, for the words beside it; not more often than they can be read. */
-  tell() {
+  /** Send the cursor to the server, which renders the text beside it; no more often than text can be read. */
+  send() {
     const { clock } = this;
     const now = {
       round: clock.round, last: clock.last, playing: clock.playing, following: clock.following,
-      open: this.reels.some((reel) => reel.open), failure: this.reels.map((reel) => reel.failure).find(Boolean) || "",
+      open: this.runs.some((run) => run.open), failure: this.runs.map((run) => run.failure).find(Boolean) || "",
     };
     const text = JSON.stringify(now);
-    if (text === this.told || this.waiting) return;
+    if (text === this.sent || this.waiting) return;
     this.waiting = true;
     setTimeout(() => {
       this.waiting = false;
       const late = JSON.stringify({ ...now, round: clock.round, last: clock.last });
-      if (late !== text) return this.tell();
-      this.told = text;
+      if (late !== text) return this.send();
+      this.sent = text;
       this.emit("cursor", now);
-      // What is told before the page is connected is lost: told once more, if it still holds.
-      setTimeout(() => { if (this.told === text) this.emit("cursor", now); }, 1000);
+      // A message from before the page is connected is lost: send it once more, if it still holds.
+      setTimeout(() => { if (this.sent === text) this.emit("cursor", now); }, 1000);
       return undefined;
     }, clock.playing || clock.following ? 0 : 60);
   }
 
-  marks(lane, y, size) {
-    const { pen } = this.paper;
+  marks(track, y, size) {
+    const { pen } = this.surface;
     const colours = theme();
-    pen.fillStyle = pen.strokeStyle = lane.name === "faults" ? colours.warn : colours.ink;
+    pen.fillStyle = pen.strokeStyle = track.name === "faults" ? colours.warn : colours.ink;
     pen.lineWidth = 1.5;
     let before = -Infinity;
-    for (const reel of this.reels) {
-      for (const [round, counts] of reel.marks) {
-        if (!counts[lane.name]) continue;
+    for (const run of this.runs) {
+      for (const [round, counts] of run.marks) {
+        if (!counts[track.name]) continue;
         const x = this.x(round);
         if (Math.abs(x - before) < 1.5) continue;
         before = x;
-        mark(pen, lane.mark, x, y, size);
+        mark(pen, track.mark, x, y, size);
       }
       before = -Infinity;
     }
   }
 
   axis(y) {
-    const { pen, width } = this.paper;
+    const { pen, width } = this.surface;
     const room = Math.max(1, Math.floor((width - LEFT - RIGHT) / 60));
     const rough = this.span / room;
     const power = 10 ** Math.floor(Math.log10(Math.max(1, rough)));
@@ -187,7 +187,7 @@ export class Timeline {
   close() {
     document.removeEventListener("keydown", this.keys);
     this.forget();
-    this.paper.close();
+    this.surface.close();
   }
 }
 

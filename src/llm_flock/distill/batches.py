@@ -1,0 +1,102 @@
+"""Training examples as tokens, in batches whose prompts share their first tokens."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+POOL = 80
+"""Batches that are formed together: lessons are sorted within the pool, its batches are in random order."""
+
+ALIKE = 40
+"""First tokens by which lessons are sorted; beyond them they may differ, which keeps batches varied."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """One example as tokens: the prompt, and the answer to learn."""
+
+    prompt: tuple[int, ...]
+    answer: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.prompt) + len(self.answer)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Lessons with a common prefix, which is computed once.
+
+    Attributes:
+        prefix: the first tokens of all prompts.
+        tokens: the other tokens of each lesson, padded with zeros, shape (lessons, length).
+        labels: the token to follow each token, -1 where nothing is learnt, shape (lessons, length).
+    """
+
+    prefix: tuple[int, ...]
+    tokens: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+    labels: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+
+
+def shared_prefix(lessons: Sequence[Lesson]) -> int:
+    """Length of the common prefix of all prompts [tokens]; the last token of a prompt never belongs to it."""
+    first, last = min(lesson.prompt for lesson in lessons), max(lesson.prompt for lesson in lessons)
+    most = min(len(lesson.prompt) for lesson in lessons) - 1
+    count = 0
+    while count < most and first[count] == last[count]:
+        count += 1
+    return count
+
+
+def make_batch(lessons: Sequence[Lesson]) -> Batch:
+    """Lessons as arrays; only answers are learnt."""
+    shared = shared_prefix(lessons)
+    length = max(map(len, lessons)) - shared - 1
+    tokens, labels = np.zeros((len(lessons), length), np.int64), np.full((len(lessons), length), -1, np.int64)
+    for i, lesson in enumerate(lessons):
+        inputs = (lesson.prompt + lesson.answer)[shared:-1]
+        tokens[i, : len(inputs)] = inputs
+        begin = len(lesson.prompt) - shared - 1
+        labels[i, begin : begin + len(lesson.answer)] = lesson.answer
+    return Batch(lessons[0].prompt[:shared], tokens, labels)
+
+
+def plan_epoch(
+    lessons: Sequence[Lesson], budget: int, rng: np.random.Generator, together: int = 1
+) -> list[list[list[int]]]:
+    """Order all lessons of an epoch: steps of batches of indices.
+
+    A batch holds similar lessons; the batches of a step hold different ones.
+
+    Args:
+        lessons: all of them.
+        budget: size of a batch, about, its shared prefix counted once [tokens].
+        rng: the order.
+        together: batches of a step, at most.
+    """
+    order: list[int] = rng.permutation(len(lessons)).tolist()
+    typical = max(1, int(np.mean([len(lesson) for lesson in lessons])))
+    pool = max(1, POOL * budget // typical)
+    steps: list[list[list[int]]] = []
+    for begin in range(0, len(order), pool):
+        chosen = sorted(order[begin : begin + pool], key=lambda i: lessons[i].prompt[:ALIKE])
+        batches = _cut(lessons, chosen, budget)
+        # Batches far apart in the sorted list differ in kind: each step learns from several kinds, and forgets none.
+        stride = -(-len(batches) // together)
+        steps += [batches[i::stride] for i in range(stride)]
+    return [steps[i] for i in rng.permutation(len(steps))]
+
+
+def _cut(lessons: Sequence[Lesson], order: Sequence[int], budget: int) -> list[list[int]]:
+    """Cut a sorted list into batches, each as large as the budget allows."""
+    out: list[list[int]] = []
+    for number in order:
+        together = [lessons[i] for i in (*out[-1], number)] if out else []
+        shared = shared_prefix(together) if together else 0
+        if together and shared + len(together) * (max(map(len, together)) - shared) <= budget:
+            out[-1].append(number)
+        else:
+            out.append([number])
+    return out

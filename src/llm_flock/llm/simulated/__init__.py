@@ -1,0 +1,1 @@
+"""Simulated language models: they read nothing but the prompt, and get wrong what their profile says."""

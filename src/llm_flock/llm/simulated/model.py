@@ -1,0 +1,290 @@
+"""A simulated model in place of a provider's: it reads the prompt, and answers in prose or in JSON.
+
+Everything else, from messages to usage, goes through pydantic-ai as with a real one. All results say that they are
+simulated.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydantic_ai import exceptions as pai
+from pydantic_ai.messages import ModelMessage, ModelResponse, SystemPromptPart, TextPart, UserPromptPart
+from pydantic_ai.models import Model, ModelRequestParameters
+from pydantic_ai.profiles import ModelProfile
+from pydantic_ai.settings import ModelSettings
+from pydantic_ai.usage import RequestUsage
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.llm.geometry import turned
+from llm_flock.llm.simulated.profiles import FAILURES, Profile
+from llm_flock.llm.simulated.prompt_reader import (
+    PLAN_MARK,
+    STEP_MARK,
+    PlanPrompt,
+    StepPrompt,
+    Task,
+    formation,
+    numbers,
+    read_plan,
+    read_step,
+    read_task,
+    sensible_decimals,
+)
+
+NOTHING: frozenset[str] = frozenset()
+CHARS_PER_TOKEN = 4
+"""Tokens are only estimated here."""
+
+LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
+"""Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
+
+
+class Responder:
+    """One simulated model: text in, text out.
+
+    Args:
+        profile: its failures and their rates.
+        rng: its chance. The same conversation with the same chance gives the same answers.
+    """
+
+    def __init__(self, profile: Profile, rng: np.random.Generator) -> None:
+        self._rates = [profile.rates.get(name, 0.0) for name in FAILURES]
+        self._always_right = not any(self._rates)
+        self._rng = rng
+
+    def draw(self) -> frozenset[str]:
+        """Draw the failures of the next call."""
+        if self._always_right:
+            return NOTHING
+        # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
+        chance = self._rng.random(len(FAILURES) - 1).tolist()
+        # `brisk` was added after published results: it draws only where it is on, so that those stay reproducible.
+        chance.append(float(self._rng.random()) if self._rates[-1] else 1.0)
+        return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
+
+    def latency_s(self, profile: str = "slow") -> float:
+        """Draw the latency of an answer, for a profile in LATENCIES [s]."""
+        median, spread = LATENCIES[profile]
+        return median * float(self._rng.lognormal(0.0, spread))
+
+    def fault(self, model: str, robot: int) -> pai.ModelAPIError:
+        """Draw the error of a flaky provider."""
+        match int(self._rng.integers(3)):
+            case 0:
+                return pai.ModelRateLimitError(model, f"simulated 429 for robot {robot}", retry_after=0.02)
+            case 1:
+                return pai.ModelServerError(model, f"simulated 500 for robot {robot}")
+            case _:
+                return pai.ModelTimeoutError(model, f"simulated time-out for robot {robot}")
+
+    def answer(self, conversation: Sequence[tuple[str, str]], failures: frozenset[str] | None = None) -> str:
+        """The answer to the last question of a conversation.
+
+        Args:
+            conversation: (role, text) of each message: `system`, `user` or `assistant`.
+            failures: of this call; drawn if left out.
+
+        Raises:
+            InputError: for field `prompts`: the question is not in the words of the packaged templates.
+        """
+        if failures is None:
+            failures = self.draw()
+        system = next((text for role, text in conversation if role == "system"), "")
+        # After a rejected answer, the question is not the last message.
+        for role, text in reversed(conversation):
+            if role == "user" and STEP_MARK in text:
+                return self._step(read_task(system), read_step(text), failures)
+            if role == "user" and PLAN_MARK in text:
+                return self._plan(read_task(system), read_plan(text), failures)
+        last = conversation[-1][1] if conversation else ""
+        raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
+
+    def _plan(self, task: Task, prompt: PlanPrompt, failures: frozenset[str]) -> str:
+        angle_rad = self._rng.uniform(0.0, 2 * math.pi)
+        points = turned(formation(task), task.center, angle_rad)
+        if "distorted" in failures:
+            stretch = self._rng.uniform(0.6, 1.4, len(task.center))
+            noise = self._rng.normal(0.0, 0.2 * task.spacing, points.shape)
+            points = task.center + (points - task.center) * stretch + noise
+        rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
+        index, cut = prompt.robot % task.n_places, False
+        if "malformed" in failures:
+            match int(self._rng.integers(5)):
+                case 0:
+                    return "I would rather not commit myself to a formation before I know more about the others."
+                case 1:
+                    rows = rows[:-1]
+                case 2:
+                    index = task.n_places
+                case 3:
+                    rows[0][0] = math.nan
+                case _:
+                    cut = True
+        if prompt.json:
+            said = json.dumps({"plan": rows, "my_plan": index})
+        else:
+            said = (
+                f"The shape is {task.shape[:200]}. I put its {task.n_places} places around the centre, "
+                f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
+                f"and take the place with my own number.\n\nPlan: {rows}\nmy plan: {index}"
+            )
+        return said[: len(said) * 2 // 3] if cut else said
+
+    def _step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> str:
+        waypoint, reason, last = self._waypoint(task, prompt, failures)
+        path = [waypoint]
+        while not last and len(path) < prompt.horizon:
+            there = replace(prompt, position=numbers(path[-1]))
+            waypoint, _, last = self._waypoint(task, there, failures)
+            path.append(waypoint)
+        if len(path) > 1:
+            reason += f" In the same way I go on, {len(path)} positions in all."
+        if "malformed" in failures:
+            return self._malformed_step(prompt, path)
+        return _stated(prompt, path) if prompt.json else f"{reason}\n\n{_stated(prompt, path)}"
+
+    def _waypoint(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
+        """The next waypoint, the reason for it, and whether the path ends there."""
+        if failures:
+            return self._faulty_step(task, prompt, failures)
+        if math.dist(prompt.position, prompt.goal) <= _reach(task):
+            return prompt.goal_text, "I reach my goal within one step, so I go exactly there.", True
+        waypoint = repr(list(_towards(prompt.goal, task, prompt)))
+        return waypoint, "My goal is farther away than one step, so I take a full step straight towards it.", False
+
+    def _faulty_step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
+        """A step with a wrong target, of a wrong length, or both."""
+        target, reason = prompt.goal, "I head for my goal"
+        if "collapse" in failures:
+            seen = [prompt.position, *prompt.seen()]
+            target = tuple(sum(values) / len(seen) for values in zip(*seen, strict=True))
+            reason = "I keep to the middle of the robots around me"
+        distance = math.dist(prompt.position, target)
+        if "overshoot" in failures:
+            if distance < 1e-9:
+                angle_rad = self._rng.uniform(0.0, 2 * math.pi)
+                x, y, *rest = prompt.position
+                target = (x + math.cos(angle_rad), y + math.sin(angle_rad), *rest)
+            reason += f" and move {task.max_step:g} units"
+        elif distance <= _reach(task):
+            places = sensible_decimals(task.max_step)
+            exact = prompt.goal_text if target == prompt.goal else repr([round(x, places) for x in target])
+            return exact, reason + ".", True
+        return repr(list(_towards(target, task, prompt))), reason + ".", distance <= _reach(task)
+
+    def _malformed_step(self, prompt: StepPrompt, path: list[str]) -> str:
+        *before, waypoint = path
+        match int(self._rng.integers(5)):
+            case 0:
+                return "It depends on what the others are going to do; I will wait and see."
+            case 1:
+                return _stated(prompt, [*before, waypoint[:-1] + ", 0.0, 1.0]"])
+            case 2:
+                return _stated(prompt, [*before, "[NaN, " + waypoint.partition(", ")[2]])
+            case 3:
+                return _stated(prompt, path)[: len(waypoint)]
+            case _:
+                return _stated(prompt, [*before, waypoint[:-1] + " + 0.5]"])
+
+
+def _stated(prompt: StepPrompt, path: Sequence[str]) -> str:
+    """Waypoints in the form that the prompt asks for."""
+    if prompt.horizon == 1:
+        return f'{{"position": {path[0]}}}' if prompt.json else f"Position: {path[0]}"
+    rows = ", ".join(path)
+    return f'{{"path": [{rows}]}}' if prompt.json else f"Path: [{rows}]"
+
+
+def _reach(task: Task) -> float:
+    """Longest stated step: the step limit less what rounding of the printed position may add."""
+    return task.max_step - max(1e-6, 10.0 ** -(sensible_decimals(task.max_step) + 1))
+
+
+def _towards(target: Point, task: Task, prompt: StepPrompt) -> Point:
+    """A full step towards a target, each coordinate rounded back towards the own position."""
+    share = _reach(task) / math.dist(prompt.position, target)
+    scale = 10 ** sensible_decimals(task.max_step)
+    return tuple(
+        (math.floor if t > x else math.ceil)((x + share * (t - x)) * scale) / scale
+        for x, t in zip(prompt.position, target, strict=True)
+    )
+
+
+class SimulatedModel(Model[None]):
+    """A simulated model as a model of pydantic-ai.
+
+    Args:
+        profile: its failures and their rates.
+        robot: its robot, for error texts; the model itself reads the id in the prompt.
+        rng: its chance.
+        sleep: waits for a number of seconds.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        robot: int,
+        rng: np.random.Generator,
+        *,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        # JSON is asked for as from a provider that knows JSON schemas.
+        super().__init__(profile=ModelProfile(supports_json_schema_output=True, supports_json_object_output=True))
+        self._name = f"simulated:{profile.text}"
+        self._robot = robot
+        self._responder = Responder(profile, rng)
+        self._sleep = sleep
+
+    @property
+    def model_name(self) -> str:
+        """`simulated:PROFILE`."""
+        return self._name
+
+    @property
+    def system(self) -> str:
+        """Stands for the provider."""
+        return "simulated"
+
+    async def request(
+        self,
+        messages: list[ModelMessage],
+        model_settings: ModelSettings | None,
+        model_request_parameters: ModelRequestParameters,
+    ) -> ModelResponse:
+        """Answer a conversation; settings and parameters change nothing, for the prompt says it all."""
+        failures = self._responder.draw()
+        for profile in LATENCIES.keys() & failures:
+            await self._sleep(self._responder.latency_s(profile))
+        if "flaky" in failures:
+            raise self._responder.fault(self._name, self._robot)
+        conversation = _conversation(messages)
+        text = self._responder.answer(conversation, failures)
+        usage = RequestUsage(
+            input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
+        )
+        return ModelResponse(parts=[TextPart(text)], usage=usage, model_name=self._name)
+
+
+def _tokens(chars: int) -> int:
+    return -(-chars // CHARS_PER_TOKEN)
+
+
+def _conversation(messages: Sequence[ModelMessage]) -> list[tuple[str, str]]:
+    """Role and text of every message."""
+    out: list[tuple[str, str]] = []
+    for message in messages:
+        for part in message.parts:
+            if isinstance(part, UserPromptPart) and isinstance(part.content, str):
+                out.append(("user", part.content))
+            elif isinstance(part, SystemPromptPart):
+                out.append(("system", part.content))
+            elif isinstance(part, TextPart):
+                out.append(("assistant", part.content))
+    return out

@@ -1,0 +1,65 @@
+"""Failures of a simulated model and their rates: `distorted@0.3,overshoot@0.3`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from llm_flock.errors import InputError
+
+PROFILES: Mapping[str, str] = {
+    "ideal": "nothing: exact formations in a random orientation, straight steps that end at the goal",
+    "distorted": "plans: uneven, scaled and noisy formations (the paper's first failure, lines 652-666)",
+    "overshoot": "steps: always of full length, past a goal that is near (the paper's second failure, lines 675-745)",
+    "collapse": "steps: towards the centroid of itself and the robots it sees",
+    "malformed": "all answers: unreadable, cut off, of the wrong length, with an illegal index, or not finite",
+    "slow": "no answer is wrong, but it takes about a second (log-normal, median 1 s, spread factor 1.6)",
+    "flaky": "the call fails as a provider's would: 429 with Retry-After, 500 or a time-out",
+    "brisk": "no answer is wrong, but it takes a moment (log-normal, median 0.3 s, spread factor 1.8)",
+}
+"""Every profile, and its failure."""
+
+
+FAILURES = tuple(name for name in PROFILES if name != "ideal")
+"""The failures, in the order in which chance decides on them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """Share of calls, in [0, 1], that each failure affects, 0 where not given; `text` is the operator's spelling."""
+
+    text: str = "ideal"
+    rates: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
+def parse_profile(text: str) -> Profile:
+    """Read profiles separated by commas, each with an optional rate: `overshoot`, `distorted@0.3,slow@0.5`.
+
+    A rate is a share of calls, 1 if left out. `ideal` adds nothing to the others and takes no rate.
+
+    Raises:
+        InputError: for field `model`: unknown or repeated profile, or a rate outside [0, 1].
+    """
+    rates: dict[str, float] = {}
+    for part in text.split(","):
+        name, at, rate = part.strip().partition("@")
+        if name not in PROFILES:
+            raise InputError("model", f"simulated:{text}", f"profiles of {', '.join(PROFILES)}, separated by commas")
+        if name in rates:
+            raise InputError("model", f"simulated:{text}", f"each profile once; {name} is there twice")
+        if name == "ideal" and at:
+            raise InputError("model", f"simulated:{text}", "ideal without a rate")
+        rates[name] = _rate(text, name, rate) if at else 1.0
+    rates.pop("ideal", None)
+    return Profile(text=text, rates=rates)
+
+
+def _rate(text: str, name: str, rate: str) -> float:
+    try:
+        value = float(rate)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= 1:
+        raise InputError("model", f"simulated:{text}", f"{name}@RATE with a rate from 0 to 1")
+    return value

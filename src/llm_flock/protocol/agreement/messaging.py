@@ -1,0 +1,186 @@
+"""What a robot sends, and what a message that comes in does: verify, decode, then apply one part after the other."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from msgspec.structs import replace
+
+from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
+from llm_flock.protocol.agreement.agreement import Agreement
+from llm_flock.protocol.agreement.assignment import Claim
+from llm_flock.protocol.agreement.rejections import Rejections
+from llm_flock.protocol.events import Note
+from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
+from llm_flock.protocol.membership.liveness import Liveness
+from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
+from llm_flock.protocol.messages.dissemination import Dissemination
+from llm_flock.protocol.messages.inbox import Inbox
+from llm_flock.protocol.messages.message import Message, MissionStamp, PositionReport
+from llm_flock.protocol.messages.mission_update import received_mission
+from llm_flock.protocol.verification.validator import Validator
+
+REMEMBERED_PAYLOADS = 256
+"""Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
+their payloads once a round saves a tenth of a large team's time."""
+
+
+class Messaging:
+    """One robot's side of the radio.
+
+    Args:
+        robot: own id, 0 .. N-1.
+        agreement: mission, plan and claim of this robot.
+        validator: checks plans before they are kept.
+        liveness: heartbeats of the team.
+        channel: verifies and decodes payloads, and seals them.
+        all_to_all: positions of a large team.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        agreement: Agreement,
+        *,
+        validator: Validator,
+        liveness: Liveness,
+        channel: Channel,
+        all_to_all: AllToAll,
+    ) -> None:
+        self.rejections = Rejections()
+        self._robot, self._agreement, self._validator = robot, agreement, validator
+        self._liveness, self._channel, self._all_to_all = liveness, channel, all_to_all
+        self._dissemination = Dissemination()
+        self._inbox = Inbox()
+        self._repeated: dict[bytes, Message] = {}
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Messages and claims refused so far, by reason."""
+        return self.rejections.counts + self._channel.rejected
+
+    def begin_round(self, near: frozenset[int]) -> None:
+        """Begin a round. Call after the agreement's `begin_round`.
+
+        Args:
+            near: robots that are sensed within radio range.
+        """
+        self._dissemination.begin_round(near, self._agreement.neighbors)
+        self._repeated.clear()
+
+    def broadcast(self) -> bytes:
+        """This robot's knowledge as bytes. Call once in each communication round."""
+        agreement, claim = self._agreement, self._agreement.claim
+        positions = self._all_to_all.report(
+            agreement.mission,
+            agreement.plan,
+            agreement.position,
+            settled=given_all_to_all(claim.table, claim.slot),
+            greeting=self._dissemination.greets,
+        )
+        standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim
+        payload = self._dissemination.unchanged(*standing)
+        if payload is None or positions is not None:
+            payload = self._compose(claim, positions)
+        return self._channel.seal(payload)
+
+    def _compose(self, claim: Claim, positions: dict[int, PositionReport] | None) -> bytes:
+        agreement = self._agreement
+        whole = Message(
+            sender=self._robot,
+            sequence=0,
+            neighbors=agreement.neighbors,
+            mission=agreement.stamp,
+            plan=agreement.plan,
+            provenance=agreement.provenance,
+            slot=claim.slot,
+            table=claim.table,
+            table_digest=self._dissemination.digest(claim.table),
+            offer=claim.offer,
+            beats=self._liveness.beats if self._dissemination.greets else None,
+            positions=positions,
+        )
+        return self._dissemination.compose(whole, agreement.mission)
+
+    def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
+        """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim.
+
+        Args:
+            payload: the bytes received.
+            sender: the robot that signed the transmission, where the transport knows.
+        """
+        repeated = self._repeated.get(payload)
+        if repeated is not None:
+            self._keep(repeated)
+            return []
+        try:
+            inbound = self._channel.open(payload, sender)
+            notes = self._apply_mission(inbound)
+        except MessageError as error:
+            return [self.rejections.reject(error)]
+        message = inbound.message
+        self._inbox.add_beats(inbound.beats)
+        if message.mission != self._agreement.stamp:
+            self._dissemination.hear(message)
+            return notes
+        if message.positions is not None:
+            self._all_to_all.hear(message.positions)
+        return [*notes, *self._apply_plan(inbound, payload)]
+
+    def _apply_mission(self, inbound: Inbound) -> list[Note]:
+        """Take a mission of higher stamp, if it is spelled out and leaves alone what belongs to this robot.
+
+        Raises:
+            MessageError: the mission is refused, and with it the message: its sender belongs to another team.
+        """
+        message, agreement = inbound.message, self._agreement
+        if message.mission <= agreement.stamp or message.mission_text is None:
+            return []
+        mission = received_mission(message, agreement.mission)
+        self._channel.check_mission(message.mission, inbound.authorization)
+        return [self._begin_mission(mission, message.mission)]
+
+    def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
+        """Keep a message with its plan for the next decision, unless the plan fails verification."""
+        message, mission = inbound.message, self._agreement.mission
+        objection = self._validator.objection(mission, message.plan)
+        if objection is not None and message.plan is not None:
+            self._dissemination.hear(message)
+            return self.rejections.reject_plan(message.plan, objection)
+        plan = self._dissemination.resolve_plan(message, self._agreement.plan)
+        if plan is not None:
+            message = replace(message, plan=plan, plan_class=self._validator.plan_class(mission, plan))
+            if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:
+                self._repeated[payload] = message
+        self._keep(message)
+        return []
+
+    def _keep(self, message: Message) -> None:
+        self._dissemination.hear(message)
+        self._inbox.add(message)
+
+    def give_mission(self, mission: Mission, authorization: Authorization | None) -> Note:
+        """Take a mission that the operator gives to this robot."""
+        current = self._agreement.stamp
+        counter = current.counter + 1 if authorization is None else authorization.counter
+        stamp = MissionStamp(counter, mission.digest)
+        try:
+            self._channel.check_mission(stamp, authorization)
+            if stamp <= current:
+                raise MessageError("old_mission", f"mission {current.counter} is in force")
+        except MessageError as error:
+            return self.rejections.reject(error)
+        return self._begin_mission(mission, stamp)
+
+    def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
+        self._inbox.clear_messages()
+        self._repeated.clear()
+        self._dissemination.forget_plans()
+        return self._agreement.begin_mission(mission, stamp)
+
+    def drain(self) -> list[Message]:
+        """The messages of this communication round; their heartbeats are counted. Call once before a decision."""
+        heard, beats = self._inbox.drain()
+        self._liveness.hear(beats)
+        return heard

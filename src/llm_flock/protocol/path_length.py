@@ -1,0 +1,100 @@
+"""Path lengths to the places of a plan for a robot that stays near the formation.
+
+Across a large ring the straight line is the shortest path, and leads out of every robot's radio range. So a path may
+pass through any places of the plan, and a long hop between two of them counts more than its length: the cheapest path
+then leads along the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import floyd_warshall
+
+from llm_flock import graph
+from llm_flock.arrays import Pairwise, Point, Vector
+from llm_flock.protocol.plan import Plan
+
+REACH = 1.5
+"""A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""
+
+
+LARGEST = 256
+"""In plans of more places the straight line is used: finding other paths takes the cube of their number."""
+
+CACHED = 4096
+
+FAR = 3.0
+"""A goal this many spacings away is approached along the formation, in stages of at most this length."""
+
+ACROSS = 8.0
+"""A robot in touch with the whole team flies straight, unless its goal is this many spacings away: it would be alone
+for long, where others could move up instead."""
+
+BESIDE = 0.6
+"""Distance at which robots on such a path pass its places, on the side of the centre [spacings]."""
+
+
+def path_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
+    """Lengths of the cheapest paths to some places [units].
+
+    Args:
+        here: where they begin [units; frame of the plan].
+        plan: the plan with the places.
+        slots: slots at which they end.
+        spacing: wanted distance between neighbouring robots [units].
+    """
+    if len(plan.points) > LARGEST:
+        return [math.dist(here, plan.points[a]) for a in slots]
+    every = _by_places(here, plan, spacing)
+    return [every[a] for a in slots]
+
+
+@lru_cache(maxsize=CACHED)
+def _by_places(here: Point, plan: Plan, spacing: float) -> list[float]:
+    return (_hops(here, plan, spacing) + _between(plan, spacing)).min(axis=1).tolist()
+
+
+def next_stop(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
+    """The next stop on the path to a far place, beside a place ahead; None where the straight line is the cheapest.
+
+    Args:
+        here: position of the robot [units; frame of the plan].
+        plan: the plan with the places.
+        slot: slot at which the path ends.
+        center: centre of the formation.
+        spacing: wanted distance between neighbouring robots [units].
+    """
+    if len(plan) > LARGEST or math.dist(here, plan.points[slot]) <= FAR * spacing:
+        return None
+    left = _between(plan, spacing)[slot]
+    counted = _hops(here, plan, spacing) + left
+    first = int(counted.argmin())
+    near = np.linalg.norm(plan.array - np.array(here), axis=1) <= FAR * spacing
+    ahead = np.flatnonzero(near & (left <= left[first]))
+    stop = int(ahead[left[ahead].argmin()]) if len(ahead) else first
+    if stop == slot:
+        return None
+    place = plan.points[stop]
+    inwards = min(1.0, BESIDE * spacing / max(math.dist(place, center), spacing))
+    return tuple(x + inwards * (c - x) for x, c in zip(place, center, strict=True))
+
+
+@lru_cache(maxsize=4096)
+def _hops(here: Point, plan: Plan, spacing: float) -> Vector:
+    """Cost of a straight hop to each place, shape (n,) [units]."""
+    return _counted(np.linalg.norm(plan.array - np.array(here), axis=1), spacing)
+
+
+@lru_cache(maxsize=256)
+def _between(plan: Plan, spacing: float) -> Pairwise:
+    """Lengths of the paths between any two places, shape (n, n) [units]."""
+    return np.asarray(floyd_warshall(_counted(graph.distances(plan.array), spacing), directed=False))
+
+
+def _counted(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    return lengths * np.maximum(1.0, lengths / (REACH * spacing))

@@ -1,0 +1,161 @@
+"""Finds what went wrong in a recorded trial: in which round, with which robot, and what its model was asked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock.experiments.compare import TOLERANCE
+from llm_flock.metrics import AT_GOAL, IN_SHAPE
+from llm_flock.record.reader import RunRecord
+from llm_flock.record.schema import SILENT, LlmEntry
+
+
+class Cause(NamedTuple):
+    """Something that explains why a trial went wrong.
+
+    Attributes:
+        sentence: what happened.
+        round: when; None where it was not at any one time.
+        entries: the model call behind it and its retries; empty where no model was called.
+    """
+
+    sentence: str
+    round: int | None = None
+    entries: tuple[LlmEntry, ...] = ()
+
+
+def find_causes(record: RunRecord) -> tuple[Cause, ...]:
+    """Everything that went wrong in a record, the worst first.
+
+    First, that no model answered or the budget ended; then that two robots came too near; then the first of these that
+    holds: several plans, two robots with one goal, a robot away from its goal, a plan that is not the shape. Where
+    nothing of all this holds, the run took too long.
+    """
+    ending = next((found for find in (_plans, _goals, _away, _shape) if (found := find(record)) is not None), None)
+    found = tuple(cause for cause in (_unanswered(record), _crash(record), ending) if cause is not None)
+    return found or (Cause("It took too many rounds.", record.rounds),)
+
+
+def _unanswered(record: RunRecord) -> Cause | None:
+    stopped = (record.result or {}).get("stopped")
+    failed = [entry for entry in record.llm if entry.error is not None]
+    if stopped not in ("no_answers", "budget", "failed") or not failed:
+        return None
+    entry = failed[-1]
+    what = "The budget was used up" if stopped == "budget" else f"Robot {entry.robot} got no answer"
+    # A call that the budget refused was never made: there is no conversation to show.
+    thread = () if stopped == "budget" else _thread(record, entry)
+    return Cause(f"{what} in round {entry.round}: {entry.error}.", entry.round, thread)
+
+
+def _crash(record: RunRecord) -> Cause | None:
+    safe = float(record.mission.mission["safe_distance"]) - TOLERANCE
+    for number, gaps in _closest(record.positions):
+        if gaps.min() >= safe:
+            continue
+        first, second = (int(k) for k in np.unravel_index(int(gaps.argmin()), gaps.shape))
+        what = f"robots {first} and {second} came within {gaps[first, second]:.2f} units of each other"
+        if number == 0:
+            return Cause(f"At the start, {what}.", 0)
+        moved = np.linalg.norm(record.positions[number] - record.positions[number - 1], axis=1)
+        origins = record.states[number].origins
+        robot = min(sorted((first, second)), key=lambda k: (origins[k] != "model", -float(moved[k])))
+        sentence = f"In round {number}, {what}; robot {robot} moved {moved[robot]:.2f} units."
+        return Cause(sentence, number, _thread(record, _last_call(record, robot, "step", number)))
+    return None
+
+
+def _closest(positions: NDArray[np.float64]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """For each round, the smallest distance of every pair while moving; each pair once, infinite elsewhere."""
+    away = np.tril(np.full((positions.shape[1], positions.shape[1]), np.inf))
+    for number, after in enumerate(positions):
+        before = positions[max(0, number - 1)]
+        start = before[:, None] - before[None, :]
+        motion = after[:, None] - after[None, :] - start
+        length = (motion**2).sum(axis=-1)
+        share = np.clip(-(start * motion).sum(axis=-1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        yield number, np.linalg.norm(start + share[..., None] * motion, axis=-1) + away
+
+
+def _plans(record: RunRecord) -> Cause | None:
+    plan_ids = record.states[-1].plan_ids
+    awake = _awake(record)
+    without = next((robot for robot in awake if plan_ids[robot] is None), None)
+    if without is not None:
+        thread = _thread(record, _last_call(record, without, "plan", record.rounds))
+        return Cause(f"Robot {without} had no plan at the end.", record.rounds, thread)
+    counts = Counter(plan_ids[robot] for robot in awake)
+    if len(counts) < 2:
+        return None
+    rarest = min(awake, key=lambda robot: (counts[plan_ids[robot]], -robot))
+    sentence = f"At the end {len(counts)} plans were in use among {len(awake)} robots"
+    return _of_plan(record, plan_ids[rarest], f"{sentence}; robot {rarest} followed")
+
+
+def _goals(record: RunRecord) -> Cause | None:
+    slots = record.states[-1].slots
+    heading = [robot for robot in _awake(record) if slots[robot] is not None]
+    counts = Counter(slots[robot] for robot in heading)
+    slot = next((slots[robot] for robot in heading if counts[slots[robot]] > 1), None)
+    if slot is None:
+        return None
+    rivals = [robot for robot in heading if slots[robot] == slot]
+    robot = max(rivals, key=lambda k: _distance(record, k))
+    call = _last_call(record, robot, "plan", record.rounds) or _last_call(record, robot, "step", record.rounds)
+    names = " and ".join(map(str, rivals))
+    sentence = f"At the end robots {names} headed for the same place, number {slot} of the plan."
+    return Cause(sentence, record.rounds, _thread(record, call))
+
+
+def _away(record: RunRecord) -> Cause | None:
+    heading = [robot for robot in _awake(record) if record.states[-1].goals[robot] is not None]
+    robot = max(heading, key=lambda k: _distance(record, k), default=None)
+    if robot is None or _distance(record, robot) <= AT_GOAL * float(record.mission.mission["spacing"]):
+        return None
+    sentence = f"At the end robot {robot} was {_distance(record, robot):.2f} units from its goal."
+    return Cause(sentence, record.rounds, _thread(record, _last_call(record, robot, "step", record.rounds)))
+
+
+def _shape(record: RunRecord) -> Cause | None:
+    error = record.errors[-1]
+    if np.isnan(error) or error <= IN_SHAPE * float(record.mission.mission["spacing"]):
+        return None
+    plan = next((record.states[-1].plan_ids[robot] for robot in _awake(record)), None)
+    return _of_plan(record, plan, f"Every robot is at its goal, {error:.2f} units from the ideal shape; they followed")
+
+
+def _of_plan(record: RunRecord, plan: str | None, beginning: str) -> Cause:
+    info = next((info for info in record.plans if info.plan_id == plan), None)
+    if info is None:
+        return Cause(f"{beginning} a plan that nobody proposed.", record.rounds)
+    sentence = f"{beginning} the plan that robot {info.proposer} proposed in round {info.round}."
+    return Cause(sentence, record.rounds, _thread(record, _last_call(record, info.proposer, "plan", info.round)))
+
+
+def _awake(record: RunRecord) -> list[int]:
+    phases = record.states[-1].phases
+    return [robot for robot, phase in enumerate(phases) if phase not in SILENT]
+
+
+def _distance(record: RunRecord, robot: int) -> float:
+    """Distance of a robot from its goal at the end [units]; 0 without a goal."""
+    goal = record.states[-1].goals[robot]
+    return 0.0 if goal is None else float(np.linalg.norm(record.positions[-1][robot] - np.array(goal)))
+
+
+def _last_call(record: RunRecord, robot: int, kind: str, up_to: int) -> LlmEntry | None:
+    """The robot's last call of a kind up to a round: a path is flown for rounds without another call."""
+    found = [e for e in record.llm if e.robot == robot and e.kind == kind and e.round <= up_to]
+    return found[-1] if found else None
+
+
+def _thread(record: RunRecord, entry: LlmEntry | None) -> tuple[LlmEntry, ...]:
+    """A call with all calls of its robot in the same round and of the same kind; empty without a call."""
+    if entry is None:
+        return ()
+    return tuple(e for e in record.llm if (e.robot, e.round, e.kind) == (entry.robot, entry.round, entry.kind))

@@ -1,0 +1,137 @@
+"""The dry run: a whole flight with ideal bodies, in which every set-point is checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from llm_flock.arrays import Points
+from llm_flock.errors import InputError
+from llm_flock.record.writer import NullWriter
+from llm_flock.robots.base import PEAK_SPEED, Position
+from llm_flock.runtime.api import build_trial
+from llm_flock.runtime.bodies import InstantBodies
+from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.fleet import with_drones
+from llm_flock.runtime.flight.landing import Descent, plan_landing
+from llm_flock.runtime.flight.setpoints import SetPointCheck
+from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime.result import RunResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedMotion:
+    """One joint motion.
+
+    Attributes:
+        round: number of the motion round.
+        targets: set-points at its end, by robot [m].
+        peaks_m_s: highest speed on the way, by robot [m/s].
+        separation_m: smallest distance of two set-points during it, heights scaled by the vertical rule [m].
+        faults: limits that it breaks, in words.
+    """
+
+    round: int
+    targets: tuple[Position, ...]
+    peaks_m_s: tuple[float, ...]
+    separation_m: float
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DryRun:
+    """The plan of a whole flight.
+
+    Attributes:
+        drones: the drones, each with a start.
+        steps: every motion.
+        landing: groups that land at once.
+        result: of the trial.
+    """
+
+    drones: tuple[DroneConfig, ...]
+    steps: tuple[PlannedMotion, ...]
+    landing: tuple[tuple[Descent, ...], ...]
+    result: RunResult
+
+    @property
+    def faults(self) -> list[str]:
+        """Faults of all set-points, with their rounds."""
+        return [f"round {step.round}: {fault}" for step in self.steps for fault in step.faults]
+
+
+class DryRunTeam(InstantBodies):
+    """Simulated bodies that keep the commands that real ones would get.
+
+    Args:
+        config: the flight.
+        aims: where they hover first, shape (n, d) [units].
+    """
+
+    def __init__(self, config: FlightConfig, aims: Points) -> None:
+        super().__init__(config.mission, aims, 0.0, np.random.default_rng(0))
+        self._config = config
+        self._check = SetPointCheck(config)
+        self.steps: list[PlannedMotion] = []
+
+    def set_points(self) -> list[Position]:
+        """Set-points now [m]."""
+        return [self._config.frame.to_world(tuple(row)) for row in self.positions.tolist()]
+
+    async def fly(self, displacements: Points) -> None:
+        """Check and keep the motion, and move at once."""
+        before, seconds = self.set_points(), self._config.safety.round_s
+        await super().fly(displacements)
+        after = self.set_points()
+        self.steps.append(
+            PlannedMotion(
+                round=len(self.steps) + 1,
+                targets=tuple(after),
+                peaks_m_s=tuple(PEAK_SPEED * math.dist(a, b) / seconds for a, b in zip(before, after, strict=True)),
+                separation_m=self._check.separation(before, after),
+                faults=tuple(self._check.faults(before, after, seconds)),
+            )
+        )
+
+
+async def dry_run(config: FlightConfig) -> DryRun:
+    """Fly on paper, with the models that the flight would ask. Call before a flight, to see every set-point.
+
+    Raises:
+        InputError: a drone has no start, or one outside the arena.
+    """
+    config = with_drones(config)
+    aims = _aims(config)
+    team = DryRunTeam(config, aims)
+    planners = TeamPlanners(config)
+    journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan")
+    planners.listen(journal.attempt)
+    trial = build_trial(config, config.protocol.rules(), planners, team, journal, aims)
+    try:
+        await trial.run()
+    finally:
+        await planners.close()
+    groups = plan_landing(config, dict(enumerate(team.set_points())), [])
+    return DryRun(
+        drones=config.fleet.drones,
+        steps=tuple(team.steps),
+        landing=tuple(map(tuple, groups)),
+        result=trial.finish(None),
+    )
+
+
+def _aims(config: FlightConfig) -> Points:
+    rows: list[tuple[float, ...]] = []
+    low, high = config.mission.arena
+    for drone in config.fleet.drones:
+        if drone.start is None:
+            raise InputError("drones", drone.name, "a start for each drone: a dry run does not ask the drones")
+        x, y = drone.start[:2]
+        row = config.frame.to_mission((x, y, config.world.altitude_m))
+        if not all(a <= value <= b for a, value, b in zip(low, row, high, strict=True)):
+            raise InputError("drones", f"{drone.name} at ({x:g}, {y:g}) m", "a start in the arena of the mission")
+        rows.append(row)
+    return np.array(rows, dtype=np.float64)

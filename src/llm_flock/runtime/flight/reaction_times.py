@@ -1,0 +1,79 @@
+"""Stated times within which a flight is safe after each failure. `python -m benchmarks flight-cases` measures them.
+
+Safe means that every drone is on the floor with its motors off, or its motors were cut, or, while no radio reaches it,
+it hovers at its last set-point, at the safe distance from all others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.landing import AGAIN_S, CONNECT_S, MARGIN_S
+from llm_flock.runtime.flight.monitors import PERIOD_S
+from llm_flock.runtime.flight.supervisor import CUT_TRY_S
+
+SEND_MARGIN_S = 1.0
+"""Longest time until a command has arrived, repeated where packets are lost, or has failed [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReactionTime:
+    """Reaction to one failure.
+
+    Attributes:
+        case: the failure.
+        does: the reaction of the flight.
+        stated_s: from the failure until every drone is safe, for drones side by side [s].
+    """
+
+    case: str
+    does: str
+    stated_s: float
+
+
+def reaction_times(config: FlightConfig) -> dict[str, ReactionTime]:
+    """Every failure's reaction, by the name that the benchmark gives it."""
+    safety, fleet = config.safety, config.fleet
+    look, down = 2 * PERIOD_S, SEND_MARGIN_S + safety.land_s + MARGIN_S
+    all_land = "all drones land"
+    link_s = max(safety.stall_s, 1.0)
+    reached = 2 * AGAIN_S + 2 * min(fleet.connect_s, CONNECT_S)
+    waits = safety.silent_rounds * (safety.think_s + safety.round_s + safety.settle_s)
+    rows = {
+        "link_returns": (
+            "The link to one drone is lost, and comes back",
+            "the others land; the drone is called until it answers, then lands (counted from its return)",
+            reached + down,
+        ),
+        "link_gone": (
+            "The link to one drone is lost for good",
+            "the others land; the drone hovers at its last set-point until its battery is empty, and is named",
+            link_s + look + down + safety.reach_s + SEND_MARGIN_S,
+        ),
+        "estimate_jumps": ("A position estimate jumps", all_land, look + down),
+        "estimate_stalls": (
+            "A position estimate stands still in a moving drone",
+            all_land,
+            safety.round_s + safety.off_course_s + look + down,
+        ),
+        "estimate_stops": ("Position estimates stop coming", all_land, safety.stall_s + look + down + CUT_TRY_S),
+        "battery_low": ("A battery is low", all_land, safety.low_battery_s + 0.5 + look + down),
+        "model_silent": ("A model does not answer", all_land, waits + look + down),
+        "geofence": ("A drone leaves the geofence", all_land, look + down),
+        "far_outside": ("A drone is far outside the geofence", "its motors are cut; the others land", look + down),
+        "too_near": ("Two drones come too near each other", all_land, look + down),
+        "abort": ("The operator's abort key", all_land, down),
+        "emergency": ("The operator's emergency stop", "all motors are cut, and each drone confirms it", CUT_TRY_S),
+        "killed": (
+            "The flight process is killed",
+            "the deadman calls the drones in the air, and lands them",
+            2 * SEND_MARGIN_S + fleet.connect_s + down,
+        ),
+        "hangs": (
+            "The flight process hangs",
+            "the deadman ends it, and does the same",
+            fleet.deadman_s + 2 * SEND_MARGIN_S + fleet.connect_s + down,
+        ),
+    }
+    return {name: ReactionTime(case, does, seconds) for name, (case, does, seconds) in rows.items()}

@@ -1,0 +1,146 @@
+"""Supervises a flight: interrupts what is going on as soon as something is wrong, and cuts motors."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Coroutine, Iterable
+from typing import Any, TypeVar
+
+from llm_flock.robots.base import RobotError
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.log import FlightLog
+from llm_flock.runtime.flight.monitors import PERIOD_S, Monitors, Trouble, TroubleKind
+from llm_flock.runtime.flight.team import FlyingTeam
+
+T = TypeVar("T")
+
+CUT_FOR_S = 4.0
+"""Longest time to repeat an emergency stop until it is confirmed [s]."""
+
+CUT_TRY_S = 1.5
+"""Longest wait for one confirmation [s]."""
+
+
+class FlightEnded(Exception):
+    """The flight was ended before its mission."""
+
+    def __init__(self, trouble: Trouble) -> None:
+        self.trouble = trouble
+        super().__init__(f"{trouble.kind.value}: {trouble.detail}")
+
+
+class FlightSupervisor:
+    """The one place where a flight is ended before its mission.
+
+    Args:
+        config: the limits.
+        team: the drones.
+        log: records troubles.
+
+    Attributes:
+        trouble: the first one, which ended the flight; None as long as all is well.
+        confirmed: whether each drone whose motors were cut confirmed it.
+    """
+
+    def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
+        self.trouble: Trouble | None = None
+        self.confirmed: dict[int, bool] = {}
+        self._config = config
+        self._team = team
+        self._log = log
+        self._monitors = Monitors(config, team.names)
+        self._tripped = asyncio.Event()
+        self._reported: set[tuple[TroubleKind, int | None]] = set()
+        self._cuts: dict[int, asyncio.Task[None]] = {}
+        self._aloft_s: float | None = None
+
+    def trip(self, trouble: Trouble) -> None:
+        """End the flight because of a trouble, and cut motors that must be cut."""
+        self._cut(trouble.cut)
+        if (trouble.kind, trouble.robot) in self._reported:
+            return
+        self._reported.add((trouble.kind, trouble.robot))
+        self._log.note(trouble.kind.value, trouble.robot, reason=trouble.detail)
+        if self.trouble is None:
+            self.trouble = trouble
+            self._tripped.set()
+
+    def abort(self) -> None:
+        """Land all drones at the operator's command."""
+        self.trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
+
+    def emergency(self) -> None:
+        """Cut all motors at the operator's command, wherever the drones are."""
+        everybody = frozenset(range(len(self._team.robots)))
+        self.trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+
+    async def watch(self) -> None:
+        """Monitor all drones until cancelled."""
+        team = self._team
+        while True:
+            now = time.monotonic()
+            states, motions, airborne = team.states(), team.motions, frozenset(team.airborne)
+            self._log.look(now, states, motions, airborne)
+            for trouble in self._monitors.look(now, states, motions, airborne):
+                # A drone on the way down is left alone, unless its motors must be cut.
+                if trouble.robot in (team.aloft if trouble.cut else airborne):
+                    self.trip(trouble)
+            if self._log.failure is not None:
+                self.trip(Trouble(TroubleKind.UNWATCHED, detail=str(self._log.failure)))
+            if airborne and self._aloft_s is None:
+                self._aloft_s = now
+            limit = self._config.safety.max_flight_s
+            if airborne and self._aloft_s is not None and now - self._aloft_s > limit:
+                self.trip(Trouble(TroubleKind.TIME_UP, detail=f"in the air for {limit:g} s"))
+            await asyncio.sleep(PERIOD_S)
+
+    async def while_safe(self, work: Coroutine[Any, Any, T]) -> T:
+        """Do some work, but cancel it as soon as something is wrong.
+
+        Raises:
+            FlightEnded: something is wrong.
+        """
+        if self.trouble is not None:
+            work.close()
+            raise FlightEnded(self.trouble)
+        task = asyncio.ensure_future(work)
+        tripped = asyncio.ensure_future(self._tripped.wait())
+        try:
+            await asyncio.wait((task, tripped), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for waiting in (tripped, task):
+                if not waiting.done():
+                    waiting.cancel()
+                    await asyncio.gather(waiting, return_exceptions=True)
+        if self.trouble is not None:
+            raise FlightEnded(self.trouble)
+        return task.result()
+
+    @property
+    def aloft_s(self) -> float:
+        """Time since the first drone took off [s]; 0 if none did."""
+        return 0.0 if self._aloft_s is None else time.monotonic() - self._aloft_s
+
+    async def cuts_done(self) -> None:
+        """Wait for emergency stops under way."""
+        if self._cuts:
+            await asyncio.wait(self._cuts.values())
+
+    def _cut(self, robots: Iterable[int]) -> None:
+        for robot in robots:
+            if robot not in self._cuts:
+                self._team.airborne.discard(robot)
+                self._team.aloft.discard(robot)
+                self._cuts[robot] = asyncio.create_task(self._cut_one(robot))
+
+    async def _cut_one(self, robot: int) -> None:
+        until = time.monotonic() + CUT_FOR_S
+        confirmed = False
+        while not confirmed and time.monotonic() < until:
+            try:
+                confirmed = await asyncio.wait_for(self._team.robots[robot].stop_motors(), CUT_TRY_S)
+            except (RobotError, TimeoutError):
+                await asyncio.sleep(PERIOD_S)
+        self.confirmed[robot] = confirmed
+        self._log.note("cut", robot, confirmed=confirmed)

@@ -1,0 +1,50 @@
+"""Limits how long a flight waits for its models, and for how many rounds without an answer."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+
+T = TypeVar("T")
+
+
+class TimedPlanner:
+    """A planner whose answers come within a time limit.
+
+    Args:
+        planner: answers the questions.
+        longest_s: longest wait for an answer, retries included [s].
+        most: rounds in a row without an answer before `on_silence` is called. An unusable answer counts as one.
+        on_silence: called with the number of rounds.
+    """
+
+    def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[int], None]) -> None:
+        self._planner = planner
+        self._longest_s = longest_s
+        self._most = most
+        self._on_silence = on_silence
+        self._silent: set[int] = set()
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """Propose a formation, in time."""
+        return await self._in_time(question.round, self._planner.plan(question))
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """Propose a waypoint, in time."""
+        return await self._in_time(question.round, self._planner.step(question))
+
+    async def _in_time(self, number: int, answer: Awaitable[T | NoAnswer]) -> T | NoAnswer:
+        try:
+            found = await asyncio.wait_for(answer, self._longest_s)
+        except TimeoutError:
+            found = NoAnswer(cause="timeout", reason=f"no answer within {self._longest_s:g} s")
+        if not isinstance(found, NoAnswer) or found.cause == "answer":
+            self._silent.clear()
+            return found
+        self._silent.add(number)
+        if len(self._silent) >= self._most:
+            self._on_silence(len(self._silent))
+        return found

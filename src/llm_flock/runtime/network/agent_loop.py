@@ -1,0 +1,335 @@
+"""Drives one agent at its own pace: it asks its model as soon as it may, and waits for no other robot.
+
+Three loops share one event loop: motion rounds (ask, decide, fly), message exchanges at a fixed period, and control of
+the body at another. All of them give events to one state machine, one at a time. A heartbeat period has as many
+exchanges as a lockstep round: heartbeats and their time-out, counted in rounds there, are counted in periods here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.metrics import AT_GOAL
+from llm_flock.protocol.agent import Agent
+from llm_flock.protocol.events import (
+    AgreementEnded,
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
+    Decided,
+    Effect,
+    Event,
+    HeartbeatDue,
+    MissionGiven,
+    MoveTo,
+    Note,
+    Origin,
+    Phase,
+    Planned,
+    Received,
+    RoundBegan,
+    Sensed,
+    Stopped,
+)
+from llm_flock.protocol.messages.channel import Authorization
+from llm_flock.protocol.messages.message import NO_OWNER
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
+from llm_flock.runtime.network.body_control import STILL, BodyControl
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.process import PeriodClock, phase_s
+from llm_flock.runtime.network.wire import MissionOrder, ReportedEvent, RobotReport
+from llm_flock.transport.radio import Radio
+from llm_flock.transport.zenoh import LinkTraffic
+
+T = TypeVar("T")
+
+SETTLED_EXCHANGES = 2
+"""Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""
+
+LATEST = 2.0
+"""A move ends at the latest after this multiple of its unhindered duration."""
+
+STUCK_S = 0.3
+"""A body that has not moved for this long cannot get any nearer [s]."""
+
+
+class AgentLoop:
+    """Drives one agent.
+
+    Args:
+        config: the swarm.
+        agent: the state machine.
+        planner: answers its questions.
+        radio: what it hears and sees.
+        body: controls its body.
+        broadcast: sends the bytes of a message.
+    """
+
+    def __init__(
+        self,
+        config: SwarmConfig,
+        agent: Agent,
+        planner: Planner,
+        radio: Radio,
+        body: BodyControl,
+        broadcast: Callable[[bytes], None],
+    ) -> None:
+        self.agent = agent
+        self.round = 0
+        self.period = 0
+        self.waypoints: Counter[str] = Counter()
+        self.notes: list[ReportedEvent] = []
+        self._config = config
+        self._planner = planner
+        self._radio = radio
+        self._body = body
+        self._broadcast = broadcast
+        self._comm_rounds = 0
+        self._settled_at = 0
+        self._last_topic: object = None
+        self._order: AskStep | MoveTo | None = None
+        self._changed = asyncio.Event()
+        self._moving: MoveTo | None = None
+        self._going_for: object = None
+        self._due = 0.0
+
+    # ---------------------------------------------------------------- events in, effects out
+
+    def handle(self, event: Event) -> list[Effect]:
+        """Give the agent an event; keep its notes and orders, and return its question for a plan."""
+        rest: list[Effect] = []
+        for effect in self.agent.handle(event):
+            match effect:
+                case Note():
+                    self.notes.append(
+                        ReportedEvent(kind=effect.kind, detail=dict(effect.detail), comm_round=self._comm_rounds)
+                    )
+                case Broadcast():
+                    self._broadcast(effect.payload)
+                case AskStep() | MoveTo():
+                    self._order = effect
+                    self._changed.set()
+                case AskPlan():
+                    rest.append(effect)
+        return rest
+
+    def look(self) -> None:
+        """Give the agent the newest sensor readings."""
+        if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
+            self.handle(Sensed(**self._sight()))
+
+    def receive(self, payload: bytes, sender: int) -> None:
+        """Take a message of another robot."""
+        if self.agent.position and self.agent.phase is not Phase.STOPPED:
+            self.handle(Received(payload, sender))
+
+    def take_order(self, order: MissionOrder) -> None:
+        """Take another mission from the operator; one that is not allowed is only recorded."""
+        try:
+            mission = self.agent.mission.change(**order.fields)
+        except (InputError, TypeError) as error:
+            detail = {"reason": "mission", "detail": str(error)}
+            self.notes.append(ReportedEvent(kind="rejected_message", detail=detail))
+            return
+        signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
+        self.handle(MissionGiven(mission=mission, authorization=signed))
+
+    def _sight(self) -> dict[str, Any]:
+        """Sensor readings; a robot under way uses the waypoint that it flies to as its position."""
+        here = self._body.waypoint or self._radio.position
+        assert here is not None, "a robot begins once it knows where it is"
+        sensed = self._radio.sensed()
+        return {
+            "position": here,
+            "neighbors": self._radio.neighbors(time.time()),
+            "sensed": sensed,
+            "observed": tuple(sensed.values()),
+        }
+
+    # ---------------------------------------------------------------- exchanges
+
+    async def gossip(self) -> None:
+        """Exchange messages periodically until cancelled, whatever else the robot is doing."""
+        gossip_s = self._config.network.gossip_s
+        clock = PeriodClock(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
+        while True:
+            await clock.next()
+            self.exchange()
+
+    def exchange(self) -> None:
+        """Decide on the messages since the last exchange; count a heartbeat once a period; then broadcast."""
+        self.look()
+        if not self.agent.position:
+            return
+        self.handle(CommRoundEnded())
+        if self._comm_rounds % (self._config.protocol.comm_rounds or 1) == 0:
+            self.period += 1
+            self.handle(HeartbeatDue(self.period))
+        self.handle(CommRoundBegan())
+        self._comm_rounds += 1
+        if self._topic != self._last_topic:
+            self._last_topic, self._settled_at = self._topic, self._comm_rounds
+            self._changed.set()
+            if self._body.waypoint is not None and self._topic != self._going_for:
+                self._body.waypoint = None  # it stops within a control period, then sets out for its new place
+
+    @property
+    def _topic(self) -> tuple[str, str | None, int | None]:
+        agent = self.agent
+        return agent.mission.digest, None if agent.plan is None else agent.plan.digest, agent.claim.slot
+
+    # ---------------------------------------------------------------- rounds
+
+    async def live(self) -> None:
+        """Fly motion rounds until cancelled."""
+        try:
+            while True:
+                await self._fly_round()
+        finally:
+            self.handle(Stopped())
+
+    async def _fly_round(self) -> None:
+        self.round += 1
+        topic = self._topic[:2]
+        for effect in self.handle(RoundBegan(round=self.round, **self._sight())):
+            assert isinstance(effect, AskPlan)
+            answer = await self._ask(self._planner.plan(effect.question), lambda: self._topic[:2] != topic)
+            self.handle(Planned(answer))
+        await self._settle()
+        self._order = None
+        self.look()
+        self.handle(AgreementEnded())
+        move = await self._decide()
+        await self._land()
+        self.waypoints[move.origin.value] += 1
+        self._moving = move
+        self._take_off(move.waypoint)
+        self.handle(Arrived())
+        await self._rest(move)
+
+    async def _settle(self) -> None:
+        """Wait until agreement about a new place has settled, for a heartbeat period at most."""
+        network = self._config.network
+        for _ in range(self._config.protocol.comm_rounds or 1):
+            if self._comm_rounds - self._settled_at >= SETTLED_EXCHANGES:
+                return
+            await asyncio.sleep(network.gossip_s)
+
+    async def _decide(self) -> MoveTo:
+        """The waypoint to fly to; a newer question replaces the one under way."""
+        while True:
+            order, self._order = self._order, None
+            assert order is not None, "the agent has said what to decide"
+            if isinstance(order, MoveTo):
+                return order
+            answer = await self._ask(self._planner.step(order.question), lambda: self._order is not None)
+            await self._land()
+            if self._order is None:
+                self.look()
+                self.handle(Decided(answer))
+
+    async def _ask(self, question: Awaitable[PlanAnswer | StepAnswer | NoAnswer], stale: Callable[[], bool]) -> Any:
+        """The answer; `NoAnswer` if it is late or has become stale."""
+        task = asyncio.ensure_future(question)
+        deadline = time.monotonic() + self._config.network.answer_s
+        try:
+            while not task.done():
+                self._changed.clear()
+                if stale():
+                    return NoAnswer(cause="stale", reason="the question is not asked any more")
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    return NoAnswer(cause="timeout", reason=f"no answer within {self._config.network.answer_s:g} s")
+                change = asyncio.ensure_future(self._changed.wait())
+                await asyncio.wait((task, change), timeout=left, return_when=asyncio.FIRST_COMPLETED)
+                change.cancel()
+            return task.result()
+        finally:
+            if not task.done():
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+
+    # ---------------------------------------------------------------- motion
+
+    def _take_off(self, waypoint: Point) -> None:
+        """Set out. The next question is asked at once, from where the body will arrive."""
+        here = self._radio.position
+        assert here is not None
+        distance = math.dist(here, waypoint)
+        if distance > STILL:
+            self._going_for = self._topic
+            self._body.fly_to(waypoint)
+            self._due = time.monotonic() + LATEST * distance / self._config.speed + STUCK_S
+
+    async def _land(self) -> None:
+        """Wait until the body has arrived, cannot get any nearer, or has lost its waypoint."""
+        body = self._body
+        last, moved_at = body.position, time.monotonic()
+        while body.waypoint is not None and not body.arrived:
+            await asyncio.sleep(self._config.network.control_s / 4)
+            now = time.monotonic()
+            if body.position != last:
+                last, moved_at = body.position, now
+            if now - moved_at > STUCK_S or now > self._due:
+                break
+        body.waypoint = None
+
+    async def _rest(self, move: MoveTo) -> None:
+        """At its place, wait for a heartbeat period or until the place changes before the next question."""
+        goal, network = self.agent.goal, self._config.network
+        near = AT_GOAL * self.agent.mission.spacing
+        if move.origin is not Origin.HOLD and (goal is None or math.dist(goal, move.waypoint) > near):
+            return
+        await self._land()
+        self._changed.clear()
+        rest_s = network.gossip_s * (self._config.protocol.comm_rounds or 1)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), rest_s)
+
+    # ---------------------------------------------------------------- what observers see
+
+    def report(
+        self, known: set[str], calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic
+    ) -> RobotReport:
+        """The state for observers; includes plans and missions whose digests are not in `known`, and adds them."""
+        agent = self.agent
+        plan, origin, mission, move = agent.plan, agent.provenance, agent.mission, self._moving
+        points = plan.points if plan is not None and plan.digest not in known else None
+        shape = None if mission.digest in known else mission.model_dump(mode="json")
+        known.update({mission.digest} if plan is None else {mission.digest, plan.digest})
+        notes, self.notes = self.notes, []
+        return RobotReport(
+            stamp=time.time(),
+            round=self.round,
+            period=self.period,
+            phase=agent.phase.value,
+            mission=(agent.mission_counter, mission.digest),
+            plan_id=None if plan is None else plan.digest,
+            points=points,
+            proposer=None if origin is None else origin.proposer,
+            slot=agent.claim.slot,
+            goal=agent.goal,
+            blocked=tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
+            waypoint=None if move is None else move.waypoint,
+            origin="start" if move is None else move.origin.value,
+            neighbors=agent.neighbors,
+            happened=tuple(notes),
+            calls=tuple(calls),
+            waypoints=dict(self.waypoints),
+            sent=traffic.sent["say"],
+            bytes=traffic.bytes["say"] + traffic.bytes["beacon"],
+            rejected={**agent.rejected, **traffic.refused},
+            latencies_s=tuple(latencies_s),
+            shape=shape,
+        )

@@ -1,0 +1,117 @@
+"""Connects a process to a swarm's network: open, or secured with the keys of the team."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from llm_flock.errors import InputError, MessageError
+from llm_flock.members import OPERATOR
+from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
+from llm_flock.protocol.signed.certificates import mission_statement
+from llm_flock.runtime.network.config import SwarmConfig, endpoints
+from llm_flock.runtime.network.wire import MissionOrder, T, unpack
+from llm_flock.transport.seal import PlainSeal, Seal
+from llm_flock.transport.zenoh import MAX_SEALED_BYTES, ZenohLink, open_session, settings
+
+if TYPE_CHECKING:
+    from llm_flock.trust.keys import Keyring
+
+
+def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
+    """A member's keys; None where the swarm uses none.
+
+    Raises:
+        InputError: they are missing, damaged, or of another team size.
+    """
+    folder = config.network.keys
+    if folder is None:
+        return None
+    try:
+        from llm_flock.trust.keys import load_keyring
+    except ImportError:
+        raise InputError("keys", folder, "possible with the extra: pip install 'llm-flock[network]'") from None
+    keys = load_keyring(Path(folder), member)
+    if keys.robots != config.mission.n_robots:
+        raise InputError("keys", folder, f"keys of {config.mission.n_robots} robots, not of {keys.robots}")
+    return keys
+
+
+def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> ZenohLink:
+    """Join as a member; call in a running event loop. With keys every endpoint uses TLS, however it is written.
+
+    Args:
+        config: the swarm.
+        member: a robot's id, or WORLD, OPERATOR or WATCHER.
+        listen: own endpoints, if not those of the configuration.
+
+    Raises:
+        InputError: the keys cannot be used, or an endpoint cannot be opened.
+    """
+    network, keys = config.network, load_keys(config, member)
+    listens, connects = endpoints(network.listen if listen is None else listen), endpoints(network.connect)
+    security: dict[str, Any] | None = None
+    seal: Seal = PlainSeal(member)
+    if keys is not None and network.keys is not None:
+        from llm_flock.trust.envelope import Envelope
+        from llm_flock.trust.keys import next_session
+        from llm_flock.trust.tls import tls_config
+
+        folder = Path(network.keys)
+        listens, connects = ([end.replace("tcp/", "tls/", 1) for end in ends] for ends in (listens, connects))
+        security = tls_config(folder, member)
+        seal = Envelope(keys, next_session(folder, member, time.time()), max_payload=MAX_SEALED_BYTES)
+    session = open_session(settings(listen=listens, connect=connects, lease_s=network.lease_s, security=security))
+    return ZenohLink(session, swarm=network.swarm, own=member, seal=seal, loop=asyncio.get_running_loop())
+
+
+def receive(
+    link: ZenohLink,
+    kind: str,
+    message: type[T],
+    handler: Callable[[int, T], None],
+    *,
+    number: int | None = None,
+    sender: int | None = None,
+) -> None:
+    """Have a handler called with the sender and content of every message of a kind.
+
+    A message that cannot be decoded, or that the handler refuses with a `MessageError`, is counted by its reason.
+
+    Args:
+        link: the network.
+        kind: of the topic.
+        message: type to decode.
+        handler: called in the event loop.
+        number: only messages to this id, for topics that belong to their receiver.
+        sender: only messages of this member; others are ignored.
+    """
+
+    def take(source: int, payload: bytes) -> None:
+        if sender not in (None, source):
+            return
+        try:
+            handler(source, unpack(message, payload))
+        except MessageError as error:
+            link.traffic.refused[error.reason] += 1
+
+    link.listen(kind, number, take)
+
+
+def mission_order(config: SwarmConfig, fields: dict[str, Any]) -> MissionOrder:
+    """An order that changes these fields of the mission.
+
+    With keys the operator signs it, and it holds the whole mission: that of the configuration with these fields
+    changed. Its counter is the Unix time, so a later order has a higher one.
+    """
+    keys = load_keys(config, OPERATOR)
+    if keys is None:
+        return MissionOrder(fields=fields)
+    mission, counter = config.mission.change(**fields), int(time.time())
+    whole = mission.model_dump(mode="json", include=set(MISSION_FIELDS))
+    signature = keys.sign(mission_statement(MissionStamp(counter, mission.digest)))
+    return MissionOrder(fields=whole, counter=counter, signature=signature)

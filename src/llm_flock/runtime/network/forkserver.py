@@ -1,0 +1,97 @@
+"""Starts the processes of a swarm by forking, so that everything they all import is imported once and shared.
+
+It reads one line of JSON per process to start, and writes one line of JSON per start and per end. It has one thread and
+no network session. Its children end with it, and it ends with the launcher.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import logging
+import os
+import select
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from llm_flock.errors import FlockError
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.process import end_with_parent, run
+from llm_flock.runtime.network.robot import run_robot
+from llm_flock.runtime.network.watch import run_watch
+from llm_flock.runtime.network.world import run_world
+from llm_flock.runtime.planners import TeamPlanners
+
+REAP_S = 0.05
+"""Time between two checks for children that have ended [s]."""
+
+EXAMPLE = {"mission": {"shape": "circle", "n_robots": 1}}
+"""Building its planner loads the prompts and price lists that every robot would otherwise read by itself."""
+
+
+def main() -> None:
+    """Serve until the launcher closes standard input."""
+    end_with_parent()
+    children: dict[int, str] = {}
+    TeamPlanners(SwarmConfig.model_validate(EXAMPLE))
+    gc.freeze()  # else a collection in a child would touch, and so copy, every shared page
+    _write(ready=True)
+    while True:
+        readable, _, _ = select.select([sys.stdin.buffer], [], [], REAP_S)
+        if readable:
+            line = sys.stdin.buffer.readline()
+            if not line:
+                break
+            order = json.loads(line)
+            pid = os.fork()
+            if pid == 0:
+                os._exit(_child(order))
+            children[pid] = order["name"]
+            _write(name=order["name"], pid=pid)
+        _reap(children)
+    for pid in children:
+        os.kill(pid, signal.SIGKILL)
+
+
+def _reap(children: dict[int, str]) -> None:
+    while children:
+        pid, status = os.waitpid(-1, os.WNOHANG)
+        if not pid:
+            return
+        _write(name=children.pop(pid), ended=os.waitstatus_to_exitcode(status))
+
+
+def _write(**event: Any) -> None:
+    sys.stdout.write(json.dumps(event) + "\n")
+    sys.stdout.flush()
+
+
+def _child(order: dict[str, Any]) -> int:
+    """Do the work of the ordered process; returns its exit code."""
+    end_with_parent()
+    null = os.open(os.devnull, os.O_RDWR)
+    os.dup2(null, 0)
+    os.dup2(2, 1)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    config = SwarmConfig.model_validate(order["config"])
+    kind = order["kind"]
+    try:
+        if kind == "world":
+            run(run_world(config, Path(order["ready"]).touch))
+        elif kind == "robot":
+            run(run_robot(config, order["id"]))
+        else:
+            run(run_watch(config, Path(order["record"])))
+    except FlockError as error:
+        sys.stderr.write(f"error: {order['name']}: {error}\n")
+        return 2
+    except BaseException:
+        logging.getLogger(__name__).exception("%s ended", order["name"])
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""One planner per robot: language models, a replayed conversation, or plain geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from llm_flock.llm.frame import trained_for
+from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
+from llm_flock.llm.local.engine import slot_count
+from llm_flock.llm.local.weights import find_weights
+from llm_flock.llm.models import (
+    ModelPool,
+    check_priced,
+    parse_base_urls,
+    parse_model,
+    parse_models,
+    parse_settings,
+)
+from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
+from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.replay import ReplayModel
+from llm_flock.llm.sharing import CallLane
+from llm_flock.llm.simulated.prompt_reader import check_prompts
+from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.plans import check_proposal
+from llm_flock.protocol.verification.steps import check_answer
+from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.seeds import Stream, stream
+
+
+class TeamPlanners:
+    """The planners of a team, by robot, with the connections, budget and listeners that they share.
+
+    Args:
+        config: the models, how to ask them, and their limits.
+        lane: access to what this run shares with others; None for a run by itself.
+
+    Raises:
+        InputError: a model cannot work, as far as that is known before asking it.
+    """
+
+    def __init__(self, config: RunConfig, lane: CallLane | None = None) -> None:
+        model, limits, n = config.model, config.limits, config.mission.n_robots
+        self.names = parse_models(model.model, n)
+        self._sinks: list[AttemptSink] = []
+        self._replays: dict[str, ReplayModel] = {}
+        self._meter = BudgetMeter(
+            Budget(max_calls=limits.max_calls, max_tokens=limits.max_tokens, max_cost_usd=limits.max_cost)
+        )
+        base_urls = parse_base_urls(model.base_url, self.names)
+        check_priced(limits.max_cost, self.names, base_urls)
+        self._lane = lane
+        shared = None if lane is None else lane.pools
+        make = ModelPool if shared is None else shared.pool
+        self._pool = make(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
+        self._own_pool = shared is None
+        seed = config.trial.seed
+
+        def limits_of(at_once: int) -> CallLimits:
+            return CallLimits(
+                max_concurrent=min(limits.max_concurrent, at_once),
+                timeout_s=limits.timeout_s,
+                retry=RetryPolicy(max_tries=limits.max_tries),
+                meter=self._meter,
+                gate=lane,
+                rng=stream(seed, Stream.BACKOFF),
+            )
+
+        # A question waits for the local engine before its time-out begins, in a queue that delays no other model.
+        self._limits, on_board = limits_of(limits.max_concurrent), limits_of(slot_count())
+        settings = parse_settings(
+            n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
+        )
+
+        def prompts_of(text: str) -> PromptSet:
+            words = model.prompts or ("brief" if trained_for(text) else None)
+            prompts = PromptSet.named(words, json=model.answers == "json")
+            if parse_model(text).kind == "simulated":
+                check_prompts(prompts, config.mission)
+            return prompts
+
+        self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
+        history = parse_history(model.history)
+        shield_on = bool(config.protocol.shield)
+        plan_check, step_check = _checks(shield_on=shield_on) if config.protocol.verify else (None, None)
+
+        def planner_of(robot: int, text: str) -> Planner:
+            rng = stream(seed, Stream.MODEL, robot)
+            name = parse_model(text)
+            asked: LanguageModel
+            if name.kind == "geometry":
+                return GeometryPlanner(robot, rng)
+            if name.kind == "replay":
+                if text not in self._replays:
+                    self._replays[text] = ReplayModel(Path(name.model))
+                asked = Metered(self._replays[text], self._meter)
+            else:
+                remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
+                asked = Limited(remote, on_board if name.kind == "local" else self._limits)
+            planner: Planner = LanguagePlanner(
+                robot,
+                asked,
+                self._prompts[text],
+                max_retries=model.max_retries,
+                history=history,
+                answers=model.answers,
+                on_attempt=self._notify,
+                check_plan=plan_check,
+                check_step=step_check,
+                frame=model.frame or ("own" if trained_for(text) else "world"),
+            )
+            if config.protocol.fallback == "geometry":
+                # In the reference orientation: robots whose models fail propose one and the same plan.
+                geometry = GeometryPlanner(robot)
+                planner = FallbackPlanner(planner, geometry, shield_on=shield_on)
+            return planner
+
+        self._planner_of: Callable[[int, str], Planner] = planner_of
+        self._prompts_of = prompts_of
+        self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
+
+    def __getitem__(self, robot: int) -> Planner:
+        return self._planners[robot]
+
+    def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
+        """Wrap every planner in another one, also planners made later.
+
+        Args:
+            around: makes the outer planner from a robot's id and its planner.
+        """
+        inner = self._planner_of
+
+        def planner_of(robot: int, text: str) -> Planner:
+            return around(robot, inner(robot, text))
+
+        self._planner_of = planner_of
+        self._planners = [around(robot, planner) for robot, planner in enumerate(self._planners)]
+
+    def replace(self, robot: int, model: str) -> None:
+        """Give a robot another model from its next question on.
+
+        Raises:
+            InputError: there is no such model.
+        """
+        if model not in self._prompts:
+            self._prompts[model] = self._prompts_of(model)
+        self._planners[robot] = self._planner_of(robot, model)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any answer comes from a simulated stand-in, now or when it was recorded."""
+        return any(parse_model(name).kind == "simulated" for name in self.names) or any(
+            model.startswith("simulated:") for replay in self._replays.values() for model in replay.models
+        )
+
+    @property
+    def weights(self) -> Mapping[str, str]:
+        """Digests of the files of local models, by name."""
+        names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "local"]
+        return {file: digest for name in names for file, digest in find_weights(name.model).versions().items()}
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the run's budget, or the one that it shares, is used up."""
+        return self._meter.exhausted or (self._lane is not None and self._lane.cut)
+
+    def listen(self, sink: AttemptSink) -> None:
+        """Pass every model call from now on to `sink`."""
+        self._sinks.append(sink)
+
+    def _notify(self, attempt: Attempt) -> None:
+        for sink in self._sinks:
+            sink(attempt)
+
+    async def close(self) -> None:
+        """Close connections and cassettes."""
+        if self._own_pool:
+            await self._pool.aclose()
+        for replay in self._replays.values():
+            replay.close()
+
+
+def _checks(*, shield_on: bool) -> tuple[CheckPlan, CheckStep]:
+    """The checks of a language model's answers, as its planner calls them."""
+
+    def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+        return check_proposal(question.mission, answer.plan, question.still)
+
+    def step(question: StepQuestion, answer: StepAnswer) -> str | None:
+        return check_answer(question.mission, question, answer, shield_on=shield_on)
+
+    return plan, step

@@ -1,0 +1,84 @@
+"""Starts runs from the page. The simulation is loaded with the first run: pages that only show runs do not wait."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from llm_flock.errors import InputError
+from llm_flock.viewer.library import Library
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.config import RunConfig
+    from llm_flock.viewer.mission_text import MissionReader
+    from llm_flock.viewer.steered_run import SteeredRun
+
+NEEDS_A_MODEL = (
+    "This needs a language model: start the viewer with --model PROVIDER:MODEL. The form below works without."
+)
+MOST_RUNS = 4
+"""Runs that fly at the same time: they share the processor with the pages."""
+
+
+@dataclass(slots=True)
+class Launcher:
+    """Starts runs, and knows those that it started.
+
+    Attributes:
+        library: takes the runs.
+        folder: folder for their records.
+        models: models that cost money or reach out, and that the operator allowed; the first one reads plain words.
+        base_url: address that replaces the provider's own.
+        reader: reads plain words, None without a model.
+        runs: runs by key.
+    """
+
+    library: Library
+    folder: Path
+    models: Sequence[str] = ()
+    base_url: str | None = None
+    reader: MissionReader | None = None
+    runs: dict[str, SteeredRun] = field(default_factory=lambda: dict[str, "SteeredRun"]())
+
+    def start(self, fields: dict[str, Any], *, pace: float, protocols: Sequence[str] | None = None) -> list[SteeredRun]:
+        """Start a run, or the same run with each of several protocols; nothing starts unless all of them can.
+
+        Args:
+            fields: values of the form, by field name.
+            pace: rounds a second.
+            protocols: presets that replace the form's; one run with the form's own if left out.
+
+        Raises:
+            InputError: a value is not allowed, or too many runs fly already.
+        """
+        chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
+        configs = [self._config(each) for each in chosen]
+        return [self._launch(config, pace) for config in configs]
+
+    def _config(self, fields: dict[str, Any]) -> RunConfig:
+        from llm_flock.viewer.steered_run import config_of
+
+        config = config_of(fields, self.models)
+        if config.model.model not in self.models:
+            return config
+        return config.model_copy(update={"model": config.model.model_copy(update={"base_url": self.base_url})})
+
+    def _launch(self, config: RunConfig, pace: float) -> SteeredRun:
+        from llm_flock.viewer.steered_run import SteeredRun
+
+        if sum(not run.over for run in self.runs.values()) >= MOST_RUNS:
+            raise InputError("run", "one more", f"at most {MOST_RUNS} at once: end one of them first")
+        mission, protocol = config.mission, config.protocol.protocol
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        shape = re.sub(r"[^A-Za-z0-9]", "", mission.shape.split(":")[0])
+        out = self.folder / f"{stamp}-{shape}-{mission.n_robots}-{protocol}"
+        config = config.model_copy(update={"trial": config.trial.model_copy(update={"out": str(out)})})
+        title = f"{mission.shape} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
+        recording = self.library.add(title, out / "run.mcap")
+        run = self.runs[recording.key] = SteeredRun(config, recording, pace)
+        run.start()
+        return run

@@ -1,0 +1,227 @@
+"""One run in memory, round by round. A finished record, a growing one and a live swarm look the same."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from llm_flock.record.schema import (
+    SILENT,
+    Entry,
+    FlightEvent,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    ProtocolEvent,
+    RoundEnd,
+    RunInfo,
+    State,
+    SummaryMessage,
+)
+from llm_flock.viewer.events import track_of_call, track_of_event
+from llm_flock.viz.style import plan_look
+
+ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "landed"})
+"""Flight events that belong to every flight."""
+
+
+class PlanOrigin(NamedTuple):
+    """One step on the way of a plan to a robot: `robot` has it from `round` on, from `source` (None: proposed it)."""
+
+    round: int
+    robot: int
+    source: int | None
+
+
+class HeardClaim(NamedTuple):
+    """What a robot within radio range claims.
+
+    Attributes:
+        robot: the robot that claims.
+        plan: letters of its plan.
+        slot: its slot in the plan, None without one.
+        influence: share of the team that hears it.
+        distance: its distance [units].
+        rival: whether it claims the same slot of the same plan as the listening robot.
+    """
+
+    robot: int
+    plan: str
+    slot: int | None
+    influence: float
+    distance: float
+    rival: bool
+
+
+class Recording:
+    """The rounds of one run; each becomes visible when it is complete. A sink for record entries.
+
+    Another thread may write: entries are only ever appended, and `rounds` is raised last.
+
+    Args:
+        key: names the run in addresses of pages.
+        title: shown to people.
+        live: whether the run goes on while it is watched.
+
+    Attributes:
+        open: whether more may come; False after `close`.
+        failure: why there is nothing (more) to show.
+        rounds: last complete round, -1 before the start.
+        plan_numbers: number of each plan, in the order in which plans were first seen.
+        marks: number of marks on each timeline track, by round.
+    """
+
+    def __init__(self, key: str, title: str, *, live: bool = True) -> None:
+        self.key = key
+        self.title = title
+        self.live = live
+        self.open = True
+        self.failure: str | None = None
+        self.info: RunInfo | None = None
+        self.missions: list[MissionInfo] = []
+        self.result: Mapping[str, Any] | None = None
+        self.states: list[State] = []
+        self.rows: list[MetricsRow] = []
+        self.rounds = -1
+        self.plan_numbers: dict[str, int] = {}
+        self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
+        self._events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
+        self._calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)
+        self._origins: defaultdict[tuple[int, str], list[PlanOrigin]] = defaultdict(list)
+
+    def write(self, entry: Entry) -> None:
+        """Take an entry of a record; `RoundEnd` makes its round visible."""
+        match entry:
+            case RunInfo():
+                self.info = entry
+            case MissionInfo():
+                self.missions.append(entry)
+            case PlanInfo():
+                self.plan_numbers.setdefault(entry.plan_id, len(self.plan_numbers))
+            case ProtocolEvent():
+                self._write_event(entry)
+            case FlightEvent():
+                self._write_flight_event(entry)
+            case LlmEntry():
+                self._calls[entry.round, entry.robot].append(entry)
+                self._mark(entry.round, track_of_call(entry))
+            case State():
+                for plan_id in entry.plan_ids:
+                    if plan_id is not None:
+                        self.plan_numbers.setdefault(plan_id, len(self.plan_numbers))
+                self.states.append(entry)
+            case MetricsRow():
+                self.rows.append(entry)
+            case RoundEnd():
+                self.rounds = entry.round
+            case SummaryMessage():
+                self.result = entry.result
+            case _:
+                pass  # positions between rounds are not shown
+
+    def _write_event(self, event: ProtocolEvent) -> None:
+        self._events[event.round].append(event)
+        self._mark(event.round, track_of_event(event))
+        if event.kind in ("proposed", "adopted"):
+            origin = PlanOrigin(event.round, event.robot, event.detail.get("from"))
+            self._origins[event.robot, str(event.detail.get("plan"))].append(origin)
+
+    def _write_flight_event(self, event: FlightEvent) -> None:
+        if event.kind not in ROUTINE:
+            self._mark(event.round, "faults")
+        if event.robot is not None:
+            listed = ProtocolEvent(
+                round=event.round, comm_round=None, robot=event.robot, kind=event.kind, detail=event.detail
+            )
+            self._events[event.round].append(listed)
+
+    def _mark(self, number: int, track: str | None) -> None:
+        if track is not None:
+            self.marks[number][track] += 1
+
+    def close(self) -> None:
+        """No more will come."""
+        self.open = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is anything to show."""
+        return self.rounds >= 0 and bool(self.missions)
+
+    @property
+    def n_robots(self) -> int:
+        """Team size N; ask only when `ready`."""
+        return int(self.missions[0].mission["n_robots"])
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any language model was a simulated stand-in."""
+        return self.info is not None and self.info.simulated
+
+    @property
+    def description(self) -> str:
+        """Shape, N, rules, model and seed; empty while they are not known."""
+        if self.info is None or not self.missions:
+            return ""
+        protocol, model = self.info.config.get("protocol", {}), self.info.config.get("model", {})
+        rules = " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
+        fields = self.missions[0].mission
+        parts = (f"{fields['shape']} of {self.n_robots}", rules, model.get("model", ""), f"seed {self.info.seed}")
+        return " · ".join(str(part) for part in parts if part)
+
+    def mission_at(self, number: int) -> MissionInfo:
+        """The mission in force in a round."""
+        given = list(self.missions)
+        return next((info for info in reversed(given) if info.round <= number), given[0])
+
+    def events(self, number: int) -> Sequence[ProtocolEvent]:
+        """The events of a round, in the order of the record."""
+        return tuple(self._events.get(number, ()))
+
+    def calls(self, number: int, robot: int) -> Sequence[LlmEntry]:
+        """The calls of a robot's model in a round."""
+        return tuple(self._calls.get((number, robot), ()))
+
+    def last_call(self, number: int, robot: int) -> int | None:
+        """The last round, up to the given one, in which the robot's model was called."""
+        return next((k for k in range(number, -1, -1) if (k, robot) in self._calls), None)
+
+    def plan_name(self, plan_id: str | None) -> str:
+        """The letters that stand for a plan; a dash for none."""
+        return "-" if plan_id is None else plan_look(self.plan_numbers.get(plan_id, 0)).name
+
+    def provenance(self, robot: int, number: int) -> list[PlanOrigin]:
+        """How the plan that a robot follows in a round came to it, from the proposal on; empty without a plan."""
+        plan_id = self.states[number].plan_ids[robot]
+        found: list[PlanOrigin] = []
+        holder: int | None = robot
+        while plan_id is not None and holder is not None and len(found) <= self.n_robots:
+            origins = self._origins.get((holder, plan_id), ())
+            origin = next((one for one in reversed(origins) if one.round <= number), None)
+            if origin is None:
+                break
+            found.append(origin)
+            number, holder = origin.round, origin.source
+        return found[::-1]
+
+    def claims_heard(self, robot: int, number: int) -> list[HeardClaim]:
+        """The claims within a robot's radio range in a round, its own first, then the nearest."""
+        state = self.states[number]
+        reach = float(self.mission_at(number).mission["comm_range"])
+        own = state.plan_ids[robot], state.slots[robot]
+        found = [
+            HeardClaim(
+                robot=other,
+                plan=self.plan_name(state.plan_ids[other]),
+                slot=state.slots[other],
+                influence=state.influence[other],
+                distance=math.dist(state.positions[robot], state.positions[other]),
+                rival=other != robot and own[1] is not None and own == (state.plan_ids[other], state.slots[other]),
+            )
+            for other in range(len(state.positions))
+            if other == robot or state.phases[other] not in SILENT
+        ]
+        return sorted((c for c in found if c.distance <= reach), key=lambda c: (c.robot != robot, c.distance))

@@ -1,0 +1,31 @@
+"""A clock that skips the time in which an event loop would only wait.
+
+For tests in which everything happens in one event loop: they see the same clock readings as in real time, and take
+only the time that their work takes. Not for code that waits for a thread, a process or another machine.
+"""
+
+from __future__ import annotations
+
+import selectors
+import time
+from typing import Any
+
+import pytest
+
+
+def skip_waits(patch: pytest.MonkeyPatch) -> None:
+    """Let new event loops jump to their next timer when nothing else is ready, and `time.monotonic` with them."""
+    real, skipped = time.monotonic, 0.0
+
+    class Skipping(selectors.DefaultSelector):
+        def select(self, timeout: float | None = None) -> list[Any]:
+            nonlocal skipped
+            if timeout is None or timeout <= 0:
+                return super().select(timeout)
+            events = super().select(0)
+            if not events:
+                skipped += timeout
+            return events
+
+    patch.setattr(selectors, "DefaultSelector", Skipping)
+    patch.setattr(time, "monotonic", lambda: real() + skipped)
