@@ -51,7 +51,7 @@ from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
 
-Talk = Callable[[], Sequence[bytes]]
+Sends = Callable[[], Sequence[bytes]]
 
 
 def channel_of(agent: Agent) -> SignedChannel:
@@ -121,7 +121,7 @@ class SignedTeam:
         """Number of refusals of honest robots for this reason."""
         return sum(agent.rejected[reason] for agent in self.agents)
 
-    def fly(self, rounds: int, liar_says: Talk = tuple, liar_moves: Callable[[], Point] | None = None) -> None:
+    def fly(self, rounds: int, liar_says: Sends = tuple, liar_moves: Callable[[], Point] | None = None) -> None:
         """Fly a number of rounds of five communication rounds; the liar sends to all in each of them."""
         for _ in range(rounds):
             self.begin()

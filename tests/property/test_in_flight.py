@@ -73,12 +73,12 @@ def test_of_two_missions_given_to_two_robots_all_end_on_the_same_one(
 
 
 @cases(6)
-@given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, comes_back=st.sampled_from(["anew", "as it was"]))
+@given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, comes_back=st.sampled_from(["restarted", "as it was"]))
 @example(  # two that live stand for ever beside the place that the silent one's body had blocked
     seed=996,
     n=6,
     faults=LinkFaults(loss=0.48046875, delay=2, duplicate=0.294921875, reorder=0.2421875),
-    comes_back="anew",
+    comes_back="restarted",
 )
 def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     seed: int, n: int, faults: LinkFaults, comes_back: str
@@ -89,7 +89,7 @@ def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     lost = a_leaf(places, team.mission.comm_range, int(rng.integers(n)))
     team.rounds(6)
     before = team.agents[lost]
-    (team.silent if comes_back == "anew" else team.cut_off).add(lost)
+    (team.silent if comes_back == "restarted" else team.cut_off).add(lost)
     team.rounds(8)
     team.set_faults(PERFECT)
     team.rounds(CALM)
@@ -100,7 +100,7 @@ def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
     assert table is not None and not any(owner == lost for _, _, owner in table)
     team.silent.discard(lost)
     team.cut_off.discard(lost)
-    if comes_back == "anew":
+    if comes_back == "restarted":
         team.wake(lost)
     else:
         assert team.agents[lost] is before

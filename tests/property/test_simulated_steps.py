@@ -1,4 +1,4 @@
-"""Steps of an ideal stand-in keep the limit from the true position, not only from the one that it was told."""
+"""Steps of an ideal stand-in keep the limit from the true position, not only from the position in the question."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ FIELDS = [
     "beats",
     "positions",
 ]
-PEDIGREE = ("epoch", "neighbors", "proposer", "sequence")
+PROVENANCE = ("epoch", "neighbors", "proposer", "sequence")
 OFFER = [0, 0, 1, 0, 3, -2.5]
 
 
@@ -66,7 +66,7 @@ def spoiled(version: int = WIRE_VERSION, **changes: Any) -> bytes:
 
 
 def provenance(**changes: Any) -> list[Any]:
-    return list((dict(zip(PEDIGREE, (0, 1, 1, 0), strict=True)) | changes).values())
+    return list((dict(zip(PROVENANCE, (0, 1, 1, 0), strict=True)) | changes).values())
 
 
 @pytest.mark.parametrize(

@@ -61,9 +61,9 @@ def test_a_place_under_a_silent_body_is_blocked_until_the_body_has_moved_off() -
 
 def test_a_restarted_robot_frees_the_place_that_its_own_body_blocked() -> None:
     """Those who noted it may be out of sight by now, and it has never met a body itself."""
-    told: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     driven = DrivenAgent(make(), here=PLAN.points[1])
-    driven.round(says(1, plan=PLAN, table=told))
+    driven.round(says(1, plan=PLAN, table=theirs))
     driven.round()
     table = driven.agent.claim.table
     assert table is not None and driven.agent.claim.slot == 1 and table[1] == (4, 0.0, 0)
@@ -71,22 +71,22 @@ def test_a_restarted_robot_frees_the_place_that_its_own_body_blocked() -> None:
 
 def test_a_place_under_an_unidentified_body_is_left_to_robots_that_know_it() -> None:
     """A late joiner has not counted the silence yet: it takes the dead for alive."""
-    told: BidTable = ((0, 0.0, NO_OWNER), (3, 0.0, BLOCKED), (0, 0.0, NO_OWNER))
+    theirs: BidTable = ((0, 0.0, NO_OWNER), (3, 0.0, BLOCKED), (0, 0.0, NO_OWNER))
     driven = DrivenAgent(make())
     body = {1: PLAN.points[1]}
     for _ in range(2):
-        driven.round(says(2, (0, 7, 1), plan=PLAN, table=told), sensed=body)
-        assert driven.agent.claim.table is not None and driven.agent.claim.table[1] == told[1]
+        driven.round(says(2, (0, 7, 1), plan=PLAN, table=theirs), sensed=body)
+        assert driven.agent.claim.table is not None and driven.agent.claim.table[1] == theirs[1]
 
 
 def test_a_living_robot_blocks_no_place() -> None:
     """Its counter goes on, so it will move off; two that wait beside a place would else keep it from each other."""
-    told: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     driven = DrivenAgent(make())
     beside = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
     owners: list[int] = []
     for beat in (7, 7, 8):
-        driven.round(says(1, (0, beat, 1), plan=PLAN, table=told), sensed=beside)
+        driven.round(says(1, (0, beat, 1), plan=PLAN, table=theirs), sensed=beside)
         table = driven.agent.claim.table
         assert table is not None
         owners.append(table[1][2])
@@ -96,11 +96,11 @@ def test_a_living_robot_blocks_no_place() -> None:
 def test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free() -> None:
     """Nobody else may be near enough, and in the others' tables the place is blocked for ever."""
     near = Mission(shape="line", n_robots=3, comm_range=15)
-    told: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
+    theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     driven = DrivenAgent(make(mission=near), here=(40.0, 90.0))
     for _ in range(10):
         driven.begin()
-        driven.comm_round(says(1, mission=near, plan=PLAN, table=told))
+        driven.comm_round(says(1, mission=near, plan=PLAN, table=theirs))
         effects = driven.agent.handle(AgreementEnded())
         if not isinstance(effects[-1], AskStep):
             break
@@ -119,8 +119,8 @@ def test_places_out_of_sight_stay_as_in_the_tables_of_others() -> None:
     near = Mission(shape="line", n_robots=3, comm_range=15)
     driven = DrivenAgent(make(mission=near))
     body = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
-    told: BidTable = ((0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (2, 0.0, BLOCKED))
-    driven.round(says(1, (0, 2, 0), mission=near, plan=PLAN, table=told), sensed=body)
+    theirs: BidTable = ((0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (2, 0.0, BLOCKED))
+    driven.round(says(1, (0, 2, 0), mission=near, plan=PLAN, table=theirs), sensed=body)
     for _ in range(3):
         driven.round(sensed=body)
     table = driven.agent.claim.table

@@ -27,7 +27,7 @@ class Team:
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.minds = [Safety(i, Limits.of(self.mission), 0.0) for i in range(n)]
+        self.robots = [Safety(i, Limits.of(self.mission), 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.smallest = math.inf
         self.clearance = math.inf
@@ -44,13 +44,13 @@ class Team:
         before = self.positions
         rows = [tuple(row) for row in before.tolist()]
         after = before.copy()
-        for i, mind in enumerate(self.minds):
+        for i, safety in enumerate(self.robots):
             sensed = {j: x for j, x in enumerate(rows) if j != i and math.dist(x, rows[i]) <= self.mission.sensing}
             goal = tuple(self.goals[i].tolist())
             far = math.dist(rows[i], goal)
             share = min(1.0, self.mission.max_step / max(far, 1e-9))
             wish = goal if share == 1.0 else tuple(x + share * (g - x) for x, g in zip(rows[i], goal, strict=True))
-            flight = mind.step(rows[i], sensed, wish, goal, AT_GOAL * self.mission.spacing)
+            flight = safety.step(rows[i], sensed, wish, goal, AT_GOAL * self.mission.spacing)
             self.kinds.update(note.kind for note in flight.notes)
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
             after[i] = flight.waypoint
@@ -171,27 +171,27 @@ def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
 
 
 def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
-    mind = Safety(0, Limits.of(Mission()), 0.0)
-    assert mind.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
-    flight = mind.stay((50.0, 50.0), {1: (51.0, 50.0)})
+    safety = Safety(0, Limits.of(Mission()), 0.0)
+    assert safety.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
+    flight = safety.stay((50.0, 50.0), {1: (51.0, 50.0)})
     assert flight.origin is Origin.SHIELD and flight.waypoint[0] <= 49.0
     assert flight.notes == (Note("separating", {"nearest": 1.0, "makes_way": False}),)
-    way = mind.stay((50.0, 50.0), {1: (54.0, 50.0), 2: (55.0, 50.0)})
+    way = safety.stay((50.0, 50.0), {1: (54.0, 50.0), 2: (55.0, 50.0)})
     assert way.notes[0].detail["makes_way"] is True and way.waypoint[0] < 50.0
 
 
 def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
-    mind = Safety(0, Limits.of(Mission()), 0.0)
-    step = mind.step((98.0, 50.0), {}, (104.0, 50.0), (104.0, 50.0), 0.5)
+    safety = Safety(0, Limits.of(Mission()), 0.0)
+    step = safety.step((98.0, 50.0), {}, (104.0, 50.0), (104.0, 50.0), 0.5)
     assert step.origin is Origin.SHIELD and step.waypoint == pytest.approx((100.0, 50.0))
-    outside = mind.step((-9.0, 50.0), {}, (-12.0, 50.0), (-12.0, 50.0), 0.5)
+    outside = safety.step((-9.0, 50.0), {}, (-12.0, 50.0), (-12.0, 50.0), 0.5)
     assert outside.waypoint == pytest.approx((-9.0 + Mission().max_step, 50.0)), "one full step back"
 
 
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
-    mind = Safety(0, Limits.of(Mission()), 0.1)
-    assert mind.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
-    assert mind.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
+    safety = Safety(0, Limits.of(Mission()), 0.1)
+    assert safety.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
+    assert safety.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 
 
 def test_progress_is_counted_for_each_goal() -> None:
