@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from rounds import round_began
+
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.auction import AuctionAssignment
@@ -28,13 +30,7 @@ def make(robot: int = 0, *, shield_on: bool = True) -> Agent:
 
 def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
     others = {int(name[1:]): x for name, x in sensed.items()}
-    return RoundBegan(
-        round=round_number,
-        position=(48.0, 50.0),
-        neighbors=len(others),
-        sensed=others,
-        observed=tuple(others.values()),
-    )
+    return round_began(round_number, (48.0, 50.0), others)
 
 
 def origin(proposer: int, digest: str = MISSION.digest) -> Provenance:

@@ -1,4 +1,4 @@
-"""A team of real agents that sign, flown by hand, and a keyed robot beside them that says what it likes."""
+"""A team of real agents that sign, driven by a test, and a robot with keys that sends whatever it likes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from team_by_hand import turned
+from driven_team import turned
+from rounds import round_began
 from toy_keys import ToyKeys
 
 from llm_flock import graph
@@ -29,7 +30,6 @@ from llm_flock.protocol.events import (
     Phase,
     Planned,
     Received,
-    RoundBegan,
 )
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
@@ -118,11 +118,11 @@ class SignedTeam:
         return tuple((version, owner) for version, _, owner in self.agents[robot].claim.table or ())
 
     def counts(self, reason: str) -> int:
-        """How often honest robots refused something for this reason."""
+        """Number of refusals of honest robots for this reason."""
         return sum(agent.rejected[reason] for agent in self.agents)
 
     def fly(self, rounds: int, liar_says: Talk = tuple, liar_moves: Callable[[], Point] | None = None) -> None:
-        """So many rounds of five communication rounds; the liar speaks in every communication round, to all."""
+        """Fly a number of rounds of five communication rounds; the liar sends to all in each of them."""
         for _ in range(rounds):
             self.begin()
             for _ in range(5):
@@ -137,14 +137,7 @@ class SignedTeam:
         self.links = graph.neighbors(self.positions, self.mission.comm_range)
         for i, agent in enumerate(self.agents):
             sensed = {j: self.positions[j] for j in self.links[i]}
-            began = RoundBegan(
-                round=self.round,
-                position=self.positions[i],
-                neighbors=len(sensed),
-                sensed=sensed,
-                observed=tuple(sensed.values()),
-            )
-            for effect in agent.handle(began):
+            for effect in agent.handle(round_began(self.round, self.positions[i], sensed)):
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(PlanAnswer(plan=turned(effect.question.mission, i + 1)[i], slot=i)))
 
@@ -167,7 +160,7 @@ class SignedTeam:
             self.notes.extend(e for e in agent.handle(CommRoundEnded()) if isinstance(e, Note))
 
     def tell(self, robot: int, payload: bytes, sender: int) -> list[str]:
-        """One robot hears something; the reasons for which it refused it."""
+        """Give one robot a payload; returns the reasons for which it was refused."""
         self.begin()
         effects = self.agents[robot].handle(Received(payload, sender))
         notes = [e for e in effects if isinstance(e, Note)]
@@ -279,7 +272,7 @@ class Liar:
         )
 
     def provenance(self, *, epoch: int = 0, sequence: int = 0, proposer: int | None = None) -> Provenance:
-        """The best origin that it can think of."""
+        """An origin of its own with the highest influence."""
         stamp: MissionStamp = self.team.context.mission
         return Provenance(
             mission=stamp.counter,
@@ -297,5 +290,5 @@ def line_up(n: int, gap: float = 7.0) -> list[Point]:
 
 
 def good_plan(mission: Mission, angle: int) -> Plan:
-    """A faultless plan that is none of the team's."""
+    """A faultless plan that no robot of the team proposed."""
     return turned(mission, mission.n_robots + angle)[-1]

@@ -62,7 +62,7 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
 
 @cases(8)
 @given(SEEDS, st.floats(0, 0.3))
-def test_a_liar_holds_one_place_and_breaks_nobodys_safety(seed: int, loss: float) -> None:
+def test_a_liar_holds_one_place_and_brings_no_pair_too_near(seed: int, loss: float) -> None:
     rng = np.random.default_rng(seed)
     team = SignedTeam(MISSION, line_up(N), seed=seed, loss=loss)
     liar = Liar(team)

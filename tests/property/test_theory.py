@@ -4,10 +4,10 @@ import math
 from itertools import permutations
 
 import numpy as np
+from driven_team import DrivenTeam, Links, turned
 from effort import cases
 from hypothesis import given
 from hypothesis import strategies as st
-from team_by_hand import Links, Team, turned
 
 from llm_flock import graph
 from llm_flock.arrays import Mask, Point
@@ -57,7 +57,7 @@ def hops(adjacent: Mask, start: int) -> list[int]:
     return [found[i] for i in range(len(adjacent))]
 
 
-def key_of(team: Team, robot: int) -> PlanKey:
+def key_of(team: DrivenTeam, robot: int) -> PlanKey:
     agent = team.agents[robot]
     assert agent.plan is not None and agent.provenance is not None
     # Proposals are exact shapes, so their class decides nothing here.
@@ -66,12 +66,12 @@ def key_of(team: Team, robot: int) -> PlanKey:
 
 @cases(20)
 @given(seed=SEEDS, n=st.integers(1, 9))
-def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(seed: int, n: int) -> None:
+def test_the_highest_plan_spreads_one_hop_in_a_communication_round(seed: int, n: int) -> None:
     """Theorem 1: so all hold it after the diameter at the latest, and not a communication round before they are
     reached."""
     rng = np.random.default_rng(seed)
     links, adjacent = random_links(n, rng)
-    team = Team(circle(n), "flock", turned(circle(n), n))
+    team = DrivenTeam(circle(n), "flock", turned(circle(n), n))
     team.begin(places(n, rng), links)
     top = max(range(n), key=lambda i: key_of(team, i))
     highest, away = team.plans[top], hops(adjacent, top)
@@ -88,7 +88,7 @@ def test_the_highest_plan_is_held_by_exactly_those_within_as_many_hops_as_ticks(
 def test_a_jointly_connected_team_agrees(seed: int, n: int, window: int) -> None:
     """Theorem 2: each link of a random tree exists in one round of a window only; no graph needs to be whole."""
     rng = np.random.default_rng(seed)
-    team = Team(circle(n), "flock", turned(circle(n), n))
+    team = DrivenTeam(circle(n), "flock", turned(circle(n), n))
     spots = places(n, rng)
     team.begin(spots, links_of(n, random_tree(n, rng)))
     highest = team.plans[max(range(n), key=lambda i: key_of(team, i))]
@@ -145,7 +145,7 @@ def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(s
     links, adjacent = random_links(n, rng)
     diameter = graph.diameter(adjacent)
     assert diameter is not None
-    team = Team(circle(n), "flock", turned(circle(n), 1) * n, swaps=False)
+    team = DrivenTeam(circle(n), "flock", turned(circle(n), 1) * n, swaps=False)
     team.begin(places(n, rng), links)
     for _ in range(n * diameter):
         team.comm_round()
@@ -161,7 +161,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     rng = np.random.default_rng(seed)
     links, _ = random_links(n, rng)
     mission = circle(n)
-    team = Team(mission, "flock", turned(mission, 1) * n)
+    team = DrivenTeam(mission, "flock", turned(mission, 1) * n)
     where = places(n, rng)
     team.begin(where, links)
     plan = team.plans[0]

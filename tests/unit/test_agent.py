@@ -106,7 +106,7 @@ def test_without_a_plan_the_robot_holds_and_asks_again() -> None:
     assert isinstance(ask, AskPlan)
 
 
-def test_a_silent_model_makes_the_robot_hold_and_says_why() -> None:
+def test_a_silent_model_makes_the_robot_hold_and_note_why() -> None:
     agent = make()
     planned(agent)
     agent.handle(AgreementEnded())
@@ -115,7 +115,7 @@ def test_a_silent_model_makes_the_robot_hold_and_says_why() -> None:
     assert isinstance(move, MoveTo) and move.origin is Origin.HOLD and move.waypoint == (48.0, 50.0)
 
 
-def test_the_shield_alters_an_unsafe_step_and_says_so() -> None:
+def test_the_shield_alters_an_unsafe_step_and_notes_it() -> None:
     agent = make()
     agent.handle(began(r1=(52.0, 50.0)))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
@@ -160,7 +160,7 @@ def test_every_phase_but_the_last_can_be_left_and_is_reached() -> None:
     assert reached == set(Phase)
 
 
-def test_another_mission_makes_the_robot_plan_anew() -> None:
+def test_another_mission_makes_the_robot_plan_again() -> None:
     agent = make()
     planned(agent)
     for event in (AgreementEnded(), Decided(StepAnswer(waypoint=(48.0, 50.0))), Arrived()):

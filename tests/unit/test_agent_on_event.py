@@ -9,6 +9,7 @@ from unittest.mock import patch
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rounds import round_began
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -26,7 +27,6 @@ from llm_flock.protocol.events import (
     Origin,
     Phase,
     Planned,
-    RoundBegan,
 )
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.pilot import Observation, Pilot
@@ -48,13 +48,10 @@ def make(*, verify: bool = True, shield_on: bool = True) -> Agent:
 
 
 def begin(agent: Agent, position: Point, sensed: dict[int, Point] | None = None) -> list[Effect]:
-    """One round up to the step: the effects of the end of the negotiation."""
+    """One round up to the step: the effects of the end of the agreement."""
     if agent.phase is Phase.MOVING:
         agent.handle(Arrived())
-    others = sensed or {}
-    agent.handle(
-        RoundBegan(round=1, position=position, neighbors=len(others), sensed=others, observed=tuple(others.values()))
-    )
+    agent.handle(round_began(1, position, sensed))
     if agent.phase is Phase.PLANNING:
         agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
     return agent.handle(AgreementEnded())
@@ -182,7 +179,7 @@ def test_no_step_is_flown_unverified_or_unshielded(
         here = step.waypoint
 
 
-def test_the_shield_judges_progress_by_the_spacing_of_the_mission_in_force() -> None:
+def test_the_shield_measures_progress_by_the_spacing_of_the_mission_in_force() -> None:
     """A robot that stays at 0.8 units from its goal is near enough for a spacing of 20 units, and blocked for 10."""
     goal = PLAN.points[0]
     scene = Observation(round=1, position=(goal[0] - 0.8, *goal[1:]), sensed={}, observed=())

@@ -1,4 +1,4 @@
-"""A robot that is not in step: it agreement, looks and changes its mind while its model thinks and its body flies."""
+"""A robot that keeps no common rounds: it communicates and senses while its model thinks and its body flies."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def deciding(agent: Agent, plan: Plan = PLAN) -> Agent:
     return agent
 
 
-def test_it_talks_and_listens_before_its_first_round() -> None:
+def test_it_sends_and_receives_before_its_first_round() -> None:
     agent = make()
     agent.handle(seen())
     agent.handle(HeartbeatDue(1))
@@ -118,7 +118,7 @@ def test_a_plan_that_was_overtaken_is_dropped() -> None:
     assert agent.plan == BETTER and agent.phase is Phase.AGREEING
 
 
-def test_a_step_is_asked_for_anew_when_its_plan_has_changed() -> None:
+def test_a_step_is_asked_for_again_when_its_plan_has_changed() -> None:
     agent = deciding(make())
     agent.handle(Received(said_by(2, BETTER, neighbors=2)))
     effects = agent.handle(CommRoundEnded())
@@ -145,7 +145,7 @@ def test_a_step_is_flown_from_what_is_seen_when_it_is_decided() -> None:
     assert move.origin is Origin.SHIELD and move.waypoint[0] <= 49.0 + 1e-9
 
 
-def test_it_talks_while_it_flies() -> None:
+def test_it_sends_and_receives_while_it_flies() -> None:
     agent = deciding(make())
     agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
     agent.handle(Received(said_by(2, BETTER, neighbors=2)))

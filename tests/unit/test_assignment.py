@@ -1,4 +1,4 @@
-"""Goal assignment rules, and why the paper's gives several robots one goal."""
+"""Assignment rules, and why the paper's rule gives one place to several robots."""
 
 import pytest
 

@@ -122,7 +122,7 @@ def test_a_far_slot_is_handed_on_along_a_ring_and_not_flown_to_across_it() -> No
     assert gain(now, ring.points[1], 30, 1) > chord**2
 
 
-def test_who_has_accepted_offers_the_next_exchange_in_the_same_tick() -> None:
+def test_a_robot_that_accepted_offers_the_next_exchange_in_the_same_communication_round() -> None:
     table: BidTable = ((0, 0.0, 1), (0, 0.0, 2), (0, -21.0, 0))
     zero = Claim(slot=2, table=table, bids=(-1.0, -11.0, -21.0))
     one = Claim(slot=0, table=table, bids=(0.0, -10.0, -20.0))
@@ -151,7 +151,7 @@ def test_an_exchange_from_offer_to_acceptance() -> None:
     assert zero.offer is None
 
 
-def test_a_bound_robot_accepts_nothing_else_and_is_free_again_after_some_ticks() -> None:
+def test_a_bound_robot_accepts_nothing_else_until_its_offer_expires() -> None:
     zero, one, sensed = crossed()
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     table: BidTable = ((0, -1.0, 0), (0, -1.0, 1), (0, -9.0, 2))
@@ -228,7 +228,7 @@ def test_an_offer_about_something_else_is_not_accepted(changes: dict[str, int]) 
     assert after.slot == 1
 
 
-def test_an_exchange_that_gains_nothing_or_with_a_robot_out_of_sight_is_neither_offered_nor_accepted() -> None:
+def test_an_exchange_without_gain_or_with_an_unseen_robot_is_neither_offered_nor_accepted() -> None:
     zero, one, _ = crossed()
     assert RULE.update(zero, at(0, 12.0, says(1, one))).offer is None
     settled = {0: (1.0, 0.0), 1: (9.0, 0.0)}

@@ -1,4 +1,4 @@
-"""Plan consensus rules, and what is wrong with the paper's."""
+"""Plan consensus rules, and where the paper's fails."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_influence_never_resolves_a_tie_of_all() -> None:
         assert InfluenceConsensus().choose(holds(plans[i], 2), heard) is None
 
 
-def test_pedigree_resolves_the_tie_of_all() -> None:
+def test_provenance_resolves_the_tie_of_all() -> None:
     plans = [A, B, Plan.of([[2, 2], [12, 2], [7, 10]])]
     ends: list[Plan] = []
     for i in range(3):
@@ -92,7 +92,7 @@ def test_among_equals_the_proposer_decides_and_then_the_digest() -> None:
     assert rule.choose(holds(high, 2, proposer=1), [says(1, 2, low)]) is None
 
 
-def test_pedigree_is_decided_by_the_proposer_not_the_carrier() -> None:
+def test_provenance_is_decided_by_the_proposer_not_the_carrier() -> None:
     """A hub that carries a weak robot's plan does not lend it its own influence."""
     weak_plan_on_hub = says(2, 9, A, origin(proposer=1, neighbors=1))
     strong_plan_on_loner = says(3, 1, B, origin(proposer=0, neighbors=5))
@@ -100,7 +100,7 @@ def test_pedigree_is_decided_by_the_proposer_not_the_carrier() -> None:
     assert choice == strong_plan_on_loner
 
 
-def test_pedigree_converges_within_the_diameter_on_a_path() -> None:
+def test_provenance_converges_within_the_diameter_on_a_path() -> None:
     n = 9
     rng = np.random.default_rng(3)
     plans = [Plan.of(rng.uniform(0, 50, (n, 2)).tolist()) for _ in range(n)]

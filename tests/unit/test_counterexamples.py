@@ -8,7 +8,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from team_by_hand import Team, turned
+from driven_team import DrivenTeam, turned
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -23,25 +23,25 @@ THREE = Mission(shape="triangle", n_robots=3)
 IN_RANGE: tuple[Point, ...] = ((40.0, 40.0), (50.0, 40.0), (45.0, 48.0))
 
 
-def settle(team: Team, comm_rounds: int = FOR_EVER) -> None:
+def settle(team: DrivenTeam, comm_rounds: int = FOR_EVER) -> None:
     for _ in range(comm_rounds):
         team.comm_round()
 
 
-def one_plan_and_distinct_places(team: Team) -> bool:
+def one_plan_and_distinct_places(team: DrivenTeam) -> bool:
     return len(set(team.plans)) == 1 and None not in team.plans and set(team.slots) == set(range(len(team.agents)))
 
 
 def test_equal_influences_never_resolve() -> None:
     """Three robots in range of each other all have influence 2/3: nobody outranks anybody."""
     plans = turned(THREE, 3)
-    paper = Team(THREE, "paper", plans)
+    paper = DrivenTeam(THREE, "paper", plans)
     paper.begin(IN_RANGE)
     assert [agent.influence for agent in paper.agents] == [2 / 3] * 3
     settle(paper)
     assert paper.plans == plans
 
-    flock = Team(THREE, "flock", plans)
+    flock = DrivenTeam(THREE, "flock", plans)
     flock.begin(IN_RANGE)
     settle(flock, 1)
     assert flock.plans == [plans[2]] * 3
@@ -66,7 +66,7 @@ def test_two_hubs_hold_two_plans_for_ever() -> None:
     """One is strictly more influential, and the graph is connected; but robots 1 and 2 each listen to their own hub."""
     nine = Mission(shape="circle", n_robots=9)
     plans = turned(nine, 9)
-    paper = Team(nine, "paper", plans)
+    paper = DrivenTeam(nine, "paper", plans)
     paper.begin(HUBS)
     assert [agent.neighbors for agent in paper.agents] == [3, 2, 2, 4, 1, 1, 1, 1, 1]
     settle(paper)
@@ -74,7 +74,7 @@ def test_two_hubs_hold_two_plans_for_ever() -> None:
     assert {paper.plans[i] for i in left} == {plans[0]}
     assert {paper.plans[i] for i in right} == {plans[3]}
 
-    flock = Team(nine, "flock", plans)
+    flock = DrivenTeam(nine, "flock", plans)
     flock.begin(HUBS)
     settle(flock, 5)
     assert set(flock.plans) == {plans[3]}, "the plan of the most influential proposer"
@@ -94,10 +94,10 @@ def groups(x: float) -> list[Point]:
     return [(20.0, 50.0), (80.0, 50.0), (x, 50.0), (8.0, 50.0), (92.0, 50.0)]
 
 
-def plans_of_the_shuttle(preset: str, rounds: int) -> tuple[Team, list[Plan], list[Plan | None]]:
+def plans_of_the_shuttle(preset: str, rounds: int) -> tuple[DrivenTeam, list[Plan], list[Plan | None]]:
     five = Mission(shape="circle", n_robots=5)
     plans = turned(five, 5)
-    team = Team(five, preset, plans)
+    team = DrivenTeam(five, preset, plans)
     held: list[Plan | None] = []
     for x in shuttle(rounds):
         team.begin(groups(x))
@@ -126,13 +126,13 @@ def test_two_robots_take_the_same_goal() -> None:
     upright = Plan.of(THREE.ideal or ())
     top = max(range(3), key=lambda a: upright.points[a][1])
     plans = [turned(THREE, 1)[0], upright, turned(THREE, 2)[1]]
-    paper = Team(THREE, "paper", plans)
+    paper = DrivenTeam(THREE, "paper", plans)
     paper.begin(apart)
     settle(paper)
     assert paper.plans == [upright] * 3
     assert paper.slots[0] == paper.slots[2] == top
 
-    flock = Team(THREE, "flock", plans)
+    flock = DrivenTeam(THREE, "flock", plans)
     flock.begin(apart)
     settle(flock, 10)
     assert flock.plans == [upright] * 3
@@ -146,12 +146,12 @@ def test_the_most_influential_robot_spreads_a_hallucinated_plan() -> None:
     assert check_plan(THREE, wrong) is not None
     good = turned(THREE, 3)
     plans = [good[0], wrong, good[2]]
-    paper = Team(THREE, "paper", plans)
+    paper = DrivenTeam(THREE, "paper", plans)
     paper.begin(path)
     settle(paper)
     assert paper.plans == [wrong] * 3
 
-    flock = Team(THREE, "flock", plans)
+    flock = DrivenTeam(THREE, "flock", plans)
     flock.begin(path)
     settle(flock, 10)
     assert flock.plans == [good[2]] * 3
@@ -161,12 +161,12 @@ def test_the_most_influential_robot_spreads_a_hallucinated_plan() -> None:
 @pytest.mark.parametrize("wish", [(88.0, 40.0), (50.0, 40.0)], ids=["48 units away", "on another robot"])
 def test_a_step_that_is_too_long_or_collides_is_flown(wish: Point) -> None:
     plans = turned(THREE, 3)
-    paper = Team(THREE, "paper", plans)
+    paper = DrivenTeam(THREE, "paper", plans)
     paper.begin(IN_RANGE)
     move = paper.end({0: wish})[0]
     assert (move.waypoint, move.origin) == (wish, Origin.MODEL)
 
-    flock = Team(THREE, "flock", plans)
+    flock = DrivenTeam(THREE, "flock", plans)
     flock.begin(IN_RANGE)
     flown = flock.end({0: wish})[0].waypoint
     assert math.dist(flown, IN_RANGE[0]) <= THREE.max_step

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from crew import Crew, connected_places
 from msgspec.structs import replace
+from still_team import StillTeam, connected_places
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
@@ -260,16 +260,16 @@ def test_sequence_numbers_count_distinct_payloads() -> None:
 def test_a_team_of_ten_that_agrees_sends_a_few_dozen_bytes() -> None:
     mission = Mission(shape="circle", n_robots=10, arena=WIDE)
     rng = np.random.default_rng(4)
-    crew = Crew(mission, connected_places(10, rng), rng, time_out=1000)
+    team = StillTeam(mission, connected_places(10, rng), rng, time_out=1000)
     sizes: list[list[int]] = []
-    broadcast = crew.transport.broadcast
+    broadcast = team.transport.broadcast
 
     def spy(payload: bytes, receivers: tuple[int, ...]) -> None:
-        sizes.append([crew.number, len(payload)])
+        sizes.append([team.number, len(payload)])
         broadcast(payload, receivers)
 
-    crew.transport.broadcast = spy
-    crew.rounds(14)
+    team.transport.broadcast = spy
+    team.rounds(14)
     said = [size for number, size in sizes if number == 14]
     comm_rounds = [said[k : k + 10] for k in range(0, len(said), 10)]
     assert len(comm_rounds) == 5

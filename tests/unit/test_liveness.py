@@ -1,4 +1,4 @@
-"""Heartbeats: who is alive, who is silent, who was never heard of, and who only stands there."""
+"""Heartbeats: living, silent and unknown robots, and bodies that only stand there."""
 
 from collections.abc import Sequence
 
@@ -40,7 +40,7 @@ def test_heartbeats_are_passed_on() -> None:
     assert near.beats == (2, 2, 2) and not near.strangers
 
 
-def test_who_starts_again_counts_on_from_its_former_life() -> None:
+def test_a_restarted_robot_continues_its_former_counter() -> None:
     reborn, other = Liveness(0, 2, time_out=2), Liveness(1, 2, time_out=2)
     reborn.begin_round(1, NOBODY)
     reborn.hear([counts((40, 7))])

@@ -1,4 +1,4 @@
-"""Everything that may come over the radio: accepted exactly, or refused with a stable word."""
+"""Messages from the radio are accepted exactly, or refused with a stable reason."""
 
 import math
 from typing import Any
@@ -87,7 +87,7 @@ def provenance(**changes: Any) -> list[Any]:
         ),
     ],
 )
-def test_what_is_said_is_heard(message: Message) -> None:
+def test_a_message_is_decoded_as_it_was_encoded(message: Message) -> None:
     heard = decode(encode(message), 2, 2)
     assert msgspec.structs.replace(heard, said=None) == message
 
@@ -166,7 +166,7 @@ def test_unacceptable_messages_are_refused_by_name(payload: bytes, reason: str) 
     assert caught.value.reason == reason
 
 
-def test_the_digest_of_a_plan_said_in_full_is_not_believed_but_computed() -> None:
+def test_the_digest_of_a_spelled_out_plan_is_computed_by_the_receiver() -> None:
     assert decode(spoiled(plan_digest=b"\0" * 8), 2, 2).plan_digest == PLAN.digest
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from one_flight import LINE, PLAN, Flight, make, says
+from driven_agent import LINE, PLAN, DrivenAgent, make, says
 from signed_team import Liar, SignedTeam
 
 from llm_flock.mission import Mission
@@ -64,26 +64,26 @@ class Opened:
 
 
 def test_a_payload_repeated_in_a_round_is_opened_once_and_heard_each_time() -> None:
-    flight = Flight(make())
-    opened = Opened(flight.agent)
-    flight.begin()
+    driven = DrivenAgent(make())
+    opened = Opened(driven.agent)
+    driven.begin()
     same = says(1, plan=PLAN)
-    assert [opened.during(lambda: flight.comm_round(same, same)) for _ in range(3)] == [1, 0, 0]
+    assert [opened.during(lambda: driven.comm_round(same, same)) for _ in range(3)] == [1, 0, 0]
     heard: list[int] = []
-    flight.agent.handle(Received(same))
-    heard.extend(each.sender for each in flight.agent._messaging.drain())
+    driven.agent.handle(Received(same))
+    heard.extend(each.sender for each in driven.agent._messaging.drain())
     assert heard == [1]
-    flight.end()
-    flight.begin()
-    assert opened.during(lambda: flight.comm_round(same)) == 1, "in another round it is opened again"
+    driven.end()
+    driven.begin()
+    assert opened.during(lambda: driven.comm_round(same)) == 1, "in another round it is opened again"
 
 
 def test_a_payload_that_has_more_to_apply_is_applied_each_time() -> None:
     large = Mission(shape="line", n_robots=21, spacing=4, comm_range=60)
     plan = Plan.of(large.ideal or ())
-    flight = Flight(make(mission=large), here=plan.points[0], plan=plan)
-    opened = Opened(flight.agent)
-    flight.begin()
+    driven = DrivenAgent(make(mission=large), here=plan.points[0], plan=plan)
+    opened = Opened(driven.agent)
+    driven.begin()
     beats = tuple(range(21))
     for payload in (
         says(1, mission=large, plan=plan, beats=beats),
@@ -91,8 +91,8 @@ def test_a_payload_that_has_more_to_apply_is_applied_each_time() -> None:
         says(3, mission=large),
         b"noise",
     ):
-        assert [opened.during(lambda p=payload: flight.comm_round(p)) for _ in range(3)] == [1, 1, 1]
-    assert flight.agent.rejected == {"version": 3}
+        assert [opened.during(lambda p=payload: driven.comm_round(p)) for _ in range(3)] == [1, 1, 1]
+    assert driven.agent.rejected == {"version": 3}
 
 
 def test_with_keys_every_payload_is_verified(team: SignedTeam, liar: Liar) -> None:
@@ -106,27 +106,27 @@ def test_with_keys_every_payload_is_verified(team: SignedTeam, liar: Liar) -> No
 @pytest.mark.parametrize("by_radio", [True, False])
 def test_another_mission_makes_a_repeated_payload_new(by_radio: bool) -> None:
     new = LINE.change(center=(60.0, 50.0), since=2)
-    flight = Flight(make())
-    opened = Opened(flight.agent)
-    flight.begin()
+    driven = DrivenAgent(make())
+    opened = Opened(driven.agent)
+    driven.begin()
     same = says(1, plan=PLAN)
-    flight.comm_round(same)
+    driven.comm_round(same)
     if by_radio:
-        flight.comm_round(says(2, mission=new, counter=1, text=mission_text(new)))
+        driven.comm_round(says(2, mission=new, counter=1, text=mission_text(new)))
     else:
-        flight.agent.handle(MissionGiven(mission=new))
-    assert flight.agent.mission == new
-    assert opened.during(lambda: flight.comm_round(same)) == 1
-    assert flight.agent.plan is None, "its plan belongs to the mission before"
+        driven.agent.handle(MissionGiven(mission=new))
+    assert driven.agent.mission == new
+    assert opened.during(lambda: driven.comm_round(same)) == 1
+    assert driven.agent.plan is None, "its plan belongs to the mission before"
 
 
 def test_a_flood_of_payloads_costs_bounded_memory() -> None:
-    flight = Flight(make())
-    opened = Opened(flight.agent)
-    flight.begin()
+    driven = DrivenAgent(make())
+    opened = Opened(driven.agent)
+    driven.begin()
     flood = [says(1, plan=PLAN, sequence=k) for k in range(2 * REMEMBERED_PAYLOADS)]
-    assert opened.during(lambda: flight.comm_round(*flood)) == len(flood)
-    assert opened.during(lambda: flight.comm_round(*flood)) == len(flood) - REMEMBERED_PAYLOADS
+    assert opened.during(lambda: driven.comm_round(*flood)) == len(flood)
+    assert opened.during(lambda: driven.comm_round(*flood)) == len(flood) - REMEMBERED_PAYLOADS
 
 
 def test_a_refused_plan_is_counted_once_and_a_flood_of_them_costs_bounded_memory() -> None:

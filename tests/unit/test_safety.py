@@ -123,7 +123,7 @@ def test_round_an_obstacle_exactly_in_line(obstacle: Obstacle) -> None:
     assert team.clearance >= SAFE / 2 - 1e-6
 
 
-def test_a_goal_that_cannot_be_reached_is_said_once_and_circled() -> None:
+def test_a_goal_that_cannot_be_reached_is_noted_once_and_circled() -> None:
     team = Team([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
     assert team.fly(80) is None
     assert team.kinds["deadlock"] <= 3 and team.clearance >= SAFE / 2 - 1e-6
@@ -180,13 +180,21 @@ def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
     assert way.notes[0].detail["makes_way"] is True and way.waypoint[0] < 50.0
 
 
+def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
+    mind = Safety(0, Limits.of(Mission()), 0.0)
+    step = mind.step((98.0, 50.0), {}, (104.0, 50.0), (104.0, 50.0), 0.5)
+    assert step.origin is Origin.SHIELD and step.waypoint == pytest.approx((100.0, 50.0))
+    outside = mind.step((-9.0, 50.0), {}, (-12.0, 50.0), (-12.0, 50.0), 0.5)
+    assert outside.waypoint == pytest.approx((-9.0 + Mission().max_step, 50.0)), "one full step back"
+
+
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
     mind = Safety(0, Limits.of(Mission()), 0.1)
     assert mind.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
     assert mind.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 
 
-def test_progress_is_counted_and_a_new_goal_begins_anew() -> None:
+def test_progress_is_counted_for_each_goal() -> None:
     def seen(last: GoalProgress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> GoalProgress:
         return update_progress(last, (x, 0.0), goal, gain=0.3, within=0.5, side_rounds=SIDE_ROUNDS)
 

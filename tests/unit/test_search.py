@@ -1,4 +1,4 @@
-"""The search that ends frozen partitions: who goes, where, and when it stops."""
+"""The search that ends frozen partitions: which robot goes, where, and when it stops."""
 
 from llm_flock.protocol.membership.search import (
     LOOKS,
@@ -103,7 +103,7 @@ def test_while_many_are_missing_the_tour_goes_on_until_its_next_place_is_taken()
     assert step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), at_goal=False, strangers=MANY).target is None
 
 
-def test_while_many_are_missing_news_from_afar_do_not_make_it_wait_anew() -> None:
+def test_while_many_robots_are_missing_distant_news_do_not_restart_the_wait() -> None:
     far, near = table(0, 1, NO_OWNER, 3), table(0, NO_OWNER, NO_OWNER, 3)
     waited = step(Search(), 0.0, 0, table(0, 1, NO_OWNER, NO_OWNER), strangers=MANY + 1)
     assert waited.waited == 1
@@ -127,7 +127,7 @@ def looking_on(slot: int, owners: BidTable, *, strangers: int, silent: int) -> t
     return search, waits[:-1], ways
 
 
-def test_looks_in_vain_are_followed_by_longer_waits_and_end_with_the_centre_then_for_good() -> None:
+def test_searches_in_vain_are_followed_by_longer_waits_and_end_at_the_centre() -> None:
     search, waits, ways = looking_on(2, table(0, 1, 2, NO_OWNER), strangers=1, silent=0)
     assert search.given_up and search.gaps == (3,) and len(ways) == LOOKS
     assert waits == sorted(waits) and waits[0] < waits[-1]

@@ -51,7 +51,7 @@ def test_an_honest_fifth_finds_the_free_place(team: SignedTeam, liar: Liar) -> N
     assert team.held_by_liar() == 1
 
 
-def test_who_claims_every_place_holds_one_at_most(team: SignedTeam, liar: Liar) -> None:
+def test_a_robot_that_claims_every_place_holds_at_most_one(team: SignedTeam, liar: Liar) -> None:
     """With the best of bids, over and over, until its claims are used up."""
 
     version = itertools.cycle(range(3))
@@ -162,7 +162,7 @@ def test_two_witnesses_block_a_place_with_a_body_on_it(team: SignedTeam) -> None
     assert table is not None and table[slot][2] == BLOCKED
 
 
-def test_false_words_do_not_count(team: SignedTeam, liar: Liar) -> None:
+def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> None:
     table = team.agents[0].claim.table
     assert table is not None
     good = liar.word(0, table[0][0] + 1)
@@ -334,7 +334,7 @@ def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
     assert table is not None and table[slot][1] >= 2.0
 
 
-def test_a_page_is_turned_for_another_plan_only(team: SignedTeam) -> None:
+def test_evidence_is_dropped_for_another_plan_only(team: SignedTeam) -> None:
     evidence, context = evidence_of(team.agents[0]), team.context
     number = evidence._number
     evidence.attest(Claim(slot=None))

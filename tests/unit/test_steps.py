@@ -1,4 +1,4 @@
-"""What is checked of a step, what a blocked way allows, and what the shield may make of a step that fails."""
+"""Checks of a step, steps where the way is blocked, and steps that the shield may correct."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_each_waypoint_of_a_path_is_a_step_from_the_one_before() -> None:
     assert "no nearer than you are now" in (path_fault(FAR, (56.0, 50.0), (55.0, 50.0)) or "")
 
 
-def test_where_others_will_be_later_is_not_judged() -> None:
+def test_later_positions_of_others_are_not_checked() -> None:
     question = ask((50.0, 50.0), (80.0, 50.0), (63.0, 50.0))
     assert path_fault(question, (56.0, 50.0), (62.0, 50.0), shield_on=False) is None
     near = ask((50.0, 50.0), (80.0, 50.0), (57.0, 50.0))

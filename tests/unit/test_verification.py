@@ -1,4 +1,4 @@
-"""What is checked of a plan: each fault in words with numbers, room for rounded coordinates, and the class."""
+"""Checks of a plan: objections with numbers, tolerance for rounded coordinates, and the class."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_whole_numbers_pass_mostly_and_are_of_a_lower_class() -> None:
     assert classes.count(PlanClass.ACCEPTABLE) >= 30 and PlanClass.EXACT not in classes
 
 
-def test_a_fault_says_what_how_much_and_what_is_required() -> None:
+def test_an_objection_names_the_fault_its_size_and_the_limit() -> None:
     points = ideal(SQUARE)
     moved = points.copy()
     moved[7] = moved[3] + (1.9, 0.0)
@@ -97,7 +97,7 @@ def test_coincident_points_are_named() -> None:
     assert reason == "points 0 and 1 are 0 apart, at least 3 is required."
 
 
-def test_words_are_judged_by_spacing_and_centre_and_are_never_exact() -> None:
+def test_free_text_is_checked_by_spacing_and_centre_and_is_never_exact() -> None:
     ring = 50 + 10 / math.sqrt(2) * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
     assert check_plan(TEXT, plan(ring)) is None and plan_class(TEXT, plan(ring)) is PlanClass.ACCEPTABLE
     assert check_plan(TEXT, plan(50 + (ring - 50) * 2)) is not None
@@ -124,7 +124,7 @@ def test_space_and_a_single_robot() -> None:
 
 
 @pytest.mark.parametrize("shape", ["circle", "square", "grid"])
-def test_a_hundred_robots_are_judged_quickly_however_they_are_numbered(shape: str) -> None:
+def test_a_plan_of_a_hundred_robots_is_checked_quickly_in_any_order(shape: str) -> None:
     mission = Mission(shape=shape, n_robots=100, center=(300, 300), arena=((0, 0), (600, 600)))
     points = np.random.default_rng(1).permutation(formations.rotated(mission.ideal or (), (300, 300), 1.0)).round(2)
     assert plan_class(mission, plan(points)) is PlanClass.EXACT

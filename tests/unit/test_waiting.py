@@ -1,4 +1,4 @@
-"""Where spares wait: near by, and out of everybody's way."""
+"""Waiting places of spare robots: near the formation and out of the way."""
 
 import math
 
@@ -27,7 +27,7 @@ def test_a_robot_on_a_place_moves_off_it_and_no_farther_than_it_must(here: tuple
     assert math.dist(place, here) <= 12.0
 
 
-def test_who_waits_for_a_blocked_place_keeps_in_sight_of_the_nearest_one() -> None:
+def test_a_robot_that_waits_for_a_blocked_place_stays_in_sight_of_the_nearest_one() -> None:
     mission = MISSION.change(comm_range=15)
     far, clear = (10.0, 90.0), CLEARANCE * mission.safe_distance
     place = waiting_place(mission, far, PLAN, [], [0, 2])

@@ -198,7 +198,7 @@ class Agreement:
             claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))
             self.claim = before if claim == before else claim
         self._occupancy_due = False
-        self._settled = arguments if not notes and self.claim is before and before.offer is None else ()
+        self._settled = () if due or notes or self.claim is not before else arguments
         if self._all_to_all.large:
             self._unplaced -= {m.sender for m in heard}
             self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not given_all_to_all(m.table, m.slot)}

@@ -1,6 +1,6 @@
-"""A team of real agents, driven round by round over links with faults: robots fall silent, begin late, come back.
+"""A team of real agents on faulty links: robots fall silent, start late and come back.
 
-Bodies stand still, so that only the agreement is tested.
+Their bodies stand still, so only the agreement is tested.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 import numpy as np
+from rounds import round_began
 
 from llm_flock import graph
 from llm_flock.arrays import Point
@@ -28,7 +29,6 @@ from llm_flock.protocol.events import (
     MissionGiven,
     Planned,
     Received,
-    RoundBegan,
 )
 from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.plan import Plan
@@ -52,7 +52,7 @@ def connected_places(n: int, rng: np.random.Generator) -> list[Point]:
 
 
 def a_leaf(places: list[Point], comm_range: float, root: int) -> int:
-    """A robot that can leave without disconnecting the others: the last one that a search from `root` finds."""
+    """A robot without which the others stay connected: the last that a search from `root` finds."""
     near = graph.neighbors(places, comm_range)
     found = [root]
     for robot in found:
@@ -61,7 +61,7 @@ def a_leaf(places: list[Point], comm_range: float, root: int) -> int:
 
 
 def turned_plan(question: PlanQuestion) -> Plan:
-    """The ideal shape of the question's mission, turned by an angle that depends on the robot."""
+    """The ideal shape, turned by an angle that depends on the robot."""
     mission = question.mission
     assert mission.ideal is not None
     angle = 0.11 * (question.robot + 1)
@@ -70,17 +70,17 @@ def turned_plan(question: PlanQuestion) -> Plan:
     return Plan.of(((np.array(mission.ideal) - center) @ turn.T + center).tolist())
 
 
-class Crew:
-    """N bodies, each with an agent that may be asleep.
+class StillTeam:
+    """N bodies, and an agent for each of them that is awake.
 
     Args:
-        mission: the first mission.
-        places: positions of the bodies [units].
-        rng: source of the links' randomness.
+        mission: what the team is asked to do at first.
+        places: where the bodies are [units].
+        rng: decides about the faults of the links.
         faults: faults of the links.
-        asleep: robots that begin later.
-        time_out: rounds without a heartbeat after which a robot counts as dead.
-        gaps: what to do about places for which no robot is left.
+        asleep: robots that start later.
+        time_out: rounds without a heartbeat after which a robot is taken for dead.
+        gaps: what to do about places that nobody is alive to take.
         verify: whether plans are checked.
     """
 
@@ -104,10 +104,10 @@ class Crew:
         self.asked: list[PlanQuestion] = []
         self._rng, self._time_out, self._verify = rng, time_out, verify
         self._gaps: Gaps = gaps
-        self.agents = [self._agent(robot) for robot in range(mission.n_robots)]
+        self.agents = [self._new_agent(robot) for robot in range(mission.n_robots)]
         self.set_faults(faults)
 
-    def _agent(self, robot: int) -> Agent:
+    def _new_agent(self, robot: int) -> Agent:
         return Agent(
             robot,
             self.mission,
@@ -120,22 +120,22 @@ class Crew:
         )
 
     def set_faults(self, faults: LinkFaults) -> None:
-        """Give the links other faults; messages under way are lost."""
+        """Give the links other faults from now on; messages on the way are lost."""
         self.transport = MemoryTransport(self.mission.n_robots, faults, self._rng)
 
     def wake(self, robot: int) -> None:
-        """Start a robot that remembers nothing."""
+        """Start a robot; it remembers nothing."""
         self.silent.discard(robot)
-        self.agents[robot] = self._agent(robot)
+        self.agents[robot] = self._new_agent(robot)
 
     @property
     def awake(self) -> list[int]:
-        """Robots whose agents run."""
+        """Ids of the robots that run."""
         return [robot for robot in range(len(self.agents)) if robot not in self.silent]
 
     @property
     def active(self) -> list[Agent]:
-        """Agents that are awake."""
+        """The agents that run."""
         return [self.agents[robot] for robot in self.awake]
 
     def round(self, given: Mapping[int, Mission] | None = None, *, junk: Collection[bytes] = ()) -> None:
@@ -143,7 +143,7 @@ class Crew:
 
         Args:
             given: missions that robots are given at its start.
-            junk: what somebody else sends to everybody in each communication round.
+            junk: payloads from outside that every robot receives in each communication round.
         """
         self.number += 1
         deaf = self.silent | self.cut_off
@@ -153,26 +153,19 @@ class Crew:
             if given and i in given:
                 self.agents[i].handle(MissionGiven(mission=given[i]))
             sensed = {j: self.places[j] for j in near[i]}
-            began = RoundBegan(
-                round=self.number,
-                position=self.places[i],
-                neighbors=len(heard_by[i]),
-                sensed=sensed,
-                observed=tuple(sensed.values()),
-            )
-            for effect in self.agents[i].handle(began):
+            for effect in self.agents[i].handle(round_began(self.number, self.places[i], sensed, len(heard_by[i]))):
                 if isinstance(effect, AskPlan):
                     self.asked.append(effect.question)
                     self.agents[i].handle(Planned(PlanAnswer(plan=turned_plan(effect.question), slot=i)))
         for _ in range(COMM_ROUNDS):
-            self._tick(heard_by, junk)
+            self._comm_round(heard_by, junk)
         for agent in self.active:
             effects: list[Effect] = agent.handle(AgreementEnded())
             if isinstance(effects[-1], AskStep):
                 agent.handle(Decided(NoAnswer(cause="answer", reason="bodies stand still")))
             agent.handle(Arrived())
 
-    def _tick(self, heard_by: list[tuple[int, ...]], junk: Collection[bytes]) -> None:
+    def _comm_round(self, heard_by: list[tuple[int, ...]], junk: Collection[bytes]) -> None:
         for i in self.awake:
             for effect in self.agents[i].handle(CommRoundBegan()):
                 assert isinstance(effect, Broadcast)
@@ -185,10 +178,10 @@ class Crew:
                 agent.handle(Received(payload))
             agent.handle(CommRoundEnded())
             slot = agent.claim.slot
-            assert owned(agent) == ([] if slot is None else [slot]), "of all slots one at most is one's own"
+            assert owned(agent) == ([] if slot is None else [slot]), "a robot owns at most one slot in its table"
 
     def rounds(self, count: int) -> None:
-        """So many rounds in which nothing is given."""
+        """Run a number of rounds without a new mission."""
         for _ in range(count):
             self.round()
 
@@ -198,14 +191,14 @@ def owned(agent: Agent) -> list[int]:
     return [a for a, entry in enumerate(agent.claim.table or ()) if entry[2] == agent.robot]
 
 
-def assert_at_rest(crew: Crew, rejected: Mapping[str, int] | None = None) -> None:
+def assert_at_rest(team: StillTeam, rejected: Mapping[str, int] | None = None) -> None:
     """One mission, one plan made for it, equal tables in which each awake robot owns the place that it claims.
 
     Args:
-        crew: the team.
+        team: the team.
         rejected: how many messages each robot has refused, by reason; none if left out.
     """
-    active = crew.active
+    active = team.active
     assert len({agent.mission.digest for agent in active}) == 1
     assert len({agent.plan for agent in active}) == 1
     assert all(a.provenance is not None and a.provenance.mission_digest == a.mission.digest for a in active)
@@ -215,5 +208,5 @@ def assert_at_rest(crew: Crew, rejected: Mapping[str, int] | None = None) -> Non
     assert table is not None
     claimed = {agent.claim.slot: agent.robot for agent in active if agent.claim.slot is not None}
     owners = {a: owner for a, (_, _, owner) in enumerate(table) if owner >= 0}
-    assert owners == claimed, "places belong to those who claim them, and to nobody that is not awake"
+    assert owners == claimed, "slots belong to the robots that claim them"
     assert all(agent.rejected == (rejected or {}) for agent in active)

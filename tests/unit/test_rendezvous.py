@@ -1,4 +1,4 @@
-"""Where a large team in pieces meets: on the circle that is the same for every turn of its shape."""
+"""The rendezvous of a large team in pieces: a circle that is the same for every turn of its shape."""
 
 import math
 from itertools import pairwise
@@ -168,7 +168,7 @@ def test_on_a_closed_circle_everybody_stays() -> None:
     assert went(where[4], [x for x in where if x != where[4]]) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_who_is_not_on_the_circle_does_not_count() -> None:
+def test_robots_off_the_circle_do_not_count() -> None:
     here = on_circle(0.0)
     inside = (CENTER[0] + 0.5 * RADIUS, CENTER[1] + 1.0)
     assert meeting_point(SQUARE, PLAN, here, [inside]) == pytest.approx(here)
@@ -216,7 +216,7 @@ def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
     assert not [e for e in flown(agent, ROUNDS + 2, here) if isinstance(e, Note)]
 
 
-def test_it_leaves_when_the_roll_has_given_places_to_all_that_it_hears() -> None:
+def test_it_leaves_when_a_joint_assignment_has_placed_all_robots_that_it_hears() -> None:
     agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[5]
     for number in range(1, ROUNDS + 1):

@@ -1,4 +1,4 @@
-"""What a robot foresees of its way, and every reason to ask again."""
+"""The committed path of a robot, and every reason to ask its planner again."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def flown(committed: CommittedPath, *places: Point) -> CommittedPath:
     return committed
 
 
-def test_a_path_flown_as_foreseen_needs_no_question_and_holds_at_the_goal() -> None:
+def test_a_path_flown_as_committed_needs_no_question_and_holds_at_the_goal() -> None:
     committed = foresee(*WAY)
     here = START
     for k, waypoint in enumerate(WAY):

@@ -1,4 +1,4 @@
-"""A team of real agents, driven by hand over links that lose nothing: positions and plans are given."""
+"""A team of real agents that a test drives over faultless links; positions and plans are given."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Links = Sequence[Sequence[int]]
 """For each robot the ids of those that hear it, symmetric."""
 
 
-class Team:
+class DrivenTeam:
     """N agents of one preset.
 
     Args:
@@ -118,7 +118,7 @@ class Team:
 
 
 def turned(mission: Mission, count: int) -> list[Plan]:
-    """So many different faultless plans: the ideal shape, turned about its centre."""
+    """Different faultless plans: the ideal shape, turned about its centre."""
     center = np.array(mission.center)
     ideal = np.array(mission.ideal) - center
     plans: list[Plan] = []

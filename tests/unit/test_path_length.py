@@ -1,4 +1,4 @@
-"""Ways to a place: straight where it is near, along the formation where the straight one crosses emptiness."""
+"""Path lengths to a place: straight where it is near, along the formation where it is far."""
 
 import math
 from itertools import permutations
@@ -31,7 +31,7 @@ def test_across_a_ring_the_way_follows_it() -> None:
     assert path_lengths(ring.points[0], ring, [45], chord) == pytest.approx([15 * chord])
 
 
-def test_ways_are_the_cheapest_of_all_orders_of_places() -> None:
+def test_path_lengths_are_the_shortest_of_all_orders_of_places() -> None:
     plan = Plan.of([[0, 0], [13, 4], [22, -9], [40, 1], [47, 20]])
 
     def hop(a: tuple[float, ...], b: tuple[float, ...]) -> float:

@@ -1,4 +1,4 @@
-"""What a keyed robot that lies cannot do in the name of others: propose, speak, move their hearts, give missions."""
+"""A lying robot with keys cannot propose plans, send messages, heartbeats or missions in the name of others."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol.events import MissionGiven
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.events import Broadcast, CommRoundBegan, MissionGiven, Planned, RoundBegan
 from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import Message, MissionStamp, Offer
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer
+from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     MOST_EPOCHS,
     OPERATOR,
@@ -26,6 +29,7 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
     wrap,
 )
+from llm_flock.protocol.signed.evidence import Evidence
 
 MISSION = Mission(shape="circle", n_robots=5)
 
@@ -55,7 +59,7 @@ def test_a_true_plan_of_a_liar_is_a_plan(team: SignedTeam, liar: Liar) -> None:
 
 
 @pytest.mark.parametrize(("epoch", "sequence"), [(MOST_EPOCHS + 1, 0), (1, 2), (2**40 - 1, 0)])
-def test_plans_are_remade_so_often_and_not_oftener(team: SignedTeam, liar: Liar, epoch: int, sequence: int) -> None:
+def test_a_team_replans_a_bounded_number_of_times(team: SignedTeam, liar: Liar, epoch: int, sequence: int) -> None:
     lie = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=epoch, sequence=sequence), table=None)
     assert team.tell(1, lie, team.liar) == ["many_plans"]
 
@@ -93,10 +97,24 @@ def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) 
         unwrap(b"", 5)
 
 
+def test_a_robot_without_a_plan_sends_no_signature_of_one() -> None:
+    team = SignedTeam(MISSION, line_up(5))
+    agent = team.agents[0]
+    agent.handle(RoundBegan(round=1, position=team.positions[0], neighbors=0, sensed={}, observed=()))
+    agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
+    (sent,) = agent.handle(CommRoundBegan())
+    assert isinstance(sent, Broadcast) and unwrap(sent.payload, 5)[1].origin is None
+    assert team.tell(1, sent.payload, 0) == []
+
+
+def test_a_signed_rule_has_the_name_of_the_rule_that_it_decorates() -> None:
+    assert SignedAssignment(AuctionAssignment(), Evidence(0, ToyKeys(0))).name == "auction"
+
+
 # ---------------------------------------------------------------- heartbeats
 
 
-def test_hearts_are_neither_stopped_nor_kept_beating_by_others(team: SignedTeam, liar: Liar) -> None:
+def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:
     before = team.agents[0]._liveness.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
@@ -109,7 +127,7 @@ def test_hearts_are_neither_stopped_nor_kept_beating_by_others(team: SignedTeam,
     assert team.settled()
 
 
-def test_a_heart_that_beats_is_heard_through_others(team: SignedTeam, liar: Liar) -> None:
+def test_a_signed_heartbeat_is_passed_on_by_others(team: SignedTeam, liar: Liar) -> None:
     message, proofs = unwrap(liar.says(beats=(0, 0, 0, 0, 9)), 5)
     signed = msgspec.structs.replace(proofs, beats=(b"", b"", b"", b"", liar.keys.sign(beat_statement(4, 9))))
     team.begin()

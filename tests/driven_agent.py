@@ -1,8 +1,10 @@
-"""One agent in flight, round by round, for tests of its agreement; the others are what it is told."""
+"""One agent that a test drives round by round; the messages of the others are given."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+
+from rounds import round_began
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -20,7 +22,6 @@ from llm_flock.protocol.events import (
     Effect,
     Planned,
     Received,
-    RoundBegan,
 )
 from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.codec import encode
@@ -49,8 +50,8 @@ def make(
     )
 
 
-class Flight:
-    """One agent, round by round; the others are what it is told."""
+class DrivenAgent:
+    """One agent, round by round; the messages of the others are given."""
 
     def __init__(self, agent: Agent, here: Point = PLAN.points[0], plan: Plan = PLAN) -> None:
         self.agent, self.here, self.plan = agent, here, plan
@@ -59,15 +60,7 @@ class Flight:
 
     def begin(self, sensed: Mapping[int, Point] | None = None) -> None:
         self.number += 1
-        others = sensed or {}
-        began = RoundBegan(
-            round=self.number,
-            position=self.here,
-            neighbors=len(others),
-            sensed=others,
-            observed=tuple(others.values()),
-        )
-        for effect in self.agent.handle(began):
+        for effect in self.agent.handle(round_began(self.number, self.here, sensed)):
             if isinstance(effect, AskPlan):
                 self.asked.append(effect)
                 self.agent.handle(Planned(PlanAnswer(plan=self.plan, slot=0)))

@@ -1,0 +1,29 @@
+"""The event that begins a round, from what a robot senses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.events import RoundBegan
+
+
+def round_began(
+    number: int, position: Point, sensed: Mapping[int, Point] | None = None, neighbors: int | None = None
+) -> RoundBegan:
+    """The beginning of a round.
+
+    Args:
+        number: of the round.
+        position: of the robot [units].
+        sensed: positions of the robots that it senses, by id [units]; all of them are shown to its planner.
+        neighbors: number of robots that the radio counts within range; as many as are sensed if left out.
+    """
+    others = sensed or {}
+    return RoundBegan(
+        round=number,
+        position=position,
+        neighbors=len(others) if neighbors is None else neighbors,
+        sensed=others,
+        observed=tuple(others.values()),
+    )
