@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,7 @@ from llm_flock.llm.port import Call, Reply
 from llm_flock.record.reader import iter_messages
 from llm_flock.record.schema import without_volatile
 from llm_flock.runtime import journal
-from llm_flock.runtime.trial import Trial, TrialProgress
-from llm_flock.transport.memory import MemoryTransport
+from llm_flock.runtime.trial import TrialProgress
 
 VOLATILE: dict[str, Any] = {"wall_s": 0.0, "latency_mean_s": 0.0}
 
@@ -49,29 +47,6 @@ def test_a_large_team_is_measured_when_all_are_at_their_goals(monkeypatch: pytes
     early = llm_flock.run(mission, seed=3, rounds=2)
     assert early.summary.procrustes_mean == every.errors[2], "the end is always measured"
     assert np.isnan(early.errors[:2]).all()
-
-
-@pytest.mark.parametrize(
-    "extra", [{}, {"decide": "on-event", "kill": "4@2", "join": "2@8"}, {"start": "uniform", "n_robots": 12}]
-)
-def test_exchanges_in_which_nobody_says_anything_new_are_counted_and_not_flown(
-    monkeypatch: pytest.MonkeyPatch, extra: dict[str, Any]
-) -> None:
-    flown: list[int] = []
-    exchange = Trial._exchange
-
-    def counted(self: Trial, number: int, comm_round: int) -> None:
-        flown.append(number)
-        exchange(self, number, comm_round)
-
-    monkeypatch.setattr(Trial, "_exchange", counted)
-    options = {"shape": "circle", "n_robots": 6, "seed": 5, "comm_rounds": 12, "rounds": 60} | extra
-    short, flown_short = llm_flock.run(**options), len(flown)
-    monkeypatch.setattr(MemoryTransport, "clear", False)
-    full, flown_full = llm_flock.run(**options), len(flown) - flown_short
-    assert flown_full == 12 * full.summary.rounds and flown_short < 0.8 * flown_full
-    assert short.positions.tolist() == full.positions.tolist()
-    assert replace(short.summary, **VOLATILE) == replace(full.summary, **VOLATILE)
 
 
 @pytest.mark.parametrize("extra", [{"answers": "json"}, {"history": "last:2"}, {"observe": "all"}, {"noise": 0.1}])

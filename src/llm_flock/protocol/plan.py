@@ -29,13 +29,13 @@ class Plan:
     array: Points = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # Adding zero turns -0.0 into 0.0.
-        array = np.array(self.points, dtype=np.float64).reshape(len(self.points), -1).round(DECIMALS) + 0.0
+        given = np.array(self.points, dtype=np.float64).reshape(len(self.points), -1)
+        array = given.round(DECIMALS) + 0.0  # adding zero turns -0.0 into 0.0
         array.setflags(write=False)
-        rows: list[list[float]] = array.tolist()
-        rounded: tuple[Point, ...] = tuple(map(tuple, rows))
+        if array.tobytes() != given.tobytes():
+            rows: list[list[float]] = array.tolist()
+            object.__setattr__(self, "points", tuple(map(tuple, rows)))
         content = array.astype("<f8").tobytes()
-        object.__setattr__(self, "points", rounded)
         object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=8).hexdigest())
         object.__setattr__(self, "array", array)
 
