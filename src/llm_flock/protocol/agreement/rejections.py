@@ -25,10 +25,11 @@ class Rejections:
         return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
 
     def reject_plan(self, plan: Plan, objection: str) -> list[Note]:
-        """Count a plan that fails verification, once for each plan however often it is repeated."""
+        """Count a plan that fails verification; returns a note only once for each plan, however often it is repeated."""
+        note = self.reject(MessageError("unverified_plan", objection))
         if plan.digest in self._plans:
             return []
         if len(self._plans) >= REMEMBERED_PLANS:
             self._plans.clear()
         self._plans.add(plan.digest)
-        return [self.reject(MessageError("unverified_plan", objection))]
+        return [note]
