@@ -84,7 +84,7 @@ types: $(STAMP) ## Type check
 layers: $(STAMP) ## Who may import whom
 	$(BIN)/lint-imports
 
-pictures: $(STAMP) ## Take the pictures of docs/how-to/viewer.md anew, in a real browser
+pictures: $(STAMP) ## Retake the pictures of docs/how-to/viewer.md in a real browser
 	$(BIN)/python docs/viewer_images.py
 
 docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors

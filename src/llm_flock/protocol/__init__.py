@@ -1,1 +1,1 @@
-"""One robot's mind, sans-IO: no asyncio, time, random, sockets or files in here."""
+"""One robot's decision process, sans-IO: without asyncio, time, random, sockets or files."""

@@ -231,7 +231,7 @@ class Agent:
             self._begin_period(event.round)
         places = self._replanning.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
         if places is None or listening:
-            # Who joins a team that is at work hears it out before it proposes a plan of its own.
+            # A robot that joins a working team listens first, and only then proposes a plan.
             return Phase.AGREEING, []
         self._asked = PlanQuestion(
             mission=mission.at(event.round).resized(places),
@@ -325,7 +325,7 @@ class Agent:
         if plan is None:
             idle = "no plan yet"
         elif slot is None:
-            # A place of its own has nobody to wait at; with a formation that travels a spare travels along.
+            # A spare robot waits near the formation, and travels along with it.
             others = [scene.seen(x) for x in scene.sensed.values()]
             blocked = [a for a, (_, _, owner) in enumerate(self.claim.table or ()) if owner == BLOCKED]
             target = waiting_place(self.mission, scene.here, plan, others, blocked)

@@ -1,4 +1,4 @@
-"""One trial in one process: motion rounds in lockstep, all robots of a round thinking at once."""
+"""One trial in one process: motion rounds in lockstep, in which all robots ask their models at the same time."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ from llm_flock.transport.memory import MemoryTransport
 T = TypeVar("T")
 
 ROUNDS_TO_LOOK = 10
-"""A run goes on for so many rounds after the time-out of the last robot that died."""
+"""Rounds that a run continues after the time-out of the last robot that died."""
 
 SILENT_ROUNDS = 3
-"""Rounds on end in which every model call fails, after which a run is not worth its waits."""
+"""Rounds in a row in which every model call fails, after which a run ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialProgress:
-    """What a live display needs to know after each round."""
+    """The figures that a live display shows after each round."""
 
     round: int
     rounds: int
@@ -144,23 +144,23 @@ class Trial:
                 agent.handle(Stopped())
 
     def begin(self) -> None:
-        """Record the start, where everybody is before the first round; once, whoever asks for it first."""
+        """Record the start positions. Call before the first round; further calls do nothing."""
         if not self.journal.positions:
             self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
 
     @property
     def _done(self) -> bool:
-        """Whether the formation is held, and nothing more is to happen to it."""
+        """Whether the formation is held, and the schedule has nothing left for it."""
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
-        # The others take a while to notice a death, and to look whether somebody is left after all.
+        # The other robots need a while to notice a death, and to search for the missing robot.
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
         noticed = max(schedule.kills, default=-1) + time_out + ROUNDS_TO_LOOK
         return tracker.in_order and (not schedule.kills or self.round >= noticed)
 
     def _let_happen(self, number: int) -> None:
-        """What the schedule says for this round: first deaths, then joins, then another mission."""
+        """Carry out the schedule of this round: deaths, then joins, then another mission."""
         journal, roster, schedule = self.journal, self.roster, self.schedule
         killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
         for robot in killed:
@@ -217,7 +217,7 @@ class Trial:
                 self.journal.plan(number, answer.plan, robot)
 
     def _exchange(self, number: int, comm_round: int) -> None:
-        """One message exchange: all broadcast, then all receive, then all decide on the same snapshot."""
+        """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
         minds = self._minds()
         for robot, agent in minds:
             for effect in self._perform(number, comm_round, robot, agent.handle(CommRoundBegan())):
@@ -225,7 +225,7 @@ class Trial:
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
         listening = dict(minds)
         for robot, payload in self.transport.deliver():
-            # What was sent before a robot died may arrive later.
+            # A message may arrive after its receiver has died.
             if robot in listening and (notes := listening[robot].handle(Received(payload))):
                 self._perform(number, comm_round, robot, notes)
         for robot, agent in minds:
@@ -251,7 +251,7 @@ class Trial:
         return dict(sorted(moves.items()))
 
     async def _move(self, moves: Mapping[int, MoveTo]) -> None:
-        """Bodies fly what was commanded, from where each robot believed it was; those of silent robots stay."""
+        """Move each body by its command, from where its robot believed it was; bodies of silent robots stay."""
         displacements: Points = np.zeros_like(self.bodies.positions)
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
@@ -287,7 +287,7 @@ class Trial:
         )
 
     def finish(self, record: str | None, flight: FlightFigures | None = None) -> RunResult:
-        """The result so far; writes it to the record. Call once, also after a cancelled `run`."""
+        """The result so far, which is also written to the record. Call once, also after a cancelled `run`."""
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
             self.journal.measure_error(self.roster)
@@ -333,4 +333,4 @@ async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
 
 
 Steer: TypeAlias = Callable[[Trial], Awaitable[None]]
-"""Whoever steers a trial in flight: awaited before each round, which is number `trial.round + 1`."""
+"""Steers a trial in flight: awaited before each round, which is number `trial.round + 1`."""

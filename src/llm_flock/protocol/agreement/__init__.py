@@ -1,1 +1,1 @@
-"""Which plan the team follows, and who takes which slot: the paper's subject."""
+"""Agreement on a plan and on distinct slots in it: the subject of the paper."""

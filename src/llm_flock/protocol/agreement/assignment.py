@@ -42,7 +42,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot knows when it claims a place of the plan it follows.
+    """Everything that a robot knows when it claims a slot of its plan.
 
     Attributes:
         robot: own id.

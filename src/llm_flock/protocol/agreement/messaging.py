@@ -1,4 +1,4 @@
-"""What a robot sends, and what a message that comes in does: verify, decode, then apply one part after the other."""
+"""Sending and receiving: a message is composed and sealed, or verified, decoded and applied part by part."""
 
 from __future__ import annotations
 

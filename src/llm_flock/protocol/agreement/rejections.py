@@ -25,7 +25,7 @@ class Rejections:
         return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
 
     def reject_plan(self, plan: Plan, objection: str) -> list[Note]:
-        """Count a plan that fails verification; returns a note only once for each plan, however often it is repeated."""
+        """Count a plan that fails verification; returns a note the first time that this plan is refused."""
         note = self.reject(MessageError("unverified_plan", objection))
         if plan.digest in self._plans:
             return []

@@ -1,1 +1,1 @@
-"""Who is alive, who is missing, and what the team does about it."""
+"""The living team: heartbeats, missing robots, replanning, and the assembly of large teams."""

@@ -120,7 +120,7 @@ def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
     chain = unrolled[first : last + 1]
     apart = min(HOLD * reach, around / len(chain))
     along = sum(chain) / len(chain) + (mine - first - (len(chain) - 1) / 2) * apart
-    # What is left of a link may be used up by who moves away from the middle of the chain.
+    # A robot that moves away from the middle of the chain may use up the rest of a link.
     if mine < last:
         along = max(along, min(0.0, unrolled[mine + 1] - LINK * reach) if mine - first < last - mine else 0.0)
     if mine > first:

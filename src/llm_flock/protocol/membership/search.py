@@ -104,7 +104,7 @@ def advance(
     """
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)
-    if not vacant or not (strangers or silent):  # with everybody in touch the agreement will fill what is empty
+    if not vacant or not (strangers or silent):  # a team in touch fills its vacant slots by agreement
         return replace(search, way=(), waited=0, gaps=(), looked=())
     most = LOOKS if strangers else LOOKS_FOR_SILENT
     due = [a for a in vacant if table[a][1] < most]

@@ -1,1 +1,1 @@
-"""What robots say to each other: decoded once when it comes in, then a value."""
+"""Messages between robots: verified and decoded once on receipt, and a value from then on."""

@@ -33,7 +33,7 @@ _KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
 
 
 class Dissemination:
-    """What one robot has sent, and what it knows of its neighbours' knowledge."""
+    """The messages that one robot has sent, and the knowledge that its neighbours have shown."""
 
     def __init__(self) -> None:
         self._peers: dict[int, Message] = {}

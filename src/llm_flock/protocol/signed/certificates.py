@@ -55,7 +55,7 @@ class Authenticator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What claims are about: a mission and a plan."""
+    """The mission and the plan that a claim is about."""
 
     mission: MissionStamp
     plan: str
@@ -211,7 +211,7 @@ def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
     return signed.message, signed.proofs
 
 
-# What is signed. Every statement begins with its kind, so none can be taken for one of another kind.
+# Signed statements. Each begins with its kind, so none can be taken for one of another kind.
 
 
 def claim_statement(context: Context, slot: int, entry: BidEntry, number: int) -> bytes:
