@@ -9,6 +9,9 @@ from collections.abc import Callable
 from llm_flock.robots.base import Position, Robot, RobotError, RobotState
 
 PATIENCE_S = 3.0
+
+CONNECT_TIMEOUT_S = 30.0
+"""Time in which a robot must connect, also over a link that loses packets and on a busy machine [s]."""
 """Longest delay between a command and the estimate [s]."""
 
 
@@ -32,7 +35,7 @@ async def check_robot(
     step_m: float = 0.3,
     tolerance_m: float = 0.1,
     beyond: Position | None = (1000.0, 0.0, 0.5),
-    connect_timeout_s: float = 10.0,
+    connect_timeout_s: float = CONNECT_TIMEOUT_S,
     patience_s: float = PATIENCE_S,
 ) -> None:
     """Check that a driver keeps the contract of `Robot`, in one flight of about ten seconds.
@@ -63,7 +66,7 @@ async def check_robot(
 
 async def check_emergency_stop(robot: Robot, *, height_m: float = 0.4, patience_s: float = PATIENCE_S) -> None:
     """Check that an emergency stop in the air is confirmed and final. The robot FALLS: only in a net."""
-    await robot.connect(10.0)
+    await robot.connect(CONNECT_TIMEOUT_S)
     try:
         await wait_until(lambda: robot.state().settled, 10.0, "the estimator settles")
         await robot.arm()
