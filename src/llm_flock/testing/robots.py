@@ -8,10 +8,10 @@ from collections.abc import Callable
 
 from llm_flock.robots.base import Position, Robot, RobotError, RobotState
 
-PATIENCE_S = 3.0
-
 CONNECT_TIMEOUT_S = 30.0
 """Time in which a robot must connect, also over a link that loses packets and on a busy machine [s]."""
+
+PATIENCE_S = 3.0
 """Longest delay between a command and the estimate [s]."""
 
 
