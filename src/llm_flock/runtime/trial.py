@@ -220,7 +220,7 @@ class Trial:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
         minds = self._minds()
         for robot, agent in minds:
-            for effect in self._perform(number, comm_round, robot, agent.handle(CommRoundBegan())):
+            for effect in agent.handle(CommRoundBegan()):
                 if isinstance(effect, Broadcast):
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
         listening = dict(minds)

@@ -72,13 +72,15 @@ class Messaging:
     def broadcast(self) -> bytes:
         """This robot's knowledge as bytes. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
-        positions = self._all_to_all.report(
-            agreement.mission,
-            agreement.plan,
-            agreement.position,
-            settled=given_all_to_all(claim.table, claim.slot),
-            greeting=self._dissemination.greets,
-        )
+        positions = None
+        if self._all_to_all.collecting:
+            positions = self._all_to_all.report(
+                agreement.mission,
+                agreement.plan,
+                agreement.position,
+                settled=given_all_to_all(claim.table, claim.slot),
+                greeting=self._dissemination.greets,
+            )
         standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim
         payload = self._dissemination.unchanged(*standing)
         if payload is None or positions is not None:

@@ -143,7 +143,7 @@ class AllToAll:
     def report(
         self, mission: Mission, plan: Plan | None, position: Point, *, settled: bool, greeting: bool
     ) -> dict[int, PositionReport] | None:
-        """The reports to broadcast: all that are known once a round, then only new ones; None for none.
+        """The reports to broadcast: all that are known once a round, then only new ones. Call while collecting.
 
         Args:
             mission: the mission in force.
@@ -152,8 +152,6 @@ class AllToAll:
             settled: whether the own slot is from a joint assignment; such a robot needs no second collection.
             greeting: whether this is the first broadcast of a round.
         """
-        if not self.collecting:
-            return None
         if not self._second:
             self.hear({self._robot: (0, _rounded(position), ())})
         else:

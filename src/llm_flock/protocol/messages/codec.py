@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import operator
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
 
-from llm_flock.arrays import MAX_COORDINATE
+from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
@@ -143,7 +144,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         neighbors=wire.neighbors,
         mission=MissionStamp(wire.mission, mission_digest),
         mission_text=wire.mission_text,
-        plan=None if wire.plan is None else Plan(wire.plan),
+        plan=None if wire.plan is None else _plan(wire.plan),
         plan_digest=None if wire.plan_digest is None else wire.plan_digest.hex(),
         places=wire.places,
         provenance=None
@@ -173,6 +174,12 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         beats=wire.beats,
         positions=wire.positions,
     )
+
+
+@lru_cache(maxsize=256)
+def _plan(points: tuple[Point, ...]) -> Plan:
+    """The plan of these points. All robots spell out the same few plans, and rounding and hashing one is slow."""
+    return Plan(points)
 
 
 def _table(wire: _WireMessage) -> BidTable | None:
