@@ -59,10 +59,10 @@ def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
         if said is None:
-            said = compress(range(len(entries)), map(operator.ne, entries, theirs))
+            said = compress(range(len(entries)), map(operator.is_not, entries, theirs))
         for a in said:
             their, my = theirs[a], entries[a]
-            if their == my or their is UNSAID or their[0] < my[0]:
+            if their is my or their is UNSAID or their[0] < my[0]:
                 continue
             if their[0] > my[0] or ((their[1] >= my[1] or my[2] == NO_OWNER) and rank(their) > rank(my)):
                 entries[a] = their

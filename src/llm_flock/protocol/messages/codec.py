@@ -187,8 +187,14 @@ def _table(wire: _WireMessage) -> BidTable | None:
         return None
     table = [UNSAID] * wire.places
     for slot, version, bid, owner in wire.claims:
-        table[slot] = (version, bid, owner)
+        table[slot] = _entry(version, bid, owner)
     return tuple(table)
+
+
+@lru_cache(maxsize=2**18)
+def _entry(version: int, bid: float, owner: int) -> BidEntry:
+    """One object for equal entries, so that large tables are compared by identity (`agreement.auction.merged`)."""
+    return version, bid, owner
 
 
 def _check_ids(wire: _WireMessage, n_robots: int) -> None:

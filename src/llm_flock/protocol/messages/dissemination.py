@@ -158,7 +158,7 @@ class Dissemination:
         if table is not before:
             self._table = table
             if table is not None and before is not None and len(before) == len(table) > SMALL:
-                changed = frozenset(compress(range(len(table)), map(operator.ne, table, before)))
+                changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
     def _part(
