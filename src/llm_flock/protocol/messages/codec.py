@@ -16,6 +16,7 @@ from llm_flock.protocol.messages.message import (
     LAST_ROUND,
     MAX_BID,
     UNSAID,
+    BidEntry,
     BidTable,
     Message,
     MissionStamp,
