@@ -26,6 +26,8 @@ def student(rank: int = 4) -> Student:
         num_hidden_layers=2,
         num_attention_heads=4,
         num_key_value_heads=2,
+        # Transformers' default draws weights so small that no adapter could change the scores much.
+        initializer_range=0.3,
     )
     model = transformers.LlamaForCausalLM(config).requires_grad_(False)
     made = Student(model, SimpleNamespace(eos_token_id=0), {}, rank, 1.0, "cpu")
@@ -68,7 +70,7 @@ def test_fresh_factors_change_nothing_and_training_does(tmp_path: Path) -> None:
     told: list[TrainingProgress] = []
     end = train(one, ROWS, TrainingOptions(steps=90, rate=0.05, tokens=40), tmp_path, on_progress=told.append)
     assert [p.step for p in told] == list(range(1, 91)) and told[-1] == end and end.examples >= 90
-    assert end.loss < 0.8 * told[0].loss and end.left_s == 0.0
+    assert end.loss < 0.5 * told[0].loss and end.left_s == 0.0
     kept = one.adapter()
     a, b = kept.factors["blk.1.ffn_down"]
     assert a.shape == (4, 24) and b.shape == (16, 4) and np.abs(b).max() > 0
