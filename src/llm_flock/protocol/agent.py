@@ -45,13 +45,15 @@ from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
 from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.membership.waiting import waiting_place
-from llm_flock.protocol.messages.channel import Channel, PlainChannel
+from llm_flock.protocol.messages.channel import Channel
 from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
 from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
-from llm_flock.protocol.signed import signed
+from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import Authenticator
+from llm_flock.protocol.signed.channel import SignedChannel
+from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.protocol.verification.validator import Validator
 
 
@@ -100,9 +102,11 @@ class Agent:
         self._replanning = Replanning(robot, liveness, gaps)
         self._validator = validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
         all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
-        channel: Channel = PlainChannel(robot, mission.n_robots, mission.dim)
+        channel = Channel(robot, mission)
         if authenticator is not None:
-            channel, assignment = signed(robot, mission, authenticator, liveness, assignment)
+            evidence = Evidence(robot, authenticator)
+            channel = SignedChannel(robot, mission, authenticator, evidence, liveness)
+            assignment = SignedAssignment(assignment, evidence)
         self._agreement = Agreement(
             robot,
             mission,

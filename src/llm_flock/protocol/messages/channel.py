@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import lru_cache
-from typing import Protocol
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.message import Message, MissionStamp
 
@@ -20,7 +20,7 @@ class Authorization(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         counter: counter of the mission; higher than that of the mission before.
-        signature: on the counter and the mission's digest.
+        signature: on counter and digest of the mission.
     """
 
     counter: int
@@ -46,78 +46,38 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
         return self.authorization is None and self.beats is None and self.message.positions is None
 
 
-class Channel(Protocol):
-    """Opens payloads that come in and seals those that go out."""
+class Channel:
+    """Opens payloads that come in and seals those that go out.
+
+    This one serves a team without keys: every well-formed message of another robot is believed, whoever transmits it.
+    `llm_flock.protocol.signed.channel.SignedChannel` adds signatures.
+    """
+
+    def __init__(self, robot: int, mission: Mission) -> None:
+        self._robot, self._n_robots, self._dim = robot, mission.n_robots, mission.dim
 
     @property
     def rejected(self) -> Counter[str]:
         """Parts of messages refused so far, by reason."""
-        ...
-
-    def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Verify and decode a payload.
-
-        Args:
-            payload: the bytes received.
-            sender: the robot that signed the transmission, where the transport knows.
-
-        Raises:
-            MessageError: the payload is not acceptable; its `reason` is one word.
-        """
-        ...
-
-    def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
-        """Check that a mission was given by the operator.
-
-        Raises:
-            MessageError: with reason `no_order`.
-        """
-        ...
-
-    def seal(self, payload: bytes) -> bytes:
-        """The encoded message with everything that receivers need to verify it."""
-        ...
-
-
-class PlainChannel:
-    """The channel of a team without keys: every well-formed message of another robot is believed.
-
-    Args:
-        robot: own id.
-        n_robots: team size N.
-        dim: dimension d of space.
-    """
-
-    def __init__(self, robot: int, n_robots: int, dim: int) -> None:
-        self._robot, self._n_robots, self._dim = robot, n_robots, dim
-
-    @property
-    def rejected(self) -> Counter[str]:
-        """Nothing: such a message is refused as a whole."""
         return Counter()
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Decode the payload; as in `Channel`."""
-        return read(payload, self._robot, self._n_robots, self._dim)
+        """Verify and decode a payload; `sender` is the robot that signed the transmission, where the transport knows.
+
+        Raises:
+            MessageError: as `decode`, and with reason `own_id` if the sender claims to be this robot.
+        """
+        inbound = _decoded(payload, self._n_robots, self._dim)
+        if inbound.message.sender == self._robot:
+            raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
+        return inbound
 
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
-        """Without keys any robot may pass on a mission."""
+        """Check that a mission was given by the operator; without keys any robot may pass one on."""
 
     def seal(self, payload: bytes) -> bytes:
-        """The payload itself."""
+        """The encoded message with everything that receivers need to verify it."""
         return payload
-
-
-def read(payload: bytes, robot: int, n_robots: int, dim: int) -> Inbound:
-    """Decode a message of another robot.
-
-    Raises:
-        MessageError: as `decode`, and with reason `own_id` if the sender claims to be this robot.
-    """
-    inbound = _decoded(payload, n_robots, dim)
-    if inbound.message.sender == robot:
-        raise MessageError("own_id", f"a message from outside claims to come from robot {robot}")
-    return inbound
 
 
 @lru_cache(maxsize=4096)
