@@ -12,7 +12,6 @@ from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
-from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
@@ -72,7 +71,7 @@ class Pilot:
         self.on_path = False
         self._robot = robot
         self._validator = validator
-        self._safety = Safety(robot, Limits.of(mission), noise_bound) if shield_on else None
+        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
         self._horizon = HORIZON if on_event else 1
         self._committed: CommittedPath | None = None
         self._question: StepQuestion | None = None
