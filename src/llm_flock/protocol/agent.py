@@ -117,9 +117,7 @@ class Agent:
             replanning=self._replanning,
             all_to_all=all_to_all,
         )
-        self._messaging = Messaging(
-            robot, self._agreement, validator=validator, liveness=liveness, channel=channel, all_to_all=all_to_all
-        )
+        self._messaging = Messaging(robot, self._agreement, channel)
         self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
         self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
@@ -336,12 +334,11 @@ class Agent:
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
             agreement = self._agreement
-            route = self._connectivity.route(
+            target, visited, notes = self._connectivity.route(
                 self.mission, plan, slot, self.claim.table, scene.here, placed=agreement.placed
             )
-            agreement.count_search(route.visited)
-            target = route.target
-            effects.extend(route.notes)
+            agreement.count_search(visited)
+            effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]

@@ -13,14 +13,12 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
-from llm_flock.protocol.membership.liveness import Liveness
+from llm_flock.protocol.membership.all_to_all import given_all_to_all
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
 from llm_flock.protocol.messages.message import Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.verification.validator import Validator
 
 REMEMBERED_PAYLOADS = 256
 """Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
@@ -33,18 +31,8 @@ REMEMBERED_REFUSALS = 1024
 class Messaging:
     """One robot's side of the radio."""
 
-    def __init__(
-        self,
-        robot: int,
-        agreement: Agreement,
-        *,
-        validator: Validator,
-        liveness: Liveness,
-        channel: Channel,
-        all_to_all: AllToAll,
-    ) -> None:
-        self._robot, self._agreement, self._validator = robot, agreement, validator
-        self._liveness, self._channel, self._all_to_all = liveness, channel, all_to_all
+    def __init__(self, robot: int, agreement: Agreement, channel: Channel) -> None:
+        self._robot, self._agreement, self._channel = robot, agreement, channel
         self._dissemination = Dissemination()
         self._newest: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []
@@ -66,8 +54,8 @@ class Messaging:
         """This robot's knowledge as bytes. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
         positions = None
-        if self._all_to_all.collecting:
-            positions = self._all_to_all.report(
+        if agreement.all_to_all.collecting:
+            positions = agreement.all_to_all.report(
                 agreement.mission,
                 agreement.plan,
                 agreement.position,
@@ -93,7 +81,7 @@ class Messaging:
             table=claim.table,
             table_digest=self._dissemination.digest(claim.table),
             offer=claim.offer,
-            beats=self._liveness.beats if self._dissemination.greets else None,
+            beats=agreement.liveness.beats if self._dissemination.greets else None,
             positions=positions,
         )
         return self._dissemination.compose(whole, agreement.mission)
@@ -116,7 +104,7 @@ class Messaging:
             self._dissemination.hear(message)
             return notes
         if message.positions is not None:
-            self._all_to_all.hear(message.positions)
+            self._agreement.all_to_all.hear(message.positions)
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
@@ -134,14 +122,14 @@ class Messaging:
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
-        message, mission = inbound.message, self._agreement.mission
-        objection = self._validator.objection(mission, message.plan)
+        message, mission, validator = inbound.message, self._agreement.mission, self._agreement.validator
+        objection = validator.objection(mission, message.plan)
         if objection is not None and message.plan is not None:
             self._dissemination.hear(message)
             return self._reject_plan(message.plan, objection)
         plan = self._dissemination.resolve_plan(message, self._agreement.plan)
         if plan is not None:
-            message = replace(message, plan=plan, plan_class=self._validator.plan_class(mission, plan))
+            message = replace(message, plan=plan, plan_class=validator.plan_class(mission, plan))
             if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:
                 self._repeated[payload] = message
         self._keep(message)
@@ -192,6 +180,6 @@ class Messaging:
         Call once before a decision: it counts the heartbeats of all messages.
         """
         heard = [self._newest[sender] for sender in sorted(self._newest)]
-        self._liveness.hear(self._beats)
+        self._agreement.liveness.hear(self._beats)
         self._newest, self._beats = {}, []
         return heard

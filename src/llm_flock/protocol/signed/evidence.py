@@ -87,8 +87,6 @@ class Evidence:
         assert self._context is not None, "claims are about a plan"
         return self._context
 
-    # ---------------------------------------------------------------- what is heard
-
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
@@ -194,8 +192,6 @@ class Evidence:
         self._heard_offers[message.sender] = (offer, number, signature)
         return offer
 
-    # ---------------------------------------------------------------- what is held
-
     def precedence(self, slot: int, entry: BidEntry) -> tuple[int, int]:
         """Precedence of a claim among several of one robot: the last one counts."""
         return (self._held[slot, entry].number, slot)
@@ -268,13 +264,8 @@ class Evidence:
             return
         self._number += 1
         done = ExchangeGrant(
-            maker=maker,
-            to=self._robot,
-            give=offer.give,
-            take=offer.take,
-            give_version=offer.give_version,
-            take_version=offer.take_version,
-            bid=offer.bid,
+            maker,
+            *msgspec.structs.astuple(offer),
             number=number,
             signature=signature,
             accepted_bid=given[1],
@@ -284,8 +275,6 @@ class Evidence:
         done = msgspec.structs.replace(done, accepted=self._authenticator.sign(acceptance_statement(self._page, done)))
         self._keep(offer.give, given, Certificate(number=self._number, grant=done))
         self._keep(offer.take, taken, Certificate(number=number, grant=done))
-
-    # ---------------------------------------------------------------- what is said
 
     def prove(self, message: Message) -> Proofs:
         """The certificates of the claims in one of this robot's own messages."""

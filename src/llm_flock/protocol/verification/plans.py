@@ -78,7 +78,7 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str | None:
-    """As `check_plan`, for a plan that the robot proposes itself: no body in sight that stands still may block a place."""
+    """As `check_plan`, for a plan that the robot proposes itself: no body in sight that is `still` may block a place."""
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
