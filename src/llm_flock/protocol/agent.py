@@ -66,9 +66,6 @@ class Agent:
 
     Args:
         robot: own id, 0 .. N-1.
-        mission: the mission at the start.
-        consensus: rule that chooses the plan.
-        assignment: rule that chooses the slot.
         shield_on: project every waypoint on the buffered Voronoi cell, and detour around what blocks the way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
@@ -192,21 +189,21 @@ class Agent:
         allowed = TRANSITIONS.get((self.phase, type(event)))
         if allowed is None:
             raise IllegalEvent(f"{type(event).__name__} in phase {self.phase}")
-        phase: Phase
-        effects: list[Effect]
+        phase = self.phase
+        effects: list[Effect] = []
         match event:
             case Received():
-                phase, effects = self.phase, self._receive(event)
+                effects = self._receive(event)
             case CommRoundBegan():
-                phase, effects = self.phase, [Broadcast(self._messaging.broadcast())]
+                effects = [Broadcast(self._messaging.broadcast())]
             case CommRoundEnded():
                 phase, effects = self._settle()
             case Sensed():
-                phase, effects = self.phase, self._look_about(event)
+                self._look_about(event)
             case HeartbeatDue():
-                phase, effects = self.phase, self._begin_period(event.period)
+                self._begin_period(event.period)
             case MissionGiven():
-                phase, effects = self.phase, [self._messaging.give_mission(event.mission, event.authorization)]
+                effects = [self._messaging.give_mission(event.mission, event.authorization)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -216,9 +213,9 @@ class Agent:
             case Decided():
                 phase, effects = self._take_step(event.answer)
             case Arrived():
-                phase, effects = Phase.IDLE, []
+                phase = Phase.IDLE
             case Stopped():
-                phase, effects = Phase.STOPPED, []
+                phase = Phase.STOPPED
             case _:
                 assert_never(event)
         assert phase in allowed, f"{type(event).__name__} led from {self.phase} to {phase}"
@@ -251,7 +248,7 @@ class Agent:
         """What a question is about: its answer is useful as long as this stays the same."""
         return self._agreement.stamp, self.plan, self.claim.slot
 
-    def _begin_period(self, number: int) -> list[Effect]:
+    def _begin_period(self, number: int) -> None:
         """Count a heartbeat, find silent robots, and greet neighbours."""
         assert self._seen is not None, "a robot looks before it greets"
         agreement, event = self._agreement, self._seen[1]
@@ -263,14 +260,12 @@ class Agent:
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
         )
-        return []
 
-    def _look_about(self, event: Sensed) -> list[Effect]:
+    def _look_about(self, event: Sensed) -> None:
         """Take sensor values between rounds; a pending step will be flown from these."""
         self._look(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
             self._pilot.look(self._scene)
-        return []
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""

@@ -165,10 +165,8 @@ class Agreement:
     def settle(self, heard: list[Message]) -> list[Note]:
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
-        Rules are pure functions, so they are not asked twice in a row with the same arguments.
-
-        Args:
-            heard: the newest message of each sender, in ascending order of ids, with its plan resolved.
+        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved. Rules are pure
+        functions, so they are not asked twice in a row with the same arguments.
         """
         arguments = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed, *heard)
         due = self._occupancy_due or self.all_to_all.collecting

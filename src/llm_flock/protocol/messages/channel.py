@@ -16,12 +16,7 @@ from llm_flock.protocol.messages.message import Message, MissionStamp
 
 
 class Authorization(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator's signature under a mission.
-
-    Attributes:
-        counter: counter of the mission; higher than that of the mission before.
-        signature: on counter and digest of the mission.
-    """
+    """The operator's signature under a mission's counter, higher than that of the mission before, and its digest."""
 
     counter: int
     signature: bytes
@@ -30,10 +25,8 @@ class Authorization(msgspec.Struct, frozen=True, kw_only=True):
 class Inbound(msgspec.Struct, frozen=True, kw_only=True):
     """One received message, verified and decoded.
 
-    Attributes:
-        message: what the sender says of its mission, plan, claim and the team's positions.
-        beats: heartbeat counters of the team, shape (N,); None where the message has none.
-        authorization: the operator's signature under the sender's mission (teams with keys only).
+    `beats` are the team's heartbeat counters, shape (N,), None where the message has none. In teams with keys there is
+    an authorization of the sender's mission.
     """
 
     message: Message

@@ -97,9 +97,8 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
     def trigger(self, question: StepQuestion, sensed: Mapping[int, Point]) -> Trigger | None:
         """The event that makes a new question necessary, or None. Call in each round before flying the next step.
 
-        Args:
-            question: the question that would be asked now.
-            sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
+        `question` is the one that would be asked now, and `sensed` has the believed positions of the robots within
+        sensing range, by id [units; frame of the mission].
         """
         mission = question.mission
         if self.failed:

@@ -60,15 +60,10 @@ class Safety:
         tolerance: float,
         drift: Point = (),
     ) -> SafeStep:
-        """The safe waypoint for the planner's waypoint.
+        """The safe waypoint for the planner's waypoint `wish` [units; world frame].
 
-        Args:
-            position: the robot's believed position [units; world frame].
-            sensed: believed positions of the robots within sensing range, by id [units; world frame].
-            wish: the planner's waypoint [units; world frame].
-            goal: the robot's goal [units; frame of the mission].
-            tolerance: distance at which the goal counts as reached [units].
-            drift: displacement of the mission's frame [units]; empty if the mission stands still.
+        The goal is in the frame of the mission, which is displaced by `drift` (empty if the mission stands still), and
+        counts as reached within `tolerance` [units].
         """
         separating = self._separate(position, sensed)
         if separating is not None:

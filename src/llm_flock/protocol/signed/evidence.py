@@ -37,12 +37,7 @@ REMEMBERED = 4096
 
 
 class Evidence:
-    """Signatures about the slots of one plan at a time.
-
-    Args:
-        robot: own id.
-        authenticator: signs and checks signatures.
-    """
+    """Signatures about the slots of one plan at a time."""
 
     def __init__(self, robot: int, authenticator: Authenticator) -> None:
         self.refused: Counter[str] = Counter()
@@ -90,10 +85,7 @@ class Evidence:
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
-        Args:
-            message: a message on the plan in question.
-            proofs: its certificates.
-            table: the entries held now, of the same number of slots.
+        It must be on the plan in question; `table` has the entries held now, of the same number of slots.
         """
         certificates, entries = proofs.certificates(), list(message.table or ())
         # The latest claims first: of all that one message gives to a robot, only its last is taken.
@@ -197,12 +189,7 @@ class Evidence:
         return (self._held[slot, entry].number, slot)
 
     def witness(self, table: BidTable, seen: Occupancy) -> None:
-        """State, once a round, of which slots this robot can say that they are free, or blocked.
-
-        Args:
-            table: the entries held.
-            seen: what sensors and heartbeats say.
-        """
+        """State, once a round, of which slots this robot can say that they are free, or blocked."""
         for slot, entry in enumerate(table):
             certificate = self._held.get((slot, entry))
             if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:

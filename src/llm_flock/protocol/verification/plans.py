@@ -41,8 +41,6 @@ ROUNDING = 0.02
 LENGTH_TOLERANCE = 0.01
 """Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
 
-CACHED_PLANS = 4096
-
 
 class PlanClass(IntEnum):
     """Quality of a plan. In the order of plans, a higher class counts before the proposer's influence."""
@@ -78,7 +76,7 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str | None:
-    """As `check_plan`, for a plan that the robot proposes itself: no body in sight that is `still` may block a place."""
+    """As `check_plan`, for a plan that the robot proposes itself: no body that stands `still` may block a place."""
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
@@ -97,7 +95,7 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
     return _verdict(mission, plan)[0]
 
 
-@lru_cache(maxsize=CACHED_PLANS)
+@lru_cache(maxsize=4096)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     """Class and reason. Cached, so that a plan is checked once even if many robots of a process receive it."""
     reason = _fault_of_form(mission, plan) or _fault_of_place(mission, plan) or _fault_of_spacing(mission, plan)
