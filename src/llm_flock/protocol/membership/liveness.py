@@ -17,7 +17,6 @@ TIME_OUT = 10
 """Rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave every other
 robot's range for a while."""
 
-
 BODY = 1
 """Counter of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. A
 robot that is awake counts on from here."""

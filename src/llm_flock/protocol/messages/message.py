@@ -84,13 +84,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 class Offer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """An exchange of slots, offered to one neighbour; also its form on the wire, with the bounds of its fields.
 
-    Attributes:
-        to: robot that may accept it.
-        give: slot that the sender owns and gives.
-        take: slot that `to` owns and the sender would get.
-        give_version: version of `give` that the offer is about.
-        take_version: version of `take` that the offer is about.
-        bid: the sender's bid for `take`.
+    The sender would give slot `give`, which it owns, for slot `take`, which robot `to` owns, as long as these entries
+    have these versions; `bid` is the sender's bid for `take`.
     """
 
     to: Id

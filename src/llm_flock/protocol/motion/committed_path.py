@@ -52,7 +52,6 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
     """The last question to the planner, and the rest of its answer.
 
     Attributes:
-        question: the last question.
         path: waypoints still to fly [units; frame of the mission]. A last waypoint at the goal stays, and holds the
             robot there.
         failed: whether the planner had no answer, or a fallback replaced it.

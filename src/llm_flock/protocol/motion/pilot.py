@@ -22,7 +22,6 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     """Positions that a robot observes in a round.
 
     Attributes:
-        round: number of the round.
         position: the robot's believed position [units; world frame].
         sensed: believed positions of the robots within sensing range, by id [units; world frame].
         observed: positions of other robots for the planner's question [units; world frame].
