@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance, segment_clearance
-from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.shield import project
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 
@@ -42,7 +41,7 @@ def flown(position: tuple[float, ...], wish: tuple[float, ...], noise: float) ->
         safe_distance=MISSION.safe_distance,
         max_step=MISSION.max_step,
         noise_bound=noise,
-        also=lambda longest: static_half_spaces(position, Limits.of(MISSION), max_step=longest, noise_bound=noise),
+        also=lambda longest: static_half_spaces(position, MISSION, max_step=longest, noise_bound=noise),
     )
 
 

@@ -278,7 +278,7 @@ def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
     message = Message(sender=1, sequence=0, neighbors=1, mission=MissionStamp(0, mission.digest), positions=heard)
     agent.handle(Received(encode(message)))
-    assert {robot: agent._messaging._all_to_all.known[robot] for robot in heard} == heard
+    assert {robot: agent._agreement.all_to_all.known[robot] for robot in heard} == heard
     elsewhere = msgspec.structs.replace(message, mission=MissionStamp(0, "0" * 16), positions={3: (0, (9.0, 9.0), ())})
     agent.handle(Received(encode(elsewhere)))
-    assert 3 not in agent._messaging._all_to_all.known
+    assert 3 not in agent._agreement.all_to_all.known

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment, gain, merge, vacant
+from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment, gain, merge
 from llm_flock.protocol.messages.message import BidTable, Message, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 
@@ -61,7 +61,6 @@ def test_merge_is_a_join() -> None:
     assert merge(a, b) == merge(b, a) == ((0, -1.0, 0), (0, -5.0, 2), (2, -9.0, 1))
     assert merge(merge(a, b), c) == merge(a, merge(b, c))
     assert merge(a, a) is a
-    assert vacant(merge(a, b)) == [] and vacant(FREE) == [0, 1, 2]
 
 
 def test_an_outbid_robot_takes_the_best_slot_still_winnable() -> None:

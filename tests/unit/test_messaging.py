@@ -4,42 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 from driven_agent import LINE, PLAN, DrivenAgent, make, says
 from signed_team import Liar, SignedTeam
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.messaging import REMEMBERED_PAYLOADS
-from llm_flock.protocol.agreement.rejections import REMEMBERED_PLANS, Rejections
+from llm_flock.protocol.agreement.messaging import REMEMBERED_PAYLOADS, REMEMBERED_REFUSALS
 from llm_flock.protocol.events import MissionGiven, Received
 from llm_flock.protocol.messages.channel import Inbound
-from llm_flock.protocol.messages.inbox import Inbox
-from llm_flock.protocol.messages.message import Message, MissionStamp
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 
 
-def message(sender: int, sequence: int = 0) -> Message:
-    return Message(sender=sender, sequence=sequence, neighbors=0, mission=MissionStamp(0, "0" * 16))
-
-
 def test_the_newest_message_of_each_sender_is_handed_over_once() -> None:
-    inbox = Inbox()
+    driven = DrivenAgent(make())
+    driven.begin()
     for sender, sequence in ((2, 5), (1, 0), (2, 4)):
-        inbox.add(message(sender, sequence))
-    assert inbox.drain()[0] == [message(1), message(2, 5)]
-    assert inbox.drain()[0] == []
+        driven.agent.handle(Received(says(sender, plan=PLAN, sequence=sequence)))
+    messaging = driven.agent._messaging
+    assert [(each.sender, each.sequence) for each in messaging.drain()] == [(1, 0), (2, 5)]
+    assert messaging.drain() == []
 
 
 def test_another_mission_drops_messages_and_keeps_heartbeats() -> None:
-    inbox, beats = Inbox(), np.array([1, 2, 3])
-    inbox.add(message(1))
-    inbox.add_beats(None)
-    inbox.add_beats(beats)
-    inbox.clear_messages()
-    assert inbox.drain() == ([], [beats])
+    driven = DrivenAgent(make())
+    driven.begin()
+    driven.agent.handle(Received(says(1, plan=PLAN, beats=(0, 7, 3))))
+    driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2)))
+    assert driven.agent._messaging.drain() == []
+    assert driven.agent._liveness.beats[1:] == (7, 3)
 
 
 class Opened:
@@ -130,11 +124,11 @@ def test_a_flood_of_payloads_costs_bounded_memory() -> None:
 
 
 def test_a_refused_plan_is_noted_once_and_a_flood_of_them_costs_bounded_memory() -> None:
-    refused = Rejections()
-    plans = [Plan.of([[float(k), 0.0]]) for k in range(REMEMBERED_PLANS + 1)]
+    refused = make()._messaging
+    plans = [Plan.of([[float(k), 0.0]]) for k in range(REMEMBERED_REFUSALS + 1)]
     for plan in plans:
-        (note,) = refused.reject_plan(plan, "too small")
+        (note,) = refused._reject_plan(plan, "too small")
         assert note.kind == "rejected_message" and note.detail["reason"] == "unverified_plan"
-    assert refused.reject_plan(plans[-1], "too small") == []
-    assert refused.counts == {"unverified_plan": len(plans) + 1}, "counted each time"
-    assert refused.reject_plan(plans[0], "too small") != [], "it was forgotten meanwhile"
+    assert refused._reject_plan(plans[-1], "too small") == []
+    assert refused.rejected == {"unverified_plan": len(plans) + 1}, "counted each time"
+    assert refused._reject_plan(plans[0], "too small") != [], "it was forgotten meanwhile"

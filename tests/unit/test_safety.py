@@ -10,7 +10,6 @@ from llm_flock.metrics import AT_GOAL, min_separation, segment_separation
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle, segment_clearance
 from llm_flock.protocol.events import Note, Origin
-from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.progress import PATIENCE, SIDE_ROUNDS, GoalProgress, detour, update_progress
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.motion.shield import spread_coincident
@@ -27,7 +26,7 @@ class Team:
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.robots = [Safety(i, Limits.of(self.mission), 0.0) for i in range(n)]
+        self.robots = [Safety(i, self.mission, 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.smallest = math.inf
         self.clearance = math.inf
@@ -171,7 +170,7 @@ def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
 
 
 def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
-    safety = Safety(0, Limits.of(Mission()), 0.0)
+    safety = Safety(0, Mission(), 0.0)
     assert safety.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
     flight = safety.stay((50.0, 50.0), {1: (51.0, 50.0)})
     assert flight.origin is Origin.SHIELD and flight.waypoint[0] <= 49.0
@@ -181,7 +180,7 @@ def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
 
 
 def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
-    safety = Safety(0, Limits.of(Mission()), 0.0)
+    safety = Safety(0, Mission(), 0.0)
     step = safety.step((98.0, 50.0), {}, (104.0, 50.0), (104.0, 50.0), 0.5)
     assert step.origin is Origin.SHIELD and step.waypoint == pytest.approx((100.0, 50.0))
     outside = safety.step((-9.0, 50.0), {}, (-12.0, 50.0), (-12.0, 50.0), 0.5)
@@ -189,7 +188,7 @@ def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
 
 
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
-    safety = Safety(0, Limits.of(Mission()), 0.1)
+    safety = Safety(0, Mission(), 0.1)
     assert safety.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
     assert safety.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 

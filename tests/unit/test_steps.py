@@ -22,7 +22,7 @@ def ask(position: Point, goal: Point, *neighbors: Point) -> StepQuestion:
 
 
 def kinds(question: StepQuestion, waypoint: Point) -> list[Fault]:
-    return [fault.kind for fault in step_faults(MISSION, question, waypoint)]
+    return list(step_faults(MISSION, question, waypoint))
 
 
 FAR = ask((50.0, 50.0), (80.0, 50.0))
@@ -105,7 +105,7 @@ def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, 
     made = clip_waypoint(MISSION, question, waypoint, shield_on=False)
     assert made == (None if expected is None else pytest.approx(expected))
     if made is not None:
-        assert step_faults(MISSION, question, made) == ()
+        assert step_faults(MISSION, question, made) == {}
 
 
 def test_a_want_of_separation_is_left_to_the_shield_if_there_is_one() -> None:

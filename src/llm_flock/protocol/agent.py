@@ -45,13 +45,15 @@ from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
 from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.membership.waiting import waiting_place
-from llm_flock.protocol.messages.channel import Channel, PlainChannel
+from llm_flock.protocol.messages.channel import Channel
 from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
 from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
-from llm_flock.protocol.signed import signed
+from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import Authenticator
+from llm_flock.protocol.signed.channel import SignedChannel
+from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.protocol.verification.validator import Validator
 
 
@@ -64,9 +66,6 @@ class Agent:
 
     Args:
         robot: own id, 0 .. N-1.
-        mission: the mission at the start.
-        consensus: rule that chooses the plan.
-        assignment: rule that chooses the slot.
         shield_on: project every waypoint on the buffered Voronoi cell, and detour around what blocks the way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
@@ -100,9 +99,11 @@ class Agent:
         self._replanning = Replanning(robot, liveness, gaps)
         self._validator = validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
         all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
-        channel: Channel = PlainChannel(robot, mission.n_robots, mission.dim)
+        channel = Channel(robot, mission)
         if authenticator is not None:
-            channel, assignment = signed(robot, mission, authenticator, liveness, assignment)
+            evidence = Evidence(robot, authenticator)
+            channel = SignedChannel(robot, mission, authenticator, evidence, liveness)
+            assignment = SignedAssignment(assignment, evidence)
         self._agreement = Agreement(
             robot,
             mission,
@@ -113,9 +114,7 @@ class Agent:
             replanning=self._replanning,
             all_to_all=all_to_all,
         )
-        self._messaging = Messaging(
-            robot, self._agreement, validator=validator, liveness=liveness, channel=channel, all_to_all=all_to_all
-        )
+        self._messaging = Messaging(robot, self._agreement, channel)
         self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
         self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
@@ -190,21 +189,21 @@ class Agent:
         allowed = TRANSITIONS.get((self.phase, type(event)))
         if allowed is None:
             raise IllegalEvent(f"{type(event).__name__} in phase {self.phase}")
-        phase: Phase
-        effects: list[Effect]
+        phase = self.phase
+        effects: list[Effect] = []
         match event:
             case Received():
-                phase, effects = self.phase, self._receive(event)
+                effects = self._receive(event)
             case CommRoundBegan():
-                phase, effects = self.phase, [Broadcast(self._messaging.broadcast())]
+                effects = [Broadcast(self._messaging.broadcast())]
             case CommRoundEnded():
                 phase, effects = self._settle()
             case Sensed():
-                phase, effects = self.phase, self._look_about(event)
+                self._look_about(event)
             case HeartbeatDue():
-                phase, effects = self.phase, self._begin_period(event.period)
+                self._begin_period(event.period)
             case MissionGiven():
-                phase, effects = self.phase, [self._messaging.give_mission(event.mission, event.authorization)]
+                effects = [self._messaging.give_mission(event.mission, event.authorization)]
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -214,9 +213,9 @@ class Agent:
             case Decided():
                 phase, effects = self._take_step(event.answer)
             case Arrived():
-                phase, effects = Phase.IDLE, []
+                phase = Phase.IDLE
             case Stopped():
-                phase, effects = Phase.STOPPED, []
+                phase = Phase.STOPPED
             case _:
                 assert_never(event)
         assert phase in allowed, f"{type(event).__name__} led from {self.phase} to {phase}"
@@ -249,7 +248,7 @@ class Agent:
         """What a question is about: its answer is useful as long as this stays the same."""
         return self._agreement.stamp, self.plan, self.claim.slot
 
-    def _begin_period(self, number: int) -> list[Effect]:
+    def _begin_period(self, number: int) -> None:
         """Count a heartbeat, find silent robots, and greet neighbours."""
         assert self._seen is not None, "a robot looks before it greets"
         agreement, event = self._agreement, self._seen[1]
@@ -261,14 +260,12 @@ class Agent:
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
         )
-        return []
 
-    def _look_about(self, event: Sensed) -> list[Effect]:
+    def _look_about(self, event: Sensed) -> None:
         """Take sensor values between rounds; a pending step will be flown from these."""
         self._look(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
             self._pilot.look(self._scene)
-        return []
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
@@ -332,12 +329,11 @@ class Agent:
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
             agreement = self._agreement
-            route = self._connectivity.route(
+            target, visited, notes = self._connectivity.route(
                 self.mission, plan, slot, self.claim.table, scene.here, placed=agreement.placed
             )
-            agreement.count_search(route.visited)
-            target = route.target
-            effects.extend(route.notes)
+            agreement.count_search(visited)
+            effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]

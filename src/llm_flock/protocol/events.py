@@ -79,12 +79,7 @@ class HeartbeatDue(msgspec.Struct, frozen=True):
 
 
 class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator gives this robot another mission; the robot passes it on.
-
-    Attributes:
-        mission: the new mission.
-        authorization: the operator's signature, required in teams with keys.
-    """
+    """The operator gives this robot another mission, signed in teams with keys; the robot passes it on."""
 
     mission: Mission
     authorization: Authorization | None = None
@@ -101,12 +96,7 @@ class CommRoundBegan(msgspec.Struct, frozen=True):
 
 
 class Received(msgspec.Struct, frozen=True):
-    """A payload arrived by radio, from any sender.
-
-    Attributes:
-        payload: the bytes.
-        sender: the robot that signed the transmission, where the transport knows.
-    """
+    """A payload arrived by radio; `sender` is the robot that signed the transmission, where the transport knows."""
 
     payload: bytes
     sender: int | None = None

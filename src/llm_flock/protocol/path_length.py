@@ -22,11 +22,8 @@ from llm_flock.protocol.plan import Plan
 REACH = 1.5
 """A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""
 
-
 LARGEST = 256
 """In plans of more places the straight line is used: finding other paths takes the cube of their number."""
-
-CACHED = 4096
 
 FAR = 3.0
 """A goal this many spacings away is approached along the formation, in stages of at most this length."""
@@ -40,34 +37,22 @@ BESIDE = 0.6
 
 
 def path_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
-    """Lengths of the cheapest paths to some places [units].
-
-    Args:
-        here: where they begin [units; frame of the plan].
-        plan: the plan with the places.
-        slots: slots at which they end.
-        spacing: wanted distance between neighbouring robots [units].
-    """
+    """Lengths of the cheapest paths from `here` to the places of some slots [units; frame of the plan]."""
     if len(plan.points) > LARGEST:
         return [math.dist(here, plan.points[a]) for a in slots]
     every = _by_places(here, plan, spacing)
     return [every[a] for a in slots]
 
 
-@lru_cache(maxsize=CACHED)
+@lru_cache(maxsize=4096)
 def _by_places(here: Point, plan: Plan, spacing: float) -> list[float]:
     return (_hops(here, plan, spacing) + _between(plan, spacing)).min(axis=1).tolist()
 
 
 def next_stop(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
-    """The next stop on the path to a far place, beside a place ahead; None where the straight line is the cheapest.
+    """The next stop on the path from `here` to a far place, beside a place ahead [units; frame of the plan].
 
-    Args:
-        here: position of the robot [units; frame of the plan].
-        plan: the plan with the places.
-        slot: slot at which the path ends.
-        center: centre of the formation.
-        spacing: wanted distance between neighbouring robots [units].
+    None where the straight line is the cheapest.
     """
     if len(plan) > LARGEST or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None

@@ -65,10 +65,7 @@ class StepQuestion:
 class PlanAnswer:
     """A usable plan, and the slot that the planner chose for its own robot.
 
-    Attributes:
-        plan: the formation.
-        slot: index of the chosen place.
-        instead_of: the failure that this fallback replaces; None where the planner itself answered.
+    `instead_of` is the failure that this fallback replaces; None where the planner itself answered.
     """
 
     plan: Plan
@@ -78,12 +75,9 @@ class PlanAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepAnswer:
-    """A usable waypoint.
+    """A usable waypoint, and the `path` after it, a waypoint for each round [units; world frame].
 
-    Attributes:
-        waypoint: the next one [units; world frame].
-        path: the waypoints after it, one for each round.
-        instead_of: as in PlanAnswer.
+    `instead_of` is as in PlanAnswer.
     """
 
     waypoint: Point

@@ -19,7 +19,7 @@ from llm_flock.protocol.agreement.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.liveness import Liveness
-from llm_flock.protocol.membership.occupancy import Occupancy, observe, still_bodies
+from llm_flock.protocol.membership.occupancy import observe, still_bodies
 from llm_flock.protocol.membership.replanning import Replanning
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Message, MissionStamp, Provenance
 from llm_flock.protocol.plan import Plan
@@ -28,18 +28,7 @@ from llm_flock.protocol.verification.validator import Validator, fallback_notes
 
 
 class Agreement:
-    """Mission, plan and claim of one robot, and the decisions about them.
-
-    Args:
-        robot: own id, 0 .. N-1.
-        mission: the mission at the start.
-        consensus: rule that chooses the plan.
-        assignment: rule that chooses the slot.
-        validator: checks which plans may be followed.
-        liveness: heartbeats of the team.
-        replanning: counts for how long the plan has not fitted the team.
-        all_to_all: positions of a large team, and its joint assignment.
-    """
+    """Mission, plan and claim of one robot, and the decisions about them."""
 
     def __init__(
         self,
@@ -61,8 +50,8 @@ class Agreement:
         self.neighbors = 0
         self.position: Point = ()
         self._robot = robot
-        self._consensus, self._assignment, self._validator = consensus, assignment, validator
-        self._liveness, self._replanning, self._all_to_all = liveness, replanning, all_to_all
+        self.validator, self.liveness, self.all_to_all = validator, liveness, all_to_all
+        self._consensus, self._assignment, self._replanning = consensus, assignment, replanning
         self._unplaced: set[int] = set()
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
@@ -77,21 +66,17 @@ class Agreement:
         self.position, self._sensed = position, sensed
 
     def begin_round(self, neighbors: int) -> None:
-        """Begin a round. Call after `sense`.
-
-        Args:
-            neighbors: number of robots that the radio counts within range, |N_i|.
-        """
+        """Begin a round with |N_i| neighbours, as the radio counts them. Call after `sense`."""
         self.neighbors = neighbors
         self._occupancy_due = True
         self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
-        self._all_to_all.begin_round()
+        self.all_to_all.begin_round()
         self._unplaced.clear()
 
     @property
     def bodies(self) -> tuple[Point, ...]:
         """Bodies in sight whose heartbeats have stopped [units; frame of the mission]."""
-        return still_bodies(self.mission, self._sensed, self._liveness.silent)
+        return still_bodies(self.mission, self._sensed, self.liveness.silent)
 
     @property
     def placed(self) -> bool:
@@ -113,13 +98,13 @@ class Agreement:
         self.claim = Claim(slot=None)
         self._proposals = 0
         self._replanning.reset()
-        self._all_to_all.begin()
+        self.all_to_all.begin()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
     def propose(self, answer: PlanAnswer | NoAnswer) -> list[Note]:
         """Follow the own planner's plan, in the mission's frame; its provenance keeps the influence of this moment."""
         if isinstance(answer, NoAnswer):
-            self._refused_answer = answer if self._validator.verify else None
+            self._refused_answer = answer if self.validator.verify else None
             return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
         origin = Provenance(
             mission=self.stamp.counter,
@@ -152,6 +137,17 @@ class Agreement:
         self.claim = self._assignment.take(self._assignment_input(plan, adopted=adopted, heard=heard))
 
     def _assignment_input(self, plan: Plan, *, adopted: bool, heard: list[Message]) -> AssignmentInput:
+        occupancy = None
+        if self._occupancy_due:
+            occupancy = observe(
+                self.mission,
+                plan,
+                self.position,
+                self._sensed,
+                self.liveness,
+                hears_others=bool(heard),
+                knows_blocked=self._knows_blocked,
+            )
         return AssignmentInput(
             robot=self._robot,
             position=self.position,
@@ -162,34 +158,21 @@ class Agreement:
             heard=[m for m in heard if m.plan == plan],
             sensed=self._sensed,
             mission=self.stamp,
-            occupancy=self._occupancy(plan, hears_others=bool(heard)) if self._occupancy_due else None,
-            positions=None if self._liveness.silent else self._all_to_all.complete(plan),
-        )
-
-    def _occupancy(self, plan: Plan, *, hears_others: bool) -> Occupancy:
-        return observe(
-            self.mission,
-            plan,
-            self.position,
-            self._sensed,
-            self._liveness,
-            hears_others=hears_others,
-            knows_blocked=self._knows_blocked,
+            occupancy=occupancy,
+            positions=None if self.liveness.silent else self.all_to_all.complete(plan),
         )
 
     def settle(self, heard: list[Message]) -> list[Note]:
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
-        Rules are pure functions, so they are not asked twice in a row with the same arguments.
-
-        Args:
-            heard: the newest message of each sender, in ascending order of ids, with its plan resolved.
+        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved. Rules are pure
+        functions, so they are not asked twice in a row with the same arguments.
         """
         arguments = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed, *heard)
-        due = self._occupancy_due or self._all_to_all.collecting
+        due = self._occupancy_due or self.all_to_all.collecting
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
-        own_class = self._validator.plan_class(self.mission, self.plan)
+        own_class = self.validator.plan_class(self.mission, self.plan)
         own = Standing(plan=self.plan, provenance=self.provenance, neighbors=self.neighbors, plan_class=own_class)
         before = self.claim
         source = self._consensus.choose(own, heard)
@@ -199,7 +182,7 @@ class Agreement:
             self.claim = before if claim == before else claim
         self._occupancy_due = False
         self._settled = () if due or notes or self.claim is not before else arguments
-        if self._all_to_all.large:
+        if self.all_to_all.large:
             self._unplaced -= {m.sender for m in heard}
             self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not given_all_to_all(m.table, m.slot)}
         if self.claim.slot != before.slot:

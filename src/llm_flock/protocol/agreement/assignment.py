@@ -45,15 +45,12 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     """Everything that a robot knows when it claims a slot of its plan.
 
     Attributes:
-        robot: own id.
         position: own believed position [units; frame of the mission].
-        plan: the plan that is followed.
         spacing: wanted distance between neighbouring robots [units].
         chosen: the slot that the robot's own model named, None where the model gave no plan.
         adopted: whether the plan is another robot's.
         heard: the newest message of each robot on the same plan, in ascending order of ids.
         sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
-        mission: the mission that the plan was made for.
         occupancy: what sensors and heartbeats say about the slots; None except once a round.
         positions: where every robot is; None where that is not known, or not new (all-to-all assignment).
         granted: entries that enough robots have signed together; None in a team without keys.

@@ -46,10 +46,7 @@ def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
 def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -> BidTable:
     """Slot by slot the claim of higher rank; associative, commutative and idempotent.
 
-    Args:
-        mine: one table.
-        theirs: another.
-        said: the slots of it that matter, where that is known.
+    `said` are the slots of `theirs` that matter, where that is known.
     """
     return merged(mine, [(theirs, said)])[0]
 
@@ -78,11 +75,6 @@ def changed(table: BidTable, new: Mapping[int, BidEntry]) -> BidTable:
     for a, entry in new.items():
         entries[a] = entry
     return tuple(entries)
-
-
-def vacant(table: BidTable) -> list[int]:
-    """Slots without a known owner."""
-    return [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,13 +168,8 @@ def keep_one(
 ) -> tuple[BidTable, int | None]:
     """Of several slots owned, keep the one of highest version, bid and lowest index, and release the rest.
 
-    Signed claims have a precedence that every robot knows; the slots that do not count are then freed together.
-
-    Args:
-        robot: own id.
-        table: all claims known.
-        among: slots that it may own: its own one of before, and those that have changed since.
-        precedence: precedence of signed claims; then any slot may be its own.
+    It may own slots of `among`: its own one of before, and those that have changed since. Signed claims have a
+    `precedence` that every robot knows, and any slot may be its own; those that do not count are then freed together.
     """
     if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
@@ -251,11 +238,12 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
     if not good:
         return None
     _, minus_sender, offer = max(good, key=lambda item: item[:2])
-    entries = list(table)
     assert claim.bids is not None
-    entries[offer.give] = (offer.give_version + 1, claim.bids[offer.give], now.robot)
-    entries[offer.take] = (offer.take_version + 1, offer.bid, -minus_sender)
-    return Claim(slot=offer.give, table=tuple(entries), bids=claim.bids)
+    exchanged: dict[int, BidEntry] = {
+        offer.give: (offer.give_version + 1, claim.bids[offer.give], now.robot),
+        offer.take: (offer.take_version + 1, offer.bid, -minus_sender),
+    }
+    return Claim(slot=offer.give, table=changed(table, exchanged), bids=claim.bids)
 
 
 def _offered(claim: Claim, now: AssignmentInput) -> Claim:

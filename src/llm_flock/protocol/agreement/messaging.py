@@ -4,68 +4,49 @@ from __future__ import annotations
 
 from collections import Counter
 
+import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.agreement.rejections import Rejections
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
-from llm_flock.protocol.membership.liveness import Liveness
+from llm_flock.protocol.membership.all_to_all import given_all_to_all
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
-from llm_flock.protocol.messages.inbox import Inbox
 from llm_flock.protocol.messages.message import Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
-from llm_flock.protocol.verification.validator import Validator
+from llm_flock.protocol.plan import Plan
 
 REMEMBERED_PAYLOADS = 256
 """Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
 their payloads once a round saves a tenth of a large team's time."""
 
+REMEMBERED_REFUSALS = 1024
+"""Most refused plans that are remembered, so that a flood of plans costs bounded memory."""
+
 
 class Messaging:
-    """One robot's side of the radio.
+    """One robot's side of the radio."""
 
-    Args:
-        robot: own id, 0 .. N-1.
-        agreement: mission, plan and claim of this robot.
-        validator: checks plans before they are kept.
-        liveness: heartbeats of the team.
-        channel: verifies and decodes payloads, and seals them.
-        all_to_all: positions of a large team.
-    """
-
-    def __init__(
-        self,
-        robot: int,
-        agreement: Agreement,
-        *,
-        validator: Validator,
-        liveness: Liveness,
-        channel: Channel,
-        all_to_all: AllToAll,
-    ) -> None:
-        self.rejections = Rejections()
-        self._robot, self._agreement, self._validator = robot, agreement, validator
-        self._liveness, self._channel, self._all_to_all = liveness, channel, all_to_all
+    def __init__(self, robot: int, agreement: Agreement, channel: Channel) -> None:
+        self._robot, self._agreement, self._channel = robot, agreement, channel
         self._dissemination = Dissemination()
-        self._inbox = Inbox()
+        self._newest: dict[int, Message] = {}
+        self._beats: list[NDArray[np.int64]] = []
+        self._refused: Counter[str] = Counter()
+        self._refused_plans: set[str] = set()
         self._repeated: dict[bytes, Message] = {}
 
     @property
     def rejected(self) -> Counter[str]:
         """Messages and claims refused so far, by reason."""
-        return self.rejections.counts + self._channel.rejected
+        return self._refused + self._channel.rejected
 
     def begin_round(self, near: frozenset[int]) -> None:
-        """Begin a round. Call after the agreement's `begin_round`.
-
-        Args:
-            near: robots that are sensed within radio range.
-        """
+        """Begin a round with these robots sensed within radio range. Call after the agreement's `begin_round`."""
         self._dissemination.begin_round(near, self._agreement.neighbors)
         self._repeated.clear()
 
@@ -73,8 +54,8 @@ class Messaging:
         """This robot's knowledge as bytes. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
         positions = None
-        if self._all_to_all.collecting:
-            positions = self._all_to_all.report(
+        if agreement.all_to_all.collecting:
+            positions = agreement.all_to_all.report(
                 agreement.mission,
                 agreement.plan,
                 agreement.position,
@@ -100,18 +81,13 @@ class Messaging:
             table=claim.table,
             table_digest=self._dissemination.digest(claim.table),
             offer=claim.offer,
-            beats=self._liveness.beats if self._dissemination.greets else None,
+            beats=agreement.liveness.beats if self._dissemination.greets else None,
             positions=positions,
         )
         return self._dissemination.compose(whole, agreement.mission)
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
-        """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim.
-
-        Args:
-            payload: the bytes received.
-            sender: the robot that signed the transmission, where the transport knows.
-        """
+        """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim."""
         repeated = self._repeated.get(payload)
         if repeated is not None:
             self._keep(repeated)
@@ -120,14 +96,15 @@ class Messaging:
             inbound = self._channel.open(payload, sender)
             notes = self._apply_mission(inbound)
         except MessageError as error:
-            return [self.rejections.reject(error)]
+            return [self._reject(error)]
         message = inbound.message
-        self._inbox.add_beats(inbound.beats)
+        if inbound.beats is not None:
+            self._beats.append(inbound.beats)
         if message.mission != self._agreement.stamp:
             self._dissemination.hear(message)
             return notes
         if message.positions is not None:
-            self._all_to_all.hear(message.positions)
+            self._agreement.all_to_all.hear(message.positions)
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
@@ -145,14 +122,14 @@ class Messaging:
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
-        message, mission = inbound.message, self._agreement.mission
-        objection = self._validator.objection(mission, message.plan)
+        message, mission, validator = inbound.message, self._agreement.mission, self._agreement.validator
+        objection = validator.objection(mission, message.plan)
         if objection is not None and message.plan is not None:
             self._dissemination.hear(message)
-            return self.rejections.reject_plan(message.plan, objection)
+            return self._reject_plan(message.plan, objection)
         plan = self._dissemination.resolve_plan(message, self._agreement.plan)
         if plan is not None:
-            message = replace(message, plan=plan, plan_class=self._validator.plan_class(mission, plan))
+            message = replace(message, plan=plan, plan_class=validator.plan_class(mission, plan))
             if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:
                 self._repeated[payload] = message
         self._keep(message)
@@ -160,7 +137,23 @@ class Messaging:
 
     def _keep(self, message: Message) -> None:
         self._dissemination.hear(message)
-        self._inbox.add(message)
+        known = self._newest.get(message.sender)
+        if known is None or message.sequence >= known.sequence:
+            self._newest[message.sender] = message
+
+    def _reject(self, error: MessageError) -> Note:
+        self._refused[error.reason] += 1
+        return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
+
+    def _reject_plan(self, plan: Plan, objection: str) -> list[Note]:
+        """Count a plan that fails verification; returns a note the first time that this plan is refused."""
+        note = self._reject(MessageError("unverified_plan", objection))
+        if plan.digest in self._refused_plans:
+            return []
+        if len(self._refused_plans) >= REMEMBERED_REFUSALS:
+            self._refused_plans.clear()
+        self._refused_plans.add(plan.digest)
+        return [note]
 
     def give_mission(self, mission: Mission, authorization: Authorization | None) -> Note:
         """Take a mission that the operator gives to this robot."""
@@ -172,17 +165,21 @@ class Messaging:
             if stamp <= current:
                 raise MessageError("old_mission", f"mission {current.counter} is in force")
         except MessageError as error:
-            return self.rejections.reject(error)
+            return self._reject(error)
         return self._begin_mission(mission, stamp)
 
     def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
-        self._inbox.clear_messages()
+        self._newest.clear()
         self._repeated.clear()
         self._dissemination.forget_plans()
         return self._agreement.begin_mission(mission, stamp)
 
     def drain(self) -> list[Message]:
-        """The messages of this communication round; their heartbeats are counted. Call once before a decision."""
-        heard, beats = self._inbox.drain()
-        self._liveness.hear(beats)
+        """The newest message of each sender in this communication round, in ascending order of senders.
+
+        Call once before a decision: it counts the heartbeats of all messages.
+        """
+        heard = [self._newest[sender] for sender in sorted(self._newest)]
+        self._agreement.liveness.hear(self._beats)
+        self._newest, self._beats = {}, []
         return heard

@@ -57,22 +57,19 @@ PATIENCE = 16
 class AllToAll:
     """The positions of the team that one robot knows.
 
-    Args:
-        robot: own id.
-        n_robots: team size N; teams of up to `MANY` robots collect nothing.
-        enabled: whether the team collects positions at all; a team with keys does not, for reports are not signed.
+    Teams of up to `MANY` robots collect nothing, nor do teams with keys (`enabled` is false): reports are not signed.
     """
 
     def __init__(self, robot: int, n_robots: int, *, enabled: bool = True) -> None:
-        self._robot = robot
-        self._n = n_robots
+        self._robot, self._n = robot, n_robots
         self.large = enabled and n_robots > MANY
         """Whether a team of this size collects positions at all."""
         self.begin()
 
     def begin(self) -> None:
         """Start with the first collection. Call for each mission."""
-        self._known: dict[int, PositionReport] = {}
+        self.known: dict[int, PositionReport] = {}
+        """The newest report of each robot, by id."""
         self._news: dict[int, PositionReport] = {}
         self._round = 0
         self._waited = 0
@@ -87,21 +84,16 @@ class AllToAll:
         """Whether a collection runs."""
 
     @property
-    def known(self) -> Mapping[int, PositionReport]:
-        """The newest report of each robot, by id."""
-        return self._known
-
-    @property
     def others(self) -> list[Point]:
         """Known positions of other robots [units; frame of the mission]."""
-        return [where for robot, (_, where, _) in self._known.items() if robot != self._robot]
+        return [where for robot, (_, where, _) in self.known.items() if robot != self._robot]
 
     def begin_round(self) -> None:
         """Count a round."""
         self._round += 1
         self._choose_collection()
         if self._round == ROUNDS + 1 or not self.collecting:
-            self._known, self._news = {}, {}
+            self.known, self._news = {}, {}
 
     def wait(self, *, there: bool) -> None:
         """Count a round of waiting; `there` says whether the robot has reached the point where it waits."""
@@ -112,7 +104,7 @@ class AllToAll:
         """Merge the reports that a neighbour knows."""
         if not self.collecting:
             return
-        known, second = self._known, self._second
+        known, second = self.known, self._second
         if not second and reports.keys() <= known.keys():
             return  # the first collection takes one report of each robot
         new = {
@@ -129,7 +121,7 @@ class AllToAll:
 
     def complete(self, plan: Plan) -> TeamPositions | None:
         """The position of every robot, once for each plan, when a collection is complete."""
-        known, second = self._known, self._second
+        known, second = self.known, self._second
         if not self.collecting or len(known) < self._n or self._taken == plan.digest:
             return None
         if second and not all(mark for _, _, mark in known.values()):
@@ -143,14 +135,10 @@ class AllToAll:
     def report(
         self, mission: Mission, plan: Plan | None, position: Point, *, settled: bool, greeting: bool
     ) -> dict[int, PositionReport] | None:
-        """The reports to broadcast: all that are known once a round, then only new ones. Call while collecting.
+        """The reports to broadcast: all that are known in the `greeting`, which is the first broadcast of a round.
 
-        Args:
-            mission: the mission in force.
-            plan: the plan that is followed.
-            position: own believed position [units; frame of the mission].
-            settled: whether the own slot is from a joint assignment; such a robot needs no second collection.
-            greeting: whether this is the first broadcast of a round.
+        Then only new ones. Call while collecting, with the own position [units; frame of the mission]. A robot is
+        `settled` if its slot is from a joint assignment; it needs no second collection.
         """
         if not self._second:
             self.hear({self._robot: (0, _rounded(position), ())})
@@ -159,12 +147,12 @@ class AllToAll:
             if point is None or settled:
                 return None
             self._report_waiting(_rounded(point), MOVED * mission.spacing)
-        reports, self._news = dict(self._known if greeting else self._news), {}
+        reports, self._news = dict(self.known if greeting else self._news), {}
         return reports or None
 
     def _report_waiting(self, here: Point, moved: float) -> None:
         """Report the waiting position if it has changed, and mark it for the second collection when that is due."""
-        stamp, before, mark = self._known.get(self._robot, (0, (), ()))
+        stamp, before, mark = self.known.get(self._robot, (0, (), ()))
         due = not mark and self._round > SECOND * self._n
         if due or not before or math.dist(here, before) > moved:
             # A robot that was restarted, and hears of its former life, counts on from there.
@@ -180,10 +168,6 @@ def optimal_assignment(plan: Plan, positions: TeamPositions) -> BidTable:
     """The bid table with the smallest sum of squared distances.
 
     With more robots than places some robots get no slot; with fewer, some slots stay free.
-
-    Args:
-        plan: the plan with the places.
-        positions: version of the claims, and the position of each robot.
     """
     version, places = positions
     distances = np.linalg.norm(np.array(places)[:, None] - plan.array[None], axis=2)

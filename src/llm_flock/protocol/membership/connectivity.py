@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import msgspec
-
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
@@ -19,32 +17,11 @@ from llm_flock.protocol.path_length import ACROSS, next_stop
 from llm_flock.protocol.plan import Plan
 
 
-class Route(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a robot flies before it flies to its place.
-
-    Attributes:
-        target: the intermediate target [units; frame of the mission]; None if the robot flies straight to its place.
-        visited: vacant slots that were just visited, where no robot was met.
-        notes: events for the record.
-    """
-
-    target: Point | None = None
-    visited: tuple[int, ...] = ()
-    notes: tuple[Note, ...] = ()
-
-
 class ConnectivityRecovery:
-    """Keeps one robot in touch with its team, or finds robots that it misses.
-
-    Args:
-        liveness: which robots are missing.
-        all_to_all: whether a large team waits for its missing robots.
-    """
+    """Keeps one robot in touch with its team, or finds robots that it misses."""
 
     def __init__(self, liveness: Liveness, all_to_all: AllToAll) -> None:
-        self._liveness = liveness
-        self._all_to_all = all_to_all
-        self._search = Search()
+        self._liveness, self._all_to_all, self._search = liveness, all_to_all, Search()
 
     @property
     def given_up(self) -> bool:
@@ -53,41 +30,35 @@ class ConnectivityRecovery:
 
     def route(
         self, mission: Mission, plan: Plan, slot: int, table: BidTable | None, here: Point, *, placed: bool
-    ) -> Route:
-        """The next intermediate target. Call once a round.
+    ) -> tuple[Point | None, tuple[int, ...], list[Note]]:
+        """The next intermediate target from `here` [units; frame of the mission]. Call once a round.
 
-        Args:
-            mission: the mission in force.
-            plan: the plan that is followed.
-            slot: own slot in it.
-            table: all claims known; None with a rule that has no bid table.
-            here: own believed position [units; frame of the mission].
-            placed: whether a joint assignment gave slots to this robot and all others heard in this round.
+        `table` is None with a rule that has no bid table; `placed` says whether a joint assignment gave slots to this
+        robot and all others heard in this round.
+
+        Returns:
+            The target, None to fly straight to the place; vacant slots just visited without meeting a robot; and notes.
         """
         live, waiting = self._liveness, self._all_to_all.waiting and not placed
         point = meeting_point(mission, plan, here, self._all_to_all.others) if waiting else None
         if point is not None:
             self._all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
             searched, self._search = self._search, Search()
-            return Route(target=point, notes=(_search_note(searched, begun=False),) if searched.way else ())
+            return point, (), [_search_note(searched, begun=False)] if searched.way else []
         places = plan
         if table is not None and not self.given_up and len(live.strangers) + len(live.silent) > MANY:
             places = meeting_places(mission, plan, table)
-        visited, notes = self._look_for_others(mission, places, slot, table, here)
+        notes = [] if table is None else self._look_for_others(mission, places, slot, table, here)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_all_to_all(table, slot) and (live.strangers or live.silent or lonely):
             target = next_stop(here, places, slot, mission.center, mission.spacing)
         if target is None and places is not plan:
             target = places.points[slot]
-        return Route(target=target, visited=visited, notes=notes)
+        return target, self._search.looked, notes
 
-    def _look_for_others(
-        self, mission: Mission, places: Plan, slot: int, table: BidTable | None, here: Point
-    ) -> tuple[tuple[int, ...], tuple[Note, ...]]:
-        """Begin, continue or end the search for robots in vacant slots; the slots just visited, and notes."""
-        if table is None:
-            return (), ()
+    def _look_for_others(self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point) -> list[Note]:
+        """Begin, continue or end the search for robots in vacant slots."""
         live, before = self._liveness, self._search
         self._search = search = advance(
             before,
@@ -107,7 +78,7 @@ class ConnectivityRecovery:
         if self.given_up and search.gaps != before.gaps:
             missing = sorted(live.silent | live.strangers)
             notes.append(Note("gap", {"slots": list(search.gaps), "missing": missing}))
-        return search.looked, tuple(notes)
+        return notes
 
 
 def _search_note(search: Search, *, begun: bool) -> Note:

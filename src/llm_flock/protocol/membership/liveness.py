@@ -17,7 +17,6 @@ TIME_OUT = 10
 """Rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave every other
 robot's range for a while."""
 
-
 BODY = 1
 """Counter of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. A
 robot that is awake counts on from here."""
@@ -40,11 +39,7 @@ class Liveness:
 
     `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
     range for the time-out without being heard is silent too.
-
-    Args:
-        robot: own id.
-        n_robots: team size N.
-        time_out: rounds that a counter may stand still; more in a large team (`patience`).
+    A counter may stand still for `time_out` rounds, in a large team for more (`patience`).
     """
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
@@ -81,9 +76,7 @@ class Liveness:
     def begin_round(self, round_number: int, near: frozenset[int]) -> None:
         """Count a heartbeat of one's own, and find counters that have stood still for too long.
 
-        Args:
-            round_number: number of the round.
-            near: robots that are sensed within radio range.
+        `near` are the robots that are sensed within radio range.
         """
         self._round = round_number
         self._beats[self._robot] += 1

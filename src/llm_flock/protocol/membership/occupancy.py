@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import msgspec
 
@@ -34,11 +34,6 @@ def still_bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collecti
     """Positions of sensed robots whose heartbeats have stopped [units; frame of the mission].
 
     Empty while the formation travels: it passes such bodies, and no place stays under them.
-
-    Args:
-        mission: the mission in force.
-        sensed: positions of the robots within sensing range, by id [units; frame of the mission].
-        silent: robots whose heartbeats have stopped.
     """
     if mission.velocity is not None:
         return ()
@@ -62,47 +57,22 @@ def observe(
 ) -> Occupancy:
     """The occupancy of a plan's slots as one robot sees it. Call once a round.
 
-    Args:
-        mission: the mission in force.
-        plan: the plan that is followed.
-        position: own believed position [units; frame of the mission].
-        sensed: positions of the robots within sensing range, by id [units; frame of the mission].
-        liveness: heartbeats of the team.
-        hears_others: whether any message arrived; a robot that hears none is itself cut off, and declares nobody dead.
-        knows_blocked: whether the robot's bid table has blocked slots.
+    A slot is neither blocked nor clear if an unidentified body stands there, which may be known to others, or if it is
+    too far away to see everything that could block it. Robots known to live do not block a slot: they will move away.
+    A robot that hears no others is itself cut off, and declares nobody dead.
+
+    `sensed` has the positions of the robots within sensing range, by id [units; frame of the mission]; `knows_blocked`
+    says whether the robot's bid table has blocked slots.
     """
-    bodies = still_bodies(mission, sensed, liveness.silent)
-    blocked, clear = NONE, NONE
-    if bodies or knows_blocked:
-        blocked, clear = occupied_slots(mission, plan, position, sensed, bodies, liveness.living)
-    return Occupancy(silent=liveness.silent if hears_others else NONE, blocked=blocked, clear=clear)
-
-
-def occupied_slots(
-    mission: Mission,
-    plan: Plan,
-    position: Point,
-    sensed: Mapping[int, Point],
-    still: Sequence[Point],
-    living: Collection[int],
-) -> tuple[frozenset[int], frozenset[int]]:
-    """Slots blocked by a body without a heartbeat, and slots that certainly have none.
-
-    A slot is neither if an unidentified body stands there, which may be known to others, or if it is too far away to
-    see everything that could block it. Robots known to live do not block a slot: they will move away.
-
-    Args:
-        mission: the mission in force.
-        plan: the plan whose slots are examined.
-        position: position of the observing robot [units; frame of the mission].
-        sensed: positions of the robots within sensing range, by id [units; frame of the mission].
-        still: those of robots without a heartbeat (`still_bodies`).
-        living: robots with a heartbeat (`Liveness.living`).
-    """
-    too_near = blocked_within(mission)
+    silent = liveness.silent if hears_others else NONE
+    still = still_bodies(mission, sensed, liveness.silent)
+    if not (still or knows_blocked):
+        return Occupancy(silent=silent)
+    too_near, living = blocked_within(mission), liveness.living
     places = [a for a, place in enumerate(plan.points) if math.dist(position, place) <= sight(mission)]
 
     def under(bodies: Collection[Point]) -> frozenset[int]:
         return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in bodies))
 
-    return under(still), frozenset(places) - under([x for j, x in sensed.items() if j not in living])
+    clear = frozenset(places) - under([x for j, x in sensed.items() if j not in living])
+    return Occupancy(silent=silent, blocked=under(still), clear=clear)

@@ -48,13 +48,7 @@ PLANE = 2
 
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
-    """The places to fly to for now: on the circle of the mean radius while most slots are vacant.
-
-    Args:
-        mission: centre, and obstacles that no place may lie on.
-        plan: the plan that is followed.
-        table: all claims known.
-    """
+    """The places to fly to for now: on the circle of the mean radius while most slots are vacant."""
     places = _on_circle(plan, mission.center)
     if places is None or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
         return plan
@@ -62,12 +56,9 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> P
 
 
 def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
-    """The point at which a robot that waits for others reaches the circle; None where there is no such circle.
+    """The point at which a robot `here` that waits for others reaches the circle; None where there is no such circle.
 
-    Args:
-        mission: centre, and obstacles that no place may lie on.
-        plan: the plan that is followed.
-        here: own believed position [units; frame of the mission].
+    Positions are in the frame of the mission [units].
     """
     places = _on_circle(plan, mission.center)
     if mission.dim != PLANE or places is None or not _clear(mission, places):
@@ -79,14 +70,8 @@ def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
 def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
     """The point on the circle at which to wait for unknown robots; None where there is no such circle.
 
-    Known robots that follow each other on the circle within radio range spread out evenly around their mean position,
-    up to `HOLD` apart, so that the ends of such a chain meet others.
-
-    Args:
-        mission: centre, and obstacles that no place may lie on.
-        plan: the plan that is followed.
-        here: own believed position [units; frame of the mission].
-        others: positions of the other known robots [units; frame of the mission].
+    Known robots (at `others`) that follow each other on the circle within radio range spread out evenly around their
+    mean position, up to `HOLD` apart, so that the ends of such a chain meet others. Positions as for `landing`.
     """
     point = landing(mission, plan, here)
     near = NEAR * mission.spacing
@@ -100,13 +85,7 @@ def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Po
 
 
 def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
-    """How far to move along the circle [units].
-
-    Args:
-        arcs: positions of the others along the circle, sorted [units].
-        around: length of the whole circle [units].
-        reach: radio range [units].
-    """
+    """How far to move along the circle, which is `around` long, with the others at `arcs` along it, sorted [units]."""
     mine = bisect_left(arcs, 0.0)
     once = [*arcs[:mine], 0.0, *arcs[mine:]]
     unrolled = [arc + turn for turn in (-around, 0.0, around) for arc in once]

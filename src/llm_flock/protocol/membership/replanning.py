@@ -21,18 +21,10 @@ MOST_WAIT = 6
 
 
 class Replanning:
-    """Counts the rounds for which the plan has not fitted the team.
-
-    Args:
-        robot: own id, 0 .. N-1.
-        liveness: heartbeats of the team.
-        gaps: report empty slots, or plan again.
-    """
+    """Counts the rounds for which the plan has not fitted the team."""
 
     def __init__(self, robot: int, liveness: Liveness, gaps: Gaps) -> None:
-        self._robot = robot
-        self._liveness = liveness
-        self._gaps = gaps
+        self._robot, self._liveness, self._gaps = robot, liveness, gaps
         self._misfit = 0
 
     def reset(self) -> None:
@@ -42,11 +34,7 @@ class Replanning:
     def watch(self, mission: Mission, plan: Plan | None, table: BidTable | None, *, may_shrink: bool) -> None:
         """Compare the plan with the living team. Call once a round.
 
-        Args:
-            mission: the mission in force.
-            plan: the plan that is followed.
-            table: the claims on its slots.
-            may_shrink: whether robots that were never heard of may be given up.
+        `may_shrink` says whether robots that were never heard of may be given up.
         """
         owners = {owner for _, _, owner in table or ()}
         replans = self._gaps == "replan" and plan is not None and table is not None
@@ -59,13 +47,12 @@ class Replanning:
     def places(self, mission: Mission, plan: Plan | None, *, sees_bodies: bool) -> int | None:
         """Number of places of the plan that this robot is to propose now; None while it need not propose.
 
-        Args:
-            mission: the mission in force.
-            plan: the plan that is followed.
-            sees_bodies: whether a body without a heartbeat is in sight; such a robot proposes first.
+        A robot that sees a body without a heartbeat proposes first.
         """
         if plan is not None:
-            turn = 0 if sees_bodies else self._rank
+            # Living robots propose by ascending id, from 1.
+            gone = self._liveness.silent | self._liveness.strangers
+            turn = 0 if sees_bodies else 1 + self._robot - sum(j < self._robot for j in gone)
             return self._wanted(mission) if self._misfit > REPLAN_PATIENCE + min(turn, MOST_WAIT) else None
         known = self._gaps == "replan" and not self._liveness.strangers
         wanted = self._wanted(mission)
@@ -73,9 +60,3 @@ class Replanning:
 
     def _wanted(self, mission: Mission) -> int:
         return min(mission.n_places, self._liveness.alive)
-
-    @property
-    def _rank(self) -> int:
-        """Turn to propose, after robots that see a body in the way: living robots by ascending id, from 1."""
-        gone = self._liveness.silent | self._liveness.strangers
-        return 1 + self._robot - sum(j < self._robot for j in gone)

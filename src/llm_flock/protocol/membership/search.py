@@ -88,19 +88,10 @@ def advance(
     strangers: int,
     silent: int,
 ) -> Search:
-    """The search one round later.
+    """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
 
-    Args:
-        search: the search so far.
-        position: own believed position [units; frame of the mission].
-        plan: the plan that is followed.
-        slot: own slot in it.
-        table: all claims known; the bid of a vacant slot is its number of visits.
-        center: centre of the formation.
-        spacing: wanted distance between neighbours [units].
-        at_goal: whether the robot is at its own place.
-        strangers: number of robots that have never been heard of.
-        silent: number of robots whose heartbeats have stopped.
+    The bid of a vacant slot in `table` is its number of visits. `strangers` robots have never been heard of, and the
+    heartbeats of `silent` ones have stopped.
     """
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)

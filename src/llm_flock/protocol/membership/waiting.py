@@ -24,15 +24,9 @@ def waiting_place(
 ) -> Point:
     """The nearest point to `position` that is clear of all places, other robots, walls and obstacles.
 
-    If slots are blocked, the point is in sight of the nearest of them where possible, because no other robot may be
-    near enough to see it come free.
-
-    Args:
-        mission: limits, arena and obstacles.
-        position: own believed position [units; frame of the mission].
-        plan: the plan, of which all slots are taken.
-        others: positions of sensed robots [units; frame of the mission].
-        blocked: slots that no robot can take, because a body stands there.
+    If slots are blocked by bodies, the point is in sight of the nearest of them where possible, because no other robot
+    may be near enough to see it come free. Positions, of sensed robots in `others`, are in the frame of the mission
+    [units].
 
     Returns:
         `position` itself where that is clear, or where no near point is.

@@ -14,10 +14,12 @@ from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     LAST_ROUND,
-    MAX_BID,
     UNSAID,
+    Bid,
     BidEntry,
     BidTable,
+    Counter,
+    Id,
     Message,
     MissionStamp,
     Offer,
@@ -30,12 +32,8 @@ WIRE_VERSION = 5
 FEW = 0.5
 """Largest share of a table's slots that counts as few."""
 
-Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
-Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
-"""Far more than an honest robot ever counts, and far enough below the largest machine integer to be raised safely."""
 Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_ROUND)]
 Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 
@@ -45,15 +43,6 @@ class _WireProvenance(msgspec.Struct, array_like=True, forbid_unknown_fields=Tru
     neighbors: Id
     proposer: Id
     sequence: Counter
-
-
-class _WireOffer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    to: Id
-    give: Id
-    take: Id
-    give_version: Counter
-    take_version: Counter
-    bid: Bid
 
 
 class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
@@ -70,7 +59,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     slot: Id | None
     table_digest: Digest | None
     claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
-    offer: _WireOffer | None
+    offer: Offer | None
     beats: tuple[Counter, ...] | None
     positions: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
 
@@ -88,7 +77,7 @@ def max_payload_bytes(n_robots: int) -> int:
 
 def encode(message: Message, sequence: int | None = None) -> bytes:
     """The message as bytes, with its own or another sequence number."""
-    origin, offer = message.provenance, message.offer
+    origin = message.provenance
     wire = _WireMessage(
         sender=message.sender,
         sequence=message.sequence if sequence is None else sequence,
@@ -105,9 +94,7 @@ def encode(message: Message, sequence: int | None = None) -> bytes:
         slot=message.slot,
         table_digest=None if message.table_digest is None else bytes.fromhex(message.table_digest),
         claims=_claims(message),
-        offer=None
-        if offer is None
-        else _WireOffer(offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid),
+        offer=message.offer,
         beats=message.beats,
         positions=message.positions,
     )
@@ -138,7 +125,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         raise MessageError("malformed", str(error)) from None
     _check_ids(wire, n_robots)
     _check_lengths(wire, n_robots, dim)
-    mission_digest, origin, offer = wire.mission_digest.hex(), wire.provenance, wire.offer
+    mission_digest, origin = wire.mission_digest.hex(), wire.provenance
     return Message(
         sender=wire.sender,
         sequence=wire.sequence,
@@ -162,16 +149,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         table=_table(wire),
         said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(map(_SLOT, wire.claims)),
         table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
-        offer=None
-        if offer is None
-        else Offer(
-            to=offer.to,
-            give=offer.give,
-            take=offer.take,
-            give_version=offer.give_version,
-            take_version=offer.take_version,
-            bid=offer.bid,
-        ),
+        offer=wire.offer,
         beats=wire.beats,
         positions=wire.positions,
     )

@@ -55,9 +55,7 @@ class Dissemination:
     def begin_round(self, around: frozenset[int], neighbors: int) -> None:
         """Forget neighbours that were silent in the last round.
 
-        Args:
-            around: ids of the robots that are sensed within radio range.
-            neighbors: number of robots that the radio counts within range.
+        Robots `around` are sensed within radio range, where the radio counts `neighbors`.
         """
         self._peers = {j: self._peers[j] for j in self._heard}
         self._heard = set()
@@ -73,12 +71,7 @@ class Dissemination:
         self._heard.add(message.sender)
 
     def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
-        """The plan that a message names; None if it names none, or one that never arrived in full.
-
-        Args:
-            message: the message received.
-            own: the plan that this robot follows.
-        """
+        """The plan that a message names; None if it names none, or one that never arrived in full."""
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
@@ -100,10 +93,8 @@ class Dissemination:
     def unchanged(self, *standing: object) -> bytes | None:
         """The last payload if composing again would give the same one, else None.
 
-        A robot in agreement repeats itself in most communication rounds; this saves a tenth of a large team's time.
-
-        Args:
-            standing: everything that the message is made of, apart from the team's positions.
+        `standing` is everything that the message is made of, apart from the team's positions. A robot in agreement
+        repeats itself in most communication rounds; this saves a tenth of a large team's time.
         """
         same, self._standing = standing == self._standing, standing
         return self._payload if same and not (self._news or self._greeting) else None
@@ -111,9 +102,7 @@ class Dissemination:
     def compose(self, whole: Message, mission: Mission) -> bytes:
         """The bytes to broadcast; equal ones as long as there is nothing else to say.
 
-        Args:
-            whole: everything spelled out, heartbeats in a greeting only; `sequence` is set here.
-            mission: the mission in force.
+        `whole` has everything spelled out, heartbeats in a greeting only; its `sequence` is set here.
         """
         self._note_changes(whole.table)
         plan = whole.plan

@@ -8,16 +8,22 @@ for the auction, its bid table. Long parts are named by a digest, and spelled ou
 from __future__ import annotations
 
 import hashlib
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import msgspec
 import msgspec.structs
 
 from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.plan import Plan
 
 MAX_BID = 10 * MAX_COORDINATE
 """Largest distance between two points of the largest arena [units]."""
+
+Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
+Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
+"""Far more than an honest robot ever counts, and far enough below the largest machine integer to be raised safely."""
 
 NO_OWNER = -1
 BLOCKED = -2
@@ -75,24 +81,19 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     sequence: int
 
 
-class Offer(msgspec.Struct, frozen=True, kw_only=True):
-    """An exchange of slots, offered to one neighbour.
+class Offer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """An exchange of slots, offered to one neighbour; also its form on the wire, with the bounds of its fields.
 
-    Attributes:
-        to: robot that may accept it.
-        give: slot that the sender owns and gives.
-        take: slot that `to` owns and the sender would get.
-        give_version: version of `give` that the offer is about.
-        take_version: version of `take` that the offer is about.
-        bid: the sender's bid for `take`.
+    The sender would give slot `give`, which it owns, for slot `take`, which robot `to` owns, as long as these entries
+    have these versions; `bid` is the sender's bid for `take`.
     """
 
-    to: int
-    give: int
-    take: int
-    give_version: int
-    take_version: int
-    bid: float
+    to: Id
+    give: Id
+    take: Id
+    give_version: Counter
+    take_version: Counter
+    bid: Bid
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,32 +18,23 @@ def mission_text(mission: Mission) -> str:
     return mission.model_dump_json(include=set(MISSION_FIELDS))
 
 
-def mission_fields(text: str) -> dict[str, Any]:
-    """The fields of a mission that arrived by radio.
-
-    Raises:
-        MessageError: with reason `malformed` unless it is a JSON object of `MISSION_FIELDS`.
-    """
-    try:
-        decoded: object = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
-    fields = cast("dict[str, Any]", decoded) if isinstance(decoded, dict) else {"": decoded}
-    if not fields.keys() <= MISSION_FIELDS:
-        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
-    return fields
-
-
 def received_mission(message: Message, own: Mission) -> Mission:
     """The mission that a message spells out, with the limits and surroundings of the robot's own mission.
 
     A sender with other limits announces another digest, so its mission is refused.
 
     Raises:
-        MessageError: with reason `malformed` or `other_mission`.
+        MessageError: with reason `malformed` unless it is a JSON object of `MISSION_FIELDS`, or `other_mission`.
     """
     try:
-        mission = own.change(**mission_fields(message.mission_text or ""))
+        decoded: object = json.loads(message.mission_text or "")
+    except (ValueError, RecursionError) as error:
+        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
+    fields = cast("dict[str, Any]", decoded) if isinstance(decoded, dict) else {"": decoded}
+    if not fields.keys() <= MISSION_FIELDS:
+        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
+    try:
+        mission = own.change(**fields)
     except InputError as error:
         raise MessageError("other_mission", str(error)) from None
     if mission.digest != message.mission.digest:

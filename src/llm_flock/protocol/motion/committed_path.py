@@ -52,7 +52,6 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
     """The last question to the planner, and the rest of its answer.
 
     Attributes:
-        question: the last question.
         path: waypoints still to fly [units; frame of the mission]. A last waypoint at the goal stays, and holds the
             robot there.
         failed: whether the planner had no answer, or a fallback replaced it.
@@ -97,9 +96,8 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
     def trigger(self, question: StepQuestion, sensed: Mapping[int, Point]) -> Trigger | None:
         """The event that makes a new question necessary, or None. Call in each round before flying the next step.
 
-        Args:
-            question: the question that would be asked now.
-            sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
+        `question` is the one that would be asked now, and `sensed` has the believed positions of the robots within
+        sensing range, by id [units; frame of the mission].
         """
         mission = question.mission
         if self.failed:

@@ -12,7 +12,6 @@ from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
-from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
@@ -23,7 +22,6 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     """Positions that a robot observes in a round.
 
     Attributes:
-        round: number of the round.
         position: the robot's believed position [units; world frame].
         sensed: believed positions of the robots within sensing range, by id [units; world frame].
         observed: positions of other robots for the planner's question [units; world frame].
@@ -52,18 +50,8 @@ class Pilot:
     """Flies one robot, round by round.
 
     Call `decide` in each round with a goal, or `hold` in a round without one. `decide` may return a question; call
-    `take` with its answer, and `look` when positions are updated in between.
-
-    Args:
-        robot: id of this robot.
-        mission: sets the limits of its motion.
-        validator: checks the planner's answers.
-        shield_on: project every waypoint onto the buffered Voronoi cell, and fly detours round blocked paths.
-        noise_bound: largest error of a believed position [units].
-        on_event: let the planner give a path, and ask again only on a `Trigger`.
-
-    Attributes:
-        on_path: whether this round's step comes from the committed path, without a question.
+    `take` with its answer, and `look` when positions are updated in between. With `on_event`, the planner gives a path
+    and is asked again only on a `Trigger`; `on_path` says whether this round's step comes from that path.
     """
 
     def __init__(
@@ -72,7 +60,7 @@ class Pilot:
         self.on_path = False
         self._robot = robot
         self._validator = validator
-        self._safety = Safety(robot, Limits.of(mission), noise_bound) if shield_on else None
+        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
         self._horizon = HORIZON if on_event else 1
         self._committed: CommittedPath | None = None
         self._question: StepQuestion | None = None
@@ -84,17 +72,13 @@ class Pilot:
     ) -> list[Effect]:
         """The next step of the committed path, or a question about it.
 
-        Args:
-            scene: the observation of this round.
-            mission: the mission for the planner, as it stands at the end of the round.
-            plan: the plan that the robot follows, in the frame of the mission.
-            slot: the robot's slot in it; None for a spare.
-            target: goal in place of the slot's place, in the frame of the mission; None to fly to the place.
+        The question has `mission` as it stands at the end of the round. `target` is a goal in place of the slot's
+        place; both, and `plan`, are in the frame of the mission.
         """
         ahead = scene.ahead
         self._scene = scene
         self._aim = plan.points[slot or 0] if target is None else target
-        self._question = StepQuestion(
+        question = self._question = StepQuestion(
             mission=mission,
             robot=self._robot,
             round=scene.round,
@@ -107,12 +91,12 @@ class Pilot:
         )
         if self._committed is None:
             self.on_path = False
-            return [AskStep(self._question)]
-        trigger = self._trigger(self._committed)
+            return [AskStep(question)]
+        trigger = self._trigger(self._committed, question, scene)
         self.on_path = trigger is None
         if trigger is None:
-            return self._move(_shifted(self._committed.answer, ahead))
-        return [Note("asked_again", {"reason": trigger.value}), AskStep(self._question)]
+            return self._move(_shifted(self._committed.answer, ahead), question, scene)
+        return [Note("asked_again", {"reason": trigger.value}), AskStep(question)]
 
     def take(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         """The move that follows from the planner's answer. With `on_event`, the robot commits to its path."""
@@ -120,8 +104,8 @@ class Pilot:
         assert question is not None and scene is not None, "only a robot that asked is answered"
         if question.horizon > 1:
             kept = _shifted(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
-            self._committed = CommittedPath.of(self._relative, kept, scene.sensed)
-        return self._move(answer)
+            self._committed = CommittedPath.of(self._relative(question, scene), kept, scene.sensed)
+        return self._move(answer, question, scene)
 
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
@@ -139,29 +123,23 @@ class Pilot:
         """Drop the committed path, as for a robot that has no goal."""
         self._committed, self.on_path = None, False
 
-    @property
-    def _relative(self) -> StepQuestion:
+    def _relative(self, question: StepQuestion, scene: Observation) -> StepQuestion:
         """The question in the frame of the mission, in which places stand still."""
-        question, scene = self._question, self._scene
-        assert question is not None and scene is not None
         if not scene.ahead:
             return question
         plan = Plan.of(moved(x, scene.ahead, -1.0) for x in question.plan.points)
         return replace(question, position=scene.here, plan=plan, target=self._aim)
 
-    def _trigger(self, committed: CommittedPath) -> Trigger | None:
+    def _trigger(self, committed: CommittedPath, question: StepQuestion, scene: Observation) -> Trigger | None:
         """The event that makes a new question necessary: that of the path, or a next step that fails its checks now."""
-        question, scene = self._question, self._scene
-        assert question is not None and scene is not None
-        trigger = committed.trigger(self._relative, {j: scene.seen(x) for j, x in scene.sensed.items()})
+        sensed = {j: scene.seen(x) for j, x in scene.sensed.items()}
+        trigger = committed.trigger(self._relative(question, scene), sensed)
         if trigger is not None:
             return trigger
         fit = self._validator.waypoint(question, _shifted(committed.answer, scene.ahead))
         return Trigger.UNFIT if isinstance(fit, NoAnswer) else None
 
-    def _move(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
-        question, scene = self._question, self._scene
-        assert question is not None and scene is not None
+    def _move(self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation) -> list[Effect]:
         fit = self._validator.waypoint(question, answer)
         asked = answer.waypoint
         if isinstance(fit, NoAnswer):

@@ -67,13 +67,8 @@ def update_progress(
 ) -> GoalProgress:
     """The progress after another round. Call once in each round, before the step.
 
-    Args:
-        progress: progress in the round before; None in the first round.
-        position: the robot's believed position [units; frame of the mission].
-        goal: its goal [units; frame of the mission].
-        gain: smallest approach that counts as progress [units].
-        within: distance at which the goal counts as reached [units].
-        side_rounds: rounds after which a detour changes sides for the first time.
+    `gain` is the smallest approach that counts as progress, and `within` the distance at which the goal counts as
+    reached [units; frame of the mission]; after `side_rounds` a detour changes sides for the first time.
     """
     distance = math.dist(position, goal)
     if progress is None or progress.goal != goal or distance <= within or distance <= progress.nearest - gain:
@@ -84,17 +79,11 @@ def update_progress(
 def detour(
     progress: GoalProgress, position: Point, project: Callable[[Point], Point], *, length: float, follow: bool
 ) -> tuple[Point, GoalProgress]:
-    """The next step round whatever blocks the robot. It turns in the first two dimensions.
+    """The waypoint round whatever blocks the robot, and the progress for the next round.
 
-    Args:
-        progress: progress of a blocked robot.
-        position: its believed position [units; frame of the mission].
-        project: the shield's projection of a waypoint.
-        length: length of the step [units].
-        follow: keep a hand on the obstacle, starting from the last heading; otherwise try the straight line first.
-
-    Returns:
-        The waypoint, and the progress for the next round.
+    The step is of a given length [units] and turns in the first two dimensions; `project` is the shield's projection of
+    a waypoint. With `follow` it keeps a hand on the obstacle, starting from the last heading; otherwise it tries the
+    straight line first.
     """
     if progress.rounds_on_side >= progress.side_rounds:
         progress = replace(

@@ -19,12 +19,10 @@ RELAXATIONS = 24
 
 
 class HalfSpace(msgspec.Struct, frozen=True):
-    """Displacements u with normal . u <= room; `normal` is a unit vector.
+    """Displacements u with normal . u <= room [units]; `normal` is a unit vector that points out of the cell.
 
-    Attributes:
-        normal: unit vector that points out of the cell.
-        room: largest allowed displacement along it [units]; if negative, the robot has to move back.
-        violated: whether the limit behind this side is already violated, by more than noise can explain.
+    With negative room the robot has to move back. `violated` says whether the limit behind this side is already
+    violated, by more than noise can explain.
     """
 
     normal: Point
@@ -87,12 +85,10 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
     The nearest point is the wish clipped to the disc, its foot on one side, the corner of two sides, or an
     intersection of a side with the circle.
     """
-    candidates: list[tuple[float, float]] = []
-    clipped = clip(wish, radius)
-    candidates.append((clipped[0], clipped[1]))
-    wx, wy = wish[0], wish[1]
+    wx, wy = wish
+    candidates = [clip(wish, radius)]
     for i, side in enumerate(sides):
-        nx, ny = side.normal[0], side.normal[1]
+        nx, ny = side.normal
         over = nx * wx + ny * wy - side.room
         candidates.append((wx - over * nx, wy - over * ny))
         # A side that misses the circle yields points outside of it, which fail the check below.
@@ -100,7 +96,7 @@ def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Po
         candidates.append((side.room * nx - chord * ny, side.room * ny + chord * nx))
         candidates.append((side.room * nx + chord * ny, side.room * ny - chord * nx))
         for other in sides[:i]:
-            mx, my = other.normal[0], other.normal[1]
+            mx, my = other.normal
             det = nx * my - ny * mx
             if abs(det) > 1e-12:
                 candidates.append(((side.room * my - other.room * ny) / det, (other.room * nx - side.room * mx) / det))

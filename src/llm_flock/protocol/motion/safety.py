@@ -9,9 +9,9 @@ from itertools import combinations
 import msgspec
 
 from llm_flock.arrays import Point, moved
+from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.motion import shield
-from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.progress import (
     GAIN_SHARE,
     SIDE_ROUNDS,
@@ -37,18 +37,12 @@ class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
 class Safety:
     """Turns the planner's waypoints into safe ones, and follows the robot's progress.
 
-    Call `step` or `stay` once in each round.
-
-    Args:
-        robot: id of this robot.
-        limits: safe distance, step limit, arena and obstacles.
-        noise_bound: largest error of a believed position [units].
+    Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
+    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units].
     """
 
-    def __init__(self, robot: int, limits: Limits, noise_bound: float) -> None:
-        self._robot = robot
-        self._limits = limits
-        self._noise_bound = noise_bound
+    def __init__(self, robot: int, limits: Mission, noise_bound: float) -> None:
+        self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
         self._progress: GoalProgress | None = None
         self._side_rounds = (SIDE_ROUNDS_AT_OBSTACLES if limits.obstacles else SIDE_ROUNDS) + 2 * (robot % 4)
 
@@ -66,15 +60,10 @@ class Safety:
         tolerance: float,
         drift: Point = (),
     ) -> SafeStep:
-        """The safe waypoint for the planner's waypoint.
+        """The safe waypoint for the planner's waypoint `wish` [units; world frame].
 
-        Args:
-            position: the robot's believed position [units; world frame].
-            sensed: believed positions of the robots within sensing range, by id [units; world frame].
-            wish: the planner's waypoint [units; world frame].
-            goal: the robot's goal [units; frame of the mission].
-            tolerance: distance at which the goal counts as reached [units].
-            drift: displacement of the mission's frame [units]; empty if the mission stands still.
+        The goal is in the frame of the mission, which is displaced by `drift` (empty if the mission stands still), and
+        counts as reached within `tolerance` [units].
         """
         separating = self._separate(position, sensed)
         if separating is not None:

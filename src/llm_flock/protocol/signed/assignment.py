@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import cast
 
 from msgspec.structs import replace
 
 from llm_flock.protocol.agreement.assignment import AssignmentInput, AssignmentRule, Claim
-from llm_flock.protocol.messages.message import UNSAID, BidTable, Message
+from llm_flock.protocol.messages.message import UNSAID, BidTable
 from llm_flock.protocol.signed.certificates import Context, Proofs
 from llm_flock.protocol.signed.evidence import Evidence
 
@@ -16,16 +15,10 @@ NO_PROOFS = Proofs()
 
 
 class SignedAssignment:
-    """Decorates an assignment rule: filters the tables it hears, and signs the claims it makes.
-
-    Args:
-        rule: the rule to decorate; its claims must carry a bid table.
-        evidence: this robot's signatures about claims.
-    """
+    """Decorates a rule whose claims carry a bid table: filters the tables it hears, and signs its claims."""
 
     def __init__(self, rule: AssignmentRule, evidence: Evidence) -> None:
-        self._rule = rule
-        self._evidence = evidence
+        self._rule, self._evidence = rule, evidence
 
     @property
     def name(self) -> str:
@@ -35,21 +28,20 @@ class SignedAssignment:
     def take(self, now: AssignmentInput) -> Claim:
         """First claim on a plan; evidence about another plan is dropped."""
         self._evidence.turn_to(Context(now.mission, now.plan.digest))
-        return self._decide(self._rule.take, (UNSAID,) * len(now.plan), now)
+        claim = self._rule.take(self._admitted(now, (UNSAID,) * len(now.plan)))
+        self._evidence.attest(claim)
+        return claim
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
         """The claim after a communication round."""
-        return self._decide(lambda admitted: self._rule.update(claim, admitted), claim.table or (), now)
+        claim = self._rule.update(claim, self._admitted(now, claim.table or ()))
+        self._evidence.attest(claim)
+        return claim
 
-    def _decide(self, rule: Callable[[AssignmentInput], Claim], table: BidTable, now: AssignmentInput) -> Claim:
+    def _admitted(self, now: AssignmentInput, table: BidTable) -> AssignmentInput:
+        """What may be merged into a table."""
         evidence = self._evidence
-
-        def admitted(message: Message) -> Message:
-            return evidence.admit(message, cast("Proofs | None", message.proofs) or NO_PROOFS, table)
-
-        heard = [admitted(message) for message in now.heard]
+        heard = [evidence.admit(m, cast("Proofs | None", m.proofs) or NO_PROOFS, table) for m in now.heard]
         if now.occupancy is not None:
             evidence.witness(table, now.occupancy)
-        claim = rule(replace(now, heard=heard, granted=evidence.granted(table), precedence=evidence.precedence))
-        evidence.attest(claim)
-        return claim
+        return replace(now, heard=heard, granted=evidence.granted(table), precedence=evidence.precedence)

@@ -14,11 +14,20 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol, TypeAlias
 
 import msgspec
+from msgspec.structs import astuple
 
 from llm_flock.errors import MessageError
-from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.codec import max_payload_bytes
-from llm_flock.protocol.messages.message import BLOCKED, MAX_BID, NO_OWNER, BidEntry, MissionStamp, Offer, Provenance
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    MAX_BID,
+    NO_OWNER,
+    BidEntry,
+    Id,
+    MissionStamp,
+    Offer,
+    Provenance,
+)
 
 OPERATOR = -2
 """Member id of the operator, who gives missions."""
@@ -64,22 +73,21 @@ class Context:
 Signature = Annotated[bytes, msgspec.Meta(max_length=64)]
 Number = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
 Count = Annotated[int, msgspec.Meta(ge=0, lt=2**41)]
-Robot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 
 
 class ReleaseGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=0):
     """Statements of different robots that the slot is free, or blocked, from this version on."""
 
-    words: Annotated[tuple[tuple[Robot, Signature], ...], msgspec.Meta(min_length=WITNESSES, max_length=WITNESSES)]
+    words: Annotated[tuple[tuple[Id, Signature], ...], msgspec.Meta(min_length=WITNESSES, max_length=WITNESSES)]
 
 
 class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=1):
     """An offer, signed by its maker, and its acceptance, signed by the robot that took it."""
 
-    maker: Robot
-    to: Robot
-    give: Robot
-    take: Robot
+    maker: Id
+    to: Id
+    give: Id
+    take: Id
     give_version: Count
     take_version: Count
     bid: float
@@ -127,16 +135,16 @@ class Certificate:
 
 
 class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    slot: Robot
+    slot: Id
     number: Number
     signature: Signature
-    grant: Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)] | None
+    grant: Id | None
 
 
 class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """A robot's statement that a slot is free or blocked from a version on."""
 
-    slot: Robot
+    slot: Id
     version: Count
     owner: Annotated[int, msgspec.Meta(ge=BLOCKED, le=NO_OWNER)]
     signature: Signature
@@ -211,7 +219,7 @@ def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
     return signed.message, signed.proofs
 
 
-# Signed statements. Each begins with its kind, so none can be taken for one of another kind.
+# Each signed statement begins with its kind, so none can be taken for one of another kind.
 
 
 def claim_statement(context: Context, slot: int, entry: BidEntry, number: int) -> bytes:
@@ -226,12 +234,12 @@ def word_statement(context: Context, slot: int, version: int, owner: int) -> byt
 
 def offer_statement(context: Context, maker: int, offer: Offer, number: int) -> bytes:
     """Signed by an offer's maker: the addressee may exchange these slots with me."""
-    return _statement("offer", context, maker, *_terms(offer), number)
+    return _statement("offer", context, maker, *astuple(offer), number)
 
 
 def acceptance_statement(context: Context, exchange: ExchangeGrant) -> bytes:
     """Signed by the addressee: the exchange is made."""
-    terms = (exchange.maker, *_terms(exchange.offer()), exchange.number)
+    terms = (exchange.maker, *astuple(exchange.offer()), exchange.number)
     return _statement("accept", context, *terms, exchange.accepted_bid, exchange.accepted_number)
 
 
@@ -250,10 +258,6 @@ def beat_statement(robot: int, count: int) -> bytes:
 def mission_statement(stamp: MissionStamp) -> bytes:
     """Signed by the operator: this is the mission."""
     return _ENCODER.encode(("mission", stamp.counter, stamp.digest))
-
-
-def _terms(offer: Offer) -> tuple[int, int, int, int, int, float]:
-    return (offer.to, offer.give, offer.take, offer.give_version, offer.take_version, offer.bid)
 
 
 def _statement(kind: str, context: Context, *values: float) -> bytes:

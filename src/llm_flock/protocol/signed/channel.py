@@ -12,8 +12,9 @@ import msgspec
 import numpy as np
 
 from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
-from llm_flock.protocol.messages.channel import Authorization, Inbound, read
+from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
 from llm_flock.protocol.signed.certificates import (
@@ -33,29 +34,16 @@ REMEMBERED_ORIGINS = 1024
 """Most plan origins whose signatures are kept."""
 
 
-class SignedChannel:
-    """Decorates the plain channel with signatures; see `llm_flock.protocol.messages.channel.Channel`.
+class SignedChannel(Channel):
+    """The channel of a team with keys.
 
-    Args:
-        robot: own id.
-        n_robots: team size N.
-        dim: dimension d of space.
-        authenticator: signs and checks signatures.
-        evidence: signatures on claims, which travel with the messages.
-        liveness: tells which heartbeats are news, so that only those are checked.
+    `evidence` has the signatures on claims, and `liveness` tells which heartbeats are news: only those are checked.
     """
 
     def __init__(
-        self,
-        robot: int,
-        n_robots: int,
-        dim: int,
-        *,
-        authenticator: Authenticator,
-        evidence: Evidence,
-        liveness: Liveness,
+        self, robot: int, mission: Mission, authenticator: Authenticator, evidence: Evidence, liveness: Liveness
     ) -> None:
-        self._robot, self._n_robots, self._dim = robot, n_robots, dim
+        super().__init__(robot, mission)
         self._authenticator = authenticator
         self._evidence = evidence
         self._liveness = liveness
@@ -72,11 +60,10 @@ class SignedChannel:
         """Unwrap, decode and verify.
 
         Raises:
-            MessageError: as `unwrap` and `read`, and with reason `impostor`, `forged_origin` or
-                `many_plans`.
+            MessageError: as `unwrap` and `Channel.open`, and with reason `impostor`, `forged_origin` or `many_plans`.
         """
         content, proofs = unwrap(payload, self._n_robots)
-        message = read(content, self._robot, self._n_robots, self._dim).message
+        message = super().open(content, sender).message
         if message.sender != sender:
             raise MessageError("impostor", f"robot {sender} speaks as robot {message.sender}")
         self._check_origin(message, proofs)
@@ -106,7 +93,11 @@ class SignedChannel:
         self._origins[origin, plan] = signature
 
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
-        """Check the operator's signature; as in `Channel`."""
+        """Check the operator's signature.
+
+        Raises:
+            MessageError: with reason `no_order`.
+        """
         statement = mission_statement(stamp)
         if authorization is None or not self._authenticator.check(OPERATOR, statement, authorization.signature):
             raise MessageError("no_order", f"the operator has not signed mission {stamp.counter}")

@@ -37,12 +37,7 @@ REMEMBERED = 4096
 
 
 class Evidence:
-    """Signatures about the slots of one plan at a time.
-
-    Args:
-        robot: own id.
-        authenticator: signs and checks signatures.
-    """
+    """Signatures about the slots of one plan at a time."""
 
     def __init__(self, robot: int, authenticator: Authenticator) -> None:
         self.refused: Counter[str] = Counter()
@@ -87,15 +82,10 @@ class Evidence:
         assert self._context is not None, "claims are about a plan"
         return self._context
 
-    # ---------------------------------------------------------------- what is heard
-
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
-        Args:
-            message: a message on the plan in question.
-            proofs: its certificates.
-            table: the entries held now, of the same number of slots.
+        It must be on the plan in question; `table` has the entries held now, of the same number of slots.
         """
         certificates, entries = proofs.certificates(), list(message.table or ())
         # The latest claims first: of all that one message gives to a robot, only its last is taken.
@@ -194,19 +184,12 @@ class Evidence:
         self._heard_offers[message.sender] = (offer, number, signature)
         return offer
 
-    # ---------------------------------------------------------------- what is held
-
     def precedence(self, slot: int, entry: BidEntry) -> tuple[int, int]:
         """Precedence of a claim among several of one robot: the last one counts."""
         return (self._held[slot, entry].number, slot)
 
     def witness(self, table: BidTable, seen: Occupancy) -> None:
-        """State, once a round, of which slots this robot can say that they are free, or blocked.
-
-        Args:
-            table: the entries held.
-            seen: what sensors and heartbeats say.
-        """
+        """State, once a round, of which slots this robot can say that they are free, or blocked."""
         for slot, entry in enumerate(table):
             certificate = self._held.get((slot, entry))
             if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:
@@ -268,13 +251,8 @@ class Evidence:
             return
         self._number += 1
         done = ExchangeGrant(
-            maker=maker,
-            to=self._robot,
-            give=offer.give,
-            take=offer.take,
-            give_version=offer.give_version,
-            take_version=offer.take_version,
-            bid=offer.bid,
+            maker,
+            *msgspec.structs.astuple(offer),
             number=number,
             signature=signature,
             accepted_bid=given[1],
@@ -284,8 +262,6 @@ class Evidence:
         done = msgspec.structs.replace(done, accepted=self._authenticator.sign(acceptance_statement(self._page, done)))
         self._keep(offer.give, given, Certificate(number=self._number, grant=done))
         self._keep(offer.take, taken, Certificate(number=number, grant=done))
-
-    # ---------------------------------------------------------------- what is said
 
     def prove(self, message: Message) -> Proofs:
         """The certificates of the claims in one of this robot's own messages."""

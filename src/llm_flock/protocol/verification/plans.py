@@ -41,8 +41,6 @@ ROUNDING = 0.02
 LENGTH_TOLERANCE = 0.01
 """Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
 
-CACHED_PLANS = 4096
-
 
 class PlanClass(IntEnum):
     """Quality of a plan. In the order of plans, a higher class counts before the proposer's influence."""
@@ -50,12 +48,6 @@ class PlanClass(IntEnum):
     REFUSED = 0
     ACCEPTABLE = 1
     EXACT = 2
-
-
-@dataclass(frozen=True, slots=True)
-class _Verdict:
-    plan_class: PlanClass
-    reason: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +67,7 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     mean at the centre; no pair nearer than the safe distance; every place about as far from its nearest one as in the
     shape; and, if the ideal is known, close to it after the best rotation and correspondence.
     """
-    return _verdict(mission, plan).reason
+    return _verdict(mission, plan)[1]
 
 
 def blocked_within(mission: Mission) -> float:
@@ -84,13 +76,7 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str | None:
-    """As `check_plan`, for a plan that the robot proposes itself: no body in sight may block a place.
-
-    Args:
-        mission: the mission of the plan.
-        plan: the proposed plan.
-        still: positions of bodies in sight that do not move [units].
-    """
+    """As `check_plan`, for a plan that the robot proposes itself: no body that stands `still` may block a place."""
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
@@ -106,26 +92,25 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str 
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
     """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
-    return _verdict(mission, plan).plan_class
+    return _verdict(mission, plan)[0]
 
 
-@lru_cache(maxsize=CACHED_PLANS)
-def _verdict(mission: Mission, plan: Plan) -> _Verdict:
+@lru_cache(maxsize=4096)
+def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     """Class and reason. Cached, so that a plan is checked once even if many robots of a process receive it."""
     reason = _fault_of_form(mission, plan) or _fault_of_place(mission, plan) or _fault_of_spacing(mission, plan)
     if reason is not None:
-        return _Verdict(PlanClass.REFUSED, reason)
+        return PlanClass.REFUSED, reason
     residual = _residual(mission, plan)
     if residual is None:
-        return _Verdict(PlanClass.ACCEPTABLE, None)
+        return PlanClass.ACCEPTABLE, None
     if residual > RESIDUAL_LIMIT * mission.spacing:
-        return _Verdict(
-            PlanClass.REFUSED,
+        return PlanClass.REFUSED, (
             f"its points are {number_text(residual)} off the shape on average, "
-            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {mission.shape}.",
+            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {mission.shape}."
         )
     exact = residual <= EXACT_RESIDUAL * mission.spacing
-    return _Verdict(PlanClass.EXACT if exact else PlanClass.ACCEPTABLE, None)
+    return PlanClass.EXACT if exact else PlanClass.ACCEPTABLE, None
 
 
 @lru_cache(maxsize=16)

@@ -7,7 +7,7 @@ not safety: the shield has the last word on whatever passes here.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 
 from llm_flock.arrays import Point
@@ -28,16 +28,8 @@ class Fault(StrEnum):
     PROGRESS = "progress"
 
 
-@dataclass(frozen=True, slots=True)
-class StepFault:
-    """A fault of a waypoint, with the reason in words for the model."""
-
-    kind: Fault
-    reason: str
-
-
-def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> tuple[StepFault, ...]:
-    """All faults of a waypoint.
+def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> dict[Fault, str]:
+    """All faults of a waypoint, each with the reason in words for the model.
 
     - form: not a finite point of the mission's dimension; nothing else is checked then.
     - length: farther than `max_step`, with a tolerance for printed decimals.
@@ -49,16 +41,44 @@ def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> tu
       straight path is blocked (`blocked`) may go anywhere: it neither overshoots nor lacks progress.
     """
     if len(waypoint) != mission.dim or not all(map(math.isfinite, waypoint)):
-        return (StepFault(Fault.FORM, f"the position must be {mission.dim} finite numbers"),)
-    checks = (_length(mission, question, waypoint), _separation(mission, question, waypoint))
-    checks += (_arena(mission, question, waypoint), _advance(mission, question, waypoint))
-    return tuple(fault for fault in checks if fault is not None)
+        return {Fault.FORM: f"the position must be {mission.dim} finite numbers"}
+    faults: dict[Fault, str] = {}
+    here, goal = question.position, question.goal
+    near = ROUNDING * mission.spacing
+    length = math.dist(here, waypoint)
+    if length > mission.max_step * (1 + LENGTH_TOLERANCE):
+        limit = number_text(mission.max_step)
+        faults[Fault.LENGTH] = f"the position is {number_text(length)} from yours, {limit} is the step limit"
+    too_near = _too_near(mission, question, waypoint)
+    if too_near is not None:
+        gap, other = too_near
+        faults[Fault.SEPARATION] = (
+            f"the position is {number_text(gap)} from the robot at {at_text(other)}, "
+            f"at least {number_text(mission.safe_distance)} is required"
+        )
+    out = outside(mission, waypoint)
+    if out > near and out > outside(mission, here):
+        corners = " to ".join(map(at_text, mission.arena))
+        faults[Fault.ARENA] = f"the position is {number_text(out)} outside the arena from {corners}"
+    before, after = math.dist(here, goal), math.dist(waypoint, goal)
+    if after <= near or blocked(mission, question):
+        return faults
+    past = _along(here, goal, waypoint) - before
+    if past > near:
+        faults[Fault.OVERSHOOT] = (
+            f"the position is {number_text(past)} beyond your goal, which is {number_text(before)} away"
+        )
+    elif after > before - LENGTH_TOLERANCE * min(mission.max_step, before):
+        faults[Fault.PROGRESS] = (
+            f"the position is {number_text(after)} from your goal, no nearer than you are now ({number_text(before)})"
+        )
+    return faults
 
 
 def check_step(mission: Mission, question: StepQuestion, waypoint: Point) -> str | None:
     """The reason to refuse a waypoint, as a sentence for the model, or None."""
     faults = step_faults(mission, question, waypoint)
-    return "; ".join(fault.reason for fault in faults) + "." if faults else None
+    return "; ".join(faults.values()) + "." if faults else None
 
 
 def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
@@ -73,7 +93,7 @@ def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *
     seen = ""
     for number, waypoint in enumerate((answer.waypoint, *answer.path), start=1):
         faults = step_faults(mission, question, waypoint)
-        reasons = [fault.reason for fault in faults if fault.kind not in left_to_shield]
+        reasons = [reason for fault, reason in faults.items() if fault not in left_to_shield]
         if reasons:
             return f"position {number} of the path{seen}: {'; '.join(reasons)}."
         question = replace(question, position=waypoint)
@@ -92,7 +112,7 @@ def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, 
     faults = step_faults(mission, question, waypoint)
     if not faults:
         return waypoint
-    if faults[0].kind is Fault.FORM:
+    if Fault.FORM in faults:
         return None
     here, goal = question.position, question.goal
     target = goal if _along(here, goal, waypoint) >= math.dist(here, goal) else waypoint
@@ -103,7 +123,7 @@ def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, 
     if outside(mission, here) == 0.0 and outside(mission, target) > ROUNDING * mission.spacing:
         low, high = mission.arena
         target = tuple(min(max(x, a), b) for a, x, b in zip(low, target, high, strict=True))
-    left = {fault.kind for fault in step_faults(mission, question, target)}
+    left = step_faults(mission, question, target).keys()
     return target if not left or (shield_on and left == {Fault.SEPARATION}) else None
 
 
@@ -125,51 +145,12 @@ def _along(here: Point, goal: Point, point: Point) -> float:
     return sum((g - x) * (p - x) for x, g, p in zip(here, goal, point, strict=True)) / distance
 
 
-def _length(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
-    length = math.dist(question.position, waypoint)
-    if length <= mission.max_step * (1 + LENGTH_TOLERANCE):
-        return None
-    said = f"the position is {number_text(length)} from yours, {number_text(mission.max_step)} is the step limit"
-    return StepFault(Fault.LENGTH, said)
-
-
-def _separation(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
+def _too_near(mission: Mission, question: StepQuestion, waypoint: Point) -> tuple[float, Point] | None:
+    """Distance and position of the nearest robot from which the waypoint is not separated."""
     worst: tuple[float, Point] | None = None
     for other in question.neighbors:
         gap = math.dist(waypoint, other)
         needed = min(mission.safe_distance, math.dist(question.position, other)) - ROUNDING * mission.safe_distance
         if gap < needed and (worst is None or gap < worst[0]):
             worst = gap, other
-    if worst is None:
-        return None
-    gap, other = worst
-    said = f"the position is {number_text(gap)} from the robot at {at_text(other)}, "
-    return StepFault(Fault.SEPARATION, said + f"at least {number_text(mission.safe_distance)} is required")
-
-
-def _arena(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
-    out = outside(mission, waypoint)
-    if out <= ROUNDING * mission.spacing or out <= outside(mission, question.position):
-        return None
-    low, high = mission.arena
-    said = f"the position is {number_text(out)} outside the arena from {at_text(low)} to {at_text(high)}"
-    return StepFault(Fault.ARENA, said)
-
-
-def _advance(mission: Mission, question: StepQuestion, waypoint: Point) -> StepFault | None:
-    """An overshoot, or a lack of progress."""
-    here, goal = question.position, question.goal
-    before, after = math.dist(here, goal), math.dist(waypoint, goal)
-    near = ROUNDING * mission.spacing
-    if after <= near or blocked(mission, question):
-        return None
-    past = _along(here, goal, waypoint) - before
-    if past > near:
-        said = f"the position is {number_text(past)} beyond your goal, which is {number_text(before)} away"
-        return StepFault(Fault.OVERSHOOT, said)
-    if after > before - LENGTH_TOLERANCE * min(mission.max_step, before):
-        said = (
-            f"the position is {number_text(after)} from your goal, no nearer than you are now ({number_text(before)})"
-        )
-        return StepFault(Fault.PROGRESS, said)
-    return None
+    return worst

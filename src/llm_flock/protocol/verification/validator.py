@@ -13,12 +13,10 @@ from llm_flock.protocol.verification.steps import check_step, clip_waypoint
 
 
 class Validator:
-    """Checks plans and steps; with verification off it accepts everything.
+    """Checks plans and steps; without `verify` it accepts everything.
 
-    Args:
-        verify: whether to check anything.
-        shield_on: whether the shield takes care of waypoints that only lack separation.
-        any_size: whether a plan may have fewer places than the mission, as plans for a smaller team do.
+    With `shield_on` the shield takes care of waypoints that only lack separation. With `any_size` a plan may have fewer
+    places than the mission, as plans for a smaller team do.
     """
 
     def __init__(self, *, verify: bool, shield_on: bool, any_size: bool = False) -> None:

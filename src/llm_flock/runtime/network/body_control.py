@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.projection import clip
 from llm_flock.protocol.motion.shield_async import Sighting, project_async
 from llm_flock.protocol.motion.surroundings import static_half_spaces
@@ -39,7 +38,7 @@ class BodyControl:
     def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
         self.waypoint: Point | None = None
         self.news = asyncio.Event()
-        self._mission, self._limits = mission, Limits.of(mission)
+        self._mission = mission
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._shield_on = shield_on
         self._body: Body | None = None
@@ -116,7 +115,7 @@ class BodyControl:
             safe_distance=self._mission.safe_distance,
             speed=self._speed,
             period_s=lasts_s,
-            also=static_half_spaces(here, self._limits, max_step=self._speed * lasts_s),
+            also=static_half_spaces(here, self._mission, max_step=self._speed * lasts_s),
         )
         # The cell is convex, and contains the robot or only lets it move away: a shorter move that way is safe too.
         return _towards(here, target, longest)
