@@ -58,8 +58,7 @@ def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> Ze
     seal: Seal = PlainSeal(member)
     if keys is not None and network.keys is not None:
         from llm_flock.trust.envelope import Envelope
-        from llm_flock.trust.keys import next_session
-        from llm_flock.trust.tls import tls_config
+        from llm_flock.trust.keys import next_session, tls_config
 
         folder = Path(network.keys)
         listens, connects = ([end.replace("tcp/", "tls/", 1) for end in ends] for ends in (listens, connects))
