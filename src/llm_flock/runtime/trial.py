@@ -12,25 +12,9 @@ import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
+from llm_flock.protocol import events
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.events import (
-    AgreementEnded,
-    Arrived,
-    AskPlan,
-    AskStep,
-    Broadcast,
-    CommRoundBegan,
-    CommRoundEnded,
-    Decided,
-    Effect,
-    MissionGiven,
-    MoveTo,
-    Note,
-    Planned,
-    Received,
-    RoundBegan,
-    Stopped,
-)
+from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, MoveTo, Note
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.record.schema import SummaryMessage
@@ -39,8 +23,9 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
-from llm_flock.runtime.roster import Roster
-from llm_flock.runtime.schedule import Schedule
+from llm_flock.runtime.roster import Roster, make_agent
+from llm_flock.runtime.rules import Rules
+from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.summary import summarize
 from llm_flock.transport.memory import MemoryTransport
 
@@ -74,35 +59,35 @@ class Trial:
 
     Args:
         config: everything that defines the run.
-        schedule: what happens to robots and mission in flight.
-        roster: one mind per robot, and who is awake.
+        rules: for consensus and assignment.
         planners: one planner per robot, and what the models have used.
         bodies: the bodies and their sensors.
-        transport: carries the messages.
         journal: counts and records.
-        on_round: told after each round, for a live display.
-        steer: asked before each round: whoever steers may change the schedule, the links and the planners by then.
+        start: start positions, shape (n, d) [units].
+        on_round: called after each round, for a live display.
+        steer: awaited before each round: whoever steers may change the schedule, the links and the planners by then.
     """
 
     def __init__(
         self,
         config: RunConfig,
-        schedule: Schedule,
-        roster: Roster,
+        rules: Rules,
         planners: TeamPlanners,
         bodies: Bodies,
-        transport: MemoryTransport,
         journal: Journal,
+        start: Points,
         on_round: Callable[[TrialProgress], None] | None = None,
         steer: Steer | None = None,
     ) -> None:
+        n_robots = config.mission.n_robots
         self.config = config
-        self.schedule = schedule
-        self.roster = roster
+        self.schedule = config.schedule()
+        self.roster = Roster(lambda robot: make_agent(config, rules, robot), n_robots, self.schedule.asleep)
         self.planners = planners
         self.bodies = bodies
-        self.transport = transport
+        self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
         self.journal = journal
+        journal.mission_given(config.mission, 0, start)
         self.round = 0
         self.stopped = "rounds"
         self.reason: str | None = None
@@ -141,7 +126,7 @@ class Trial:
             raise
         finally:
             for agent in self.roster.agents:
-                agent.handle(Stopped())
+                agent.handle(events.Stopped())
 
     def begin(self) -> None:
         """Record the start positions. Call before the first round; further calls do nothing."""
@@ -175,7 +160,7 @@ class Trial:
             robot, mission = schedule.missions[number]
             journal.close_episode(roster)
             journal.mission_given(mission, number - 1, self.bodies.positions)
-            self._perform(number, None, robot, roster.agents[robot].handle(MissionGiven(mission=mission)))
+            self._perform(number, None, robot, roster.agents[robot].handle(events.MissionGiven(mission=mission)))
 
     async def _fly_round(self, number: int) -> None:
         self._let_happen(number)
@@ -185,7 +170,7 @@ class Trial:
         moves = await self._think_steps(number)
         await self._move(moves)
         for robot, agent in self._minds():
-            self._perform(number, None, robot, agent.handle(Arrived()))
+            self._perform(number, None, robot, agent.handle(events.Arrived()))
         self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
 
     def _minds(self) -> list[tuple[int, Agent]]:
@@ -199,7 +184,7 @@ class Trial:
         for robot, agent in self._minds():
             seen = self.bodies.sense(robot)
             observed = self.bodies.others(robot) if everybody else tuple(seen.sensed.values())
-            began = RoundBegan(
+            began = events.RoundBegan(
                 round=number,
                 position=seen.position,
                 neighbors=len(self.roster.hears(self.bodies, robot)),
@@ -212,7 +197,7 @@ class Trial:
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
-            self._perform(number, None, robot, self.roster.agents[robot].handle(Planned(answer)))
+            self._perform(number, None, robot, self.roster.agents[robot].handle(events.Planned(answer)))
             if isinstance(answer, PlanAnswer):
                 self.journal.plan(number, answer.plan, robot)
 
@@ -220,16 +205,16 @@ class Trial:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
         minds = self._minds()
         for robot, agent in minds:
-            for effect in agent.handle(CommRoundBegan()):
+            for effect in agent.handle(events.CommRoundBegan()):
                 if isinstance(effect, Broadcast):
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
         listening = dict(minds)
         for robot, payload in self.transport.deliver():
             # A message may arrive after its receiver has died.
-            if robot in listening and (notes := listening[robot].handle(Received(payload))):
+            if robot in listening and (notes := listening[robot].handle(events.Received(payload))):
                 self._perform(number, comm_round, robot, notes)
         for robot, agent in minds:
-            if notes := agent.handle(CommRoundEnded()):
+            if notes := agent.handle(events.CommRoundEnded()):
                 self._perform(number, comm_round, robot, notes)
 
     async def _think_steps(self, number: int) -> dict[int, MoveTo]:
@@ -237,7 +222,7 @@ class Trial:
         asking: dict[int, Coroutine[Any, Any, StepAnswer | NoAnswer]] = {}
         moves: dict[int, MoveTo] = {}
         for robot, agent in self._minds():
-            for effect in self._perform(number, None, robot, agent.handle(AgreementEnded())):
+            for effect in self._perform(number, None, robot, agent.handle(events.AgreementEnded())):
                 if isinstance(effect, AskStep):
                     asking[robot] = self.planners[robot].step(effect.question)
                 elif isinstance(effect, MoveTo):
@@ -245,7 +230,7 @@ class Trial:
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
-            for effect in self._perform(number, None, robot, self.roster.agents[robot].handle(Decided(answer))):
+            for effect in self._perform(number, None, robot, self.roster.agents[robot].handle(events.Decided(answer))):
                 if isinstance(effect, MoveTo):
                     moves[robot] = effect
         return dict(sorted(moves.items()))
@@ -291,19 +276,7 @@ class Trial:
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
             self.journal.measure_error(self.roster)
-        summary = summarize(
-            self.config,
-            self.schedule,
-            self.roster,
-            self.planners,
-            self.transport.traffic,
-            self.journal,
-            stopped=(self.stopped, self.reason),
-            rounds=self.round,
-            wall_s=time.perf_counter() - self._began,
-            record=record,
-            flight=flight,
-        )
+        summary = summarize(self, time.perf_counter() - self._began, record, flight)
         self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,

@@ -206,9 +206,9 @@ class Swarm:
     def result(self, stopped: str) -> SwarmResult:
         """The outcome so far."""
         observer, reports = self.observer, self.observer.reports.values()
-        measured, began = observer.measurements, observer.began_s
+        began = observer.began_s
         seconds = sum(max(0.0, report.stamp - (began or report.stamp)) for report in reports)
-        ages = sorted(measured.latencies_s)
+        ages = sorted(observer.latencies_s)
 
         def percentile(share: float) -> float | None:
             return ages[min(len(ages) - 1, int(share * len(ages)))] if ages else None
@@ -219,16 +219,16 @@ class Swarm:
             mission_s=observer.mission_s,
             n_robots=len(observer.robots),
             simulated=self.config.simulated,
-            min_separation=measured.min_separation,
-            model_calls=measured.calls,
-            calls_failed=measured.calls_failed,
-            tokens=measured.tokens,
+            min_separation=observer.min_separation,
+            model_calls=observer.calls,
+            calls_failed=observer.calls_failed,
+            tokens=observer.tokens,
             bytes_per_robot_s=sum(report.bytes for report in reports) / seconds if seconds else 0.0,
             latency_p50_s=percentile(0.5),
             latency_p99_s=percentile(0.99),
-            late_commands=measured.late_commands,
+            late_commands=observer.late_commands,
             waypoints=dict(sum((Counter(report.waypoints) for report in reports), Counter[str]())),
-            messages_rejected=dict(sum((Counter(report.rejected) for report in reports), Counter[str]())),
+            messages_rejected=dict(observer.rejected),
             record=None if self.config.record is None else str(self.config.record),
         )
 
