@@ -16,7 +16,6 @@ from llm_flock.mission import Coordinate, Mission, input_error
 from llm_flock.protocol.membership.liveness import TIME_OUT
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.schedule import Change, Schedule, build_schedule, load_points
-from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.transport.memory import LinkFaults
 
 Count = Annotated[int, Field(ge=1)]
@@ -59,8 +58,7 @@ class ProtocolConfig(ConfigSection):
     )
     comm_rounds: Count | None = Field(default=None, description="Communication rounds per motion round [preset's]")
     gaps: Literal["report", "replan"] = Field(
-        default="report",
-        description="If fewer robots are alive than the plan has places: report the gaps, or replan",
+        default="report", description="If fewer robots are alive than the plan has places: report the gaps, or replan"
     )
     time_out: Count = Field(
         default=TIME_OUT,
@@ -199,17 +197,7 @@ class RunConfig(ConfigSection):
         Raises:
             InputError: such a schedule is not possible.
         """
-        trial = self.trial
-        return build_schedule(
-            self.mission,
-            kill=trial.kill,
-            join=trial.join,
-            kill_random=trial.kill_random,
-            join_random=trial.join_random,
-            changes=trial.changes,
-            rounds=trial.rounds,
-            rng=stream(trial.seed, Stream.FAULTS),
-        )
+        return build_schedule(self.mission, self.trial)
 
     @property
     def record(self) -> Path | None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 from llm_flock.arrays import Points
@@ -18,10 +20,11 @@ from llm_flock.runtime.roster import Roster
 
 
 def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None) -> RunInfo:
-    """The origin of a run: configuration, versions (also of weights on board), and machine.
+    """The origin of a run: configuration, versions (also of weights on board), and machine without any name or path.
 
     Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
+    machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
     return RunInfo(
         format_version=1,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
@@ -29,8 +32,8 @@ def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] |
         git_revision=versions.git_revision(),
         seed=config.trial.seed,
         simulated=simulated,
-        created_at=versions.now(),
-        environment=versions.environment(),
+        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        environment=machine,
     )
 
 

@@ -42,43 +42,24 @@ class SwarmError(FlockError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SwarmResult:
-    """Outcome of a swarm.
+    """Outcome of a swarm."""
 
-    Attributes:
-        stopped: why it ended: formed or time.
-        formed: whether the team formed, as for a run, with the time of a step in place of a round.
-        mission_s: from the first robot's first round until it formed [s]; None if it never did.
-        n_robots: robots alive at the end.
-        simulated: whether any language model was a simulated stand-in.
-        min_separation: smallest distance of two bodies, from the world's true positions, along segments [units].
-        model_calls: calls of language models.
-        calls_failed: calls without an answer.
-        tokens: in and out.
-        bytes_per_robot_s: messages and beacons broadcast, each counted once [bytes/s].
-        latency_p50_s: one-way latency of a beacon, median [s].
-        latency_p99_s: 99th percentile [s].
-        late_commands: commands that bodies refused because they came too late.
-        waypoints: waypoints flown, by origin.
-        messages_rejected: messages refused, by reason.
-        record: path of the record; None without one.
-    """
-
-    stopped: str
-    formed: bool
-    mission_s: float | None
-    n_robots: int
-    simulated: bool
-    min_separation: float
+    stopped: str  # why it ended: formed or time
+    formed: bool  # whether the team formed, as for a run, with the time of a step in place of a round
+    mission_s: float | None  # from the first robot's first round until it formed; None if it never did
+    n_robots: int  # alive at the end
+    simulated: bool  # whether any language model was a simulated stand-in
+    min_separation: float  # smallest distance of two bodies, by their true positions, along segments too [units]
     model_calls: int
-    calls_failed: int
-    tokens: int
-    bytes_per_robot_s: float
-    latency_p50_s: float | None
-    latency_p99_s: float | None
-    late_commands: int
-    waypoints: dict[str, int]
-    messages_rejected: dict[str, int]
-    record: str | None
+    calls_failed: int  # without an answer
+    tokens: int  # in and out
+    bytes_per_robot_s: float  # messages and beacons broadcast, each counted once [bytes/s]
+    latency_p50_s: float | None  # one-way latency of a beacon, median
+    latency_p99_s: float | None  # 99th percentile
+    late_commands: int  # commands that bodies refused because they came too late
+    waypoints: dict[str, int]  # flown, by origin
+    messages_rejected: dict[str, int]  # by reason
+    record: str | None  # its path; None without one
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
