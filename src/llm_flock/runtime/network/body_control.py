@@ -27,18 +27,14 @@ class BodyControl:
     Args:
         mission: its limits and surroundings.
         speed: largest speed of any body [units/s].
-        period_s: control period [s].
-        lag_s: longest delay of a command to the body [s].
+        period_s: control period.
+        lag_s: longest delay of a command to the body.
         shield_on: project every move on what is safe.
-
-    Attributes:
-        waypoint: where to fly; None to stand still [units; world frame].
-        news: set with everything after which another command may be possible.
     """
 
     def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
-        self.waypoint: Point | None = None
-        self.news = asyncio.Event()
+        self.waypoint: Point | None = None  # where to fly; None to stand still [units; world frame]
+        self.news = asyncio.Event()  # set with everything after which another command may be possible
         self._mission, self._limits = mission, Limits.of(mission)
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._shield_on = shield_on
@@ -83,10 +79,7 @@ class BodyControl:
     def control(self, now: float, sightings: Sequence[Sighting], unseen_s: float) -> Command | None:
         """The next command; None with nothing to fly, no safe move, or a command under way.
 
-        Args:
-            now: by the wall clock [s].
-            sightings: of every body in sight.
-            unseen_s: how long ago all other bodies were out of sight [s].
+        `now` is by the wall clock [s]; bodies without a sighting were out of sight `unseen_s` ago.
         """
         body, waypoint = self._body, self.waypoint
         if body is None or waypoint is None or not self.is_free(now):

@@ -24,10 +24,6 @@ class PeriodClock:
 
     A moment that has passed is skipped, not made up for. Clocks of equal period and phase fire together, so messages
     sent on them leave together.
-
-    Args:
-        period_s: time between two moments [s].
-        phase_s: one of the moments [s].
     """
 
     def __init__(self, period_s: float, phase_s: float = 0.0) -> None:

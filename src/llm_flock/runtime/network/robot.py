@@ -7,7 +7,6 @@ import time
 from typing import Any
 
 from llm_flock.errors import InputError, MessageError
-from llm_flock.llm.port import Attempt
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.runtime.entries import llm_entry
 from llm_flock.runtime.network.agent_loop import AgentLoop
@@ -30,13 +29,7 @@ BEACON_DUE = 0.9
 
 
 class RobotProcess:
-    """The wiring of one robot.
-
-    Args:
-        config: the swarm.
-        robot: own id.
-        link: the network.
-    """
+    """The wiring of one robot."""
 
     def __init__(self, config: SwarmConfig, robot: int, link: ZenohLink) -> None:
         mission, network = config.mission, config.network
@@ -44,11 +37,10 @@ class RobotProcess:
         self._loop = asyncio.get_running_loop()
         self._phase_s = phase_s(robot, mission.n_robots, network.gossip_s)
         self.planners = TeamPlanners(config)
-        self.planners.listen(self._record_call)
+        self.planners.listen(lambda attempt: self._calls.append(llm_entry(attempt).model_dump(mode="json")))
         self._calls: list[dict[str, Any]] = []
         self._latencies_s: list[float] = []
         self._beacon_sent_s = 0.0
-        self._known: set[str] = {mission.digest}
         self._alive: set[int] = set()
         self._all_here = asyncio.Event()
         self._sees = asyncio.Event()
@@ -72,12 +64,11 @@ class RobotProcess:
         agent = make_agent(config, config.protocol.rules(), robot, own_clock=True, authenticator=keys)
         self.agent_loop = AgentLoop(config, agent, self.planners[robot], self.radio, self.body, self._broadcast)
         receive(link, "frame", WorldState, self._on_state, sender=WORLD)
-        receive(link, "beacon", Beacon, self._on_beacon)
-        receive(link, "say", BeaconedMessage, self._on_message)
-        receive(link, "mission", MissionOrder, self._on_order, number=robot, sender=OPERATOR)
+        receive(link, "beacon", Beacon, self._hear)
+        receive(link, "say", BeaconedMessage, lambda sender, said: self._hear(sender, said.beacon, said.message))
+        take_order = self.agent_loop.take_order
+        receive(link, "mission", MissionOrder, lambda _, order: take_order(order), number=robot, sender=OPERATOR)
         link.watch_alive(self._on_alive)
-
-    # ---------------------------------------------------------------- the network
 
     def _broadcast(self, message: bytes) -> None:
         beacon = self._own_beacon()
@@ -91,21 +82,8 @@ class RobotProcess:
         self._beacon_sent_s = time.monotonic()
         return Beacon(stamp=time.time(), position=position, end=end)
 
-    def _on_message(self, sender: int, message: BeaconedMessage) -> None:
-        seen = self._place(sender, message.beacon)
-
-        def hand_over() -> None:
-            self.radio.beacon(sender, seen)
-            self.agent_loop.receive(message.message, sender)
-
-        self.radio.deliver(sender, hand_over, self._loop.call_later)
-
-    def _on_beacon(self, sender: int, beacon: Beacon) -> None:
-        seen = self._place(sender, beacon)
-        self.radio.deliver(sender, lambda: self.radio.beacon(sender, seen), self._loop.call_later)
-
-    def _place(self, sender: int, beacon: Beacon) -> Seen:
-        """Tell the radio where a sender is."""
+    def _hear(self, sender: int, beacon: Beacon, message: bytes | None = None) -> None:
+        """Tell the radio where a sender is, and take what it carries from there."""
         dim = self._config.mission.dim
         if len(beacon.position) != dim or len(beacon.end) != dim:
             raise MessageError("wrong_length", "a beacon of another dimension")
@@ -114,7 +92,13 @@ class RobotProcess:
         # A stamp in the future would make the beacon look younger than it is.
         seen = Seen(stamp=min(beacon.stamp, now), position=beacon.position, end=beacon.end)
         self.radio.place(sender, seen)
-        return seen
+
+        def hand_over() -> None:
+            self.radio.beacon(sender, seen)
+            if message is not None:
+                self.agent_loop.receive(message, sender)
+
+        self.radio.deliver(sender, hand_over, self._loop.call_later)
 
     def _on_state(self, _sender: int, state: WorldState) -> None:
         if len(state.bodies) == self._config.mission.n_robots:
@@ -122,18 +106,10 @@ class RobotProcess:
             self.body.update(state.bodies[self._robot])
             self._sees.set()
 
-    def _on_order(self, _sender: int, order: MissionOrder) -> None:
-        self.agent_loop.take_order(order)
-
     def _on_alive(self, number: int, alive: bool) -> None:
         (self._alive.add if alive else self._alive.discard)(number)
         if len(self._alive - {WORLD}) >= self._config.mission.n_robots:
             self._all_here.set()
-
-    def _record_call(self, attempt: Attempt) -> None:
-        self._calls.append(llm_entry(attempt).model_dump(mode="json"))
-
-    # ---------------------------------------------------------------- its life
 
     async def live(self) -> None:
         """Wait for the own sensors, then for the other robots as long as the configuration says; then begin."""
@@ -184,7 +160,7 @@ class RobotProcess:
         clock = PeriodClock(REPORT_S, self._phase_s)
         while True:
             await clock.next()
-            report = self.agent_loop.report(self._known, self._calls, self._latencies_s, self._link.traffic)
+            report = self.agent_loop.report(self._calls, self._latencies_s, self._link.traffic)
             self._calls, self._latencies_s = [], []
             self._link.publish("report", self._robot, pack(report))
 
@@ -203,10 +179,6 @@ class RobotProcess:
 
 async def run_robot(config: SwarmConfig, robot: int) -> None:
     """Be one robot until the process is told to end.
-
-    Args:
-        config: the swarm.
-        robot: own id.
 
     Raises:
         InputError: no such robot, or an endpoint that cannot be opened.

@@ -70,8 +70,7 @@ def free_port() -> int:
     """A TCP port that is free at the moment."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+        return probe.getsockname()[1]
 
 
 def world_config(config: SwarmConfig) -> SwarmConfig:
@@ -81,18 +80,12 @@ def world_config(config: SwarmConfig) -> SwarmConfig:
 
 
 class Swarm:
-    """The running processes of a swarm, and an observer of them. Made by `launched`.
-
-    Attributes:
-        pids: process ids by name: `world`, `recorder`, `robot-3`.
-        ended: exit codes of those that have ended.
-        observer: follows the swarm for the launcher.
-    """
+    """The running processes of a swarm, and an observer that follows them. Made by `launched`."""
 
     def __init__(self, config: SwarmConfig, forkserver: asyncio.subprocess.Process, folder: Path) -> None:
         self.config = config
-        self.pids: dict[str, int] = {}
-        self.ended: dict[str, int] = {}
+        self.pids: dict[str, int] = {}  # by name: `world`, `recorder`, `robot-3`
+        self.ended: dict[str, int] = {}  # exit codes
         self.observer: Observer
         self.ready = False
         self._forkserver = forkserver
@@ -128,9 +121,7 @@ class Swarm:
         """Start a process."""
         line = self._forkserver.stdin
         assert line is not None
-        config = self.config
-        if kind == "world":
-            config = world_config(config)
+        config = world_config(self.config) if kind == "world" else self.config
         self.pids.pop(name, None)
         order = {"name": name, "kind": kind, "config": config.model_dump(mode="json"), **more}
         line.write(json.dumps(order).encode() + b"\n")
@@ -216,17 +207,12 @@ class Swarm:
 
 @asynccontextmanager
 async def launched(
-    config: SwarmConfig,
-    *,
-    on_row: Callable[[TrialProgress], None] | None = None,
-    absent: frozenset[int] = frozenset(),
+    config: SwarmConfig, *, on_row: Callable[[TrialProgress], None] | None = None, absent: frozenset[int] = frozenset()
 ) -> AsyncGenerator[Swarm]:
-    """A swarm whose processes are running; all have ended when the context is left.
+    """A swarm whose processes are running, all but `absent` robots; all have ended when the context is left.
 
-    Args:
-        config: the swarm; with `out`, a recorder writes `run.mcap` there. An empty `connect` takes a free port.
-        on_row: called with the progress, once per step time.
-        absent: robots that are not started.
+    With `out`, a recorder writes `run.mcap` there. An empty `connect` takes a free port. `on_row` is called once per
+    step time.
 
     Raises:
         SwarmError: a process did not start.

@@ -1,14 +1,6 @@
 """Messages between the processes of a swarm other than those of the protocol, as MessagePack.
 
-| topic | from | to | content |
-|---|---|---|---|
-| `say/ID` | robot | robots in radio range | `BeaconedMessage`: a protocol message, unchanged, behind a beacon |
-| `beacon/ID` | robot | robots in radio range | `Beacon`, where no message has carried one for a while |
-| `frame/-1` | world | robots (their sensors), observers | `WorldState` |
-| `command/ID` | robot | its body, in the world | `Command` |
-| `report/ID` | robot | observers | `RobotReport` |
-| `mission/ID` | operator | one robot | `MissionOrder` |
-| `alive/ID` | liveliness token | all processes | nothing |
+docs/reference/wire.md has a table of their topics.
 """
 
 from __future__ import annotations

@@ -38,16 +38,15 @@ class WorldBodies:
     Args:
         start: shape (n, d) [units].
         speed: of every body [units/s].
-        period_s: time in which a command's segment is to be flown [s].
-        lag_s: largest age of a command on arrival; its deadline is later by as much [s].
+        period_s: time in which a command's segment is to be flown.
+        lag_s: largest age of a command on arrival; its deadline is later by as much.
         now: the time [s].
     """
 
     def __init__(self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float) -> None:
         self.positions: Points = np.array(start, dtype=np.float64)
         self.late = 0
-        self.smallest = metrics.min_separation(self.positions)
-        self._closest = self.smallest
+        self._closest = metrics.min_separation(self.positions)
         self._standing: float | None = None
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._now = now
@@ -84,9 +83,7 @@ class WorldBodies:
                 if path:
                     self._fly(robot, path, step)
             self._now += step
-            nearest = metrics.segment_separation(before, self.positions)
-            self._closest = min(self._closest, nearest)
-            self.smallest = min(self.smallest, nearest)
+            self._closest = min(self._closest, metrics.segment_separation(before, self.positions))
 
     def _fly(self, robot: int, path: list[Point], step: float) -> None:
         left = self._speed * min(step, self._deadlines[robot] - self._now)
@@ -120,18 +117,12 @@ class WorldBodies:
 
     def states(self) -> tuple[Body, ...]:
         """Every body, by id."""
-        rows: list[Point] = [tuple(row) for row in self.positions.tolist()]
-        return tuple(
-            Body(position=row, end=self._end(robot), command=self._answered[robot]) for robot, row in enumerate(rows)
-        )
+        rows = enumerate(self.positions.tolist())
+        return tuple(Body(tuple(row), self._end(robot), self._answered[robot]) for robot, row in rows)
 
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
-    """Simulate the bodies until the process is told to end.
-
-    Args:
-        config: the swarm; `start` and `seed` choose the start positions.
-        on_ready: called once the endpoint is open.
+    """Simulate the bodies until the process is told to end; `on_ready` is called once the endpoint is open.
 
     Raises:
         InputError: the endpoint cannot be opened, or there is no room for the starts.
