@@ -76,11 +76,7 @@ class ProtocolConfig(ConfigSection):
         return self
 
     def rules(self) -> Rules:
-        """The consensus and assignment rules by these names.
-
-        Raises:
-            InputError: unknown name.
-        """
+        """The consensus and assignment rules by these names; `InputError` for an unknown one."""
         return consensus_rule(self.consensus or ""), assignment_rule(self.assignment or "")
 
 
@@ -125,9 +121,7 @@ class LimitConfig(ConfigSection):
     """Limits of a run's model calls, and its budget."""
 
     max_concurrent: Count = Field(default=1000, description="Largest number of model calls at once")
-    timeout_s: float = Field(
-        default=120.0, gt=0, allow_inf_nan=False, description="Time-out of one try of a model call [s]"
-    )
+    timeout_s: float = seconds(120.0, "Time-out of one try of a model call")
     max_tries: Count = Field(default=8, description="Largest number of tries of a model call when the provider fails")
     max_calls: Count | None = Field(default=None, description="Budget: model calls of the whole run")
     max_tokens: Count | None = Field(default=None, description="Budget: tokens in and out of the whole run")
@@ -192,11 +186,7 @@ class RunConfig(ConfigSection):
         return self
 
     def schedule(self) -> Schedule:
-        """Deaths, joins and mission changes in flight; the random ones are drawn from the seed.
-
-        Raises:
-            InputError: such a schedule is not possible.
-        """
+        """Deaths, joins and mission changes in flight, drawn from the seed where random; `InputError` if impossible."""
         return build_schedule(self.mission, self.trial)
 
     @property
@@ -206,11 +196,7 @@ class RunConfig(ConfigSection):
 
     @classmethod
     def section_of(cls, field: str) -> str:
-        """The section that holds a field.
-
-        Raises:
-            InputError: there is no such field.
-        """
+        """The section that holds a field; `InputError` if none does."""
         for name, info in cls.model_fields.items():
             section = info.annotation
             assert isinstance(section, type) and issubclass(section, BaseModel)

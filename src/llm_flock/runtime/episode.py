@@ -16,15 +16,9 @@ from llm_flock.protocol.plan import Plan
 
 
 class Episode:
-    """One mission, from the moment at which the first robot received it.
+    """One mission, from when the first robot received it, with true positions of shape (n, d) [units] then.
 
-    Args:
-        mission: the mission.
-        flown: rounds flown before; the mission is given at the start of the next one.
-        positions: true positions then, shape (n, d) [units].
-
-    Attributes:
-        bound: lower bound of the rounds it takes, set by `close`; None without one plan.
+    It is given at the start of the round after those `flown` before.
     """
 
     def __init__(self, mission: Mission, flown: int, positions: Points) -> None:
@@ -33,7 +27,7 @@ class Episode:
         self.tracker = metrics.FormedTracker(spacing=mission.spacing)
         self._start = positions
         self._disturbed = flown
-        self.bound: int | None = None
+        self.bound: int | None = None  # lower bound of the rounds it takes, set by `close`; None without one plan
         self._targets: dict[int, metrics.ShapeTarget | None] = {}
         self._measured: tuple[Points, metrics.ShapeError | None] | None = None
 

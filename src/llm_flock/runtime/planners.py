@@ -27,9 +27,7 @@ from llm_flock.runtime.seeds import Stream, stream
 class TeamPlanners:
     """The planners of a team, by robot, with the connections, budget and listeners that they share.
 
-    Args:
-        config: the models, how to ask them, and their limits.
-        lane: access to what this run shares with others; None for a run by itself.
+    A `lane` is access to what this run shares with others.
 
     Raises:
         InputError: a model cannot work, as far as that is known before asking it.
@@ -128,11 +126,7 @@ class TeamPlanners:
         self._planners = [around(robot, planner) for robot, planner in enumerate(self._planners)]
 
     def replace(self, robot: int, model: str) -> None:
-        """Give a robot another model from its next question on.
-
-        Raises:
-            InputError: there is no such model.
-        """
+        """Give a robot another model from its next question on; `InputError` if there is no such model."""
         if model not in self._prompts:
             self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)

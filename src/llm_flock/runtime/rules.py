@@ -47,20 +47,12 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 
 
 def consensus_rule(name: str) -> ConsensusRule:
-    """The consensus rule of this name.
-
-    Raises:
-        InputError: unknown name.
-    """
+    """The consensus rule of this name; `InputError` for an unknown one."""
     return _rule("consensus", name, CONSENSUS, ("choose",))
 
 
 def assignment_rule(name: str) -> AssignmentRule:
-    """The assignment rule of this name.
-
-    Raises:
-        InputError: unknown name.
-    """
+    """The assignment rule of this name; `InputError` for an unknown one."""
     return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 

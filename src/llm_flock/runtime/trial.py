@@ -55,17 +55,10 @@ class TrialProgress:
 
 
 class Trial:
-    """Drives agents, bodies, planners and messages through one mission.
+    """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    Args:
-        config: everything that defines the run.
-        rules: for consensus and assignment.
-        planners: one planner per robot, and what the models have used.
-        bodies: the bodies and their sensors.
-        journal: counts and records.
-        start: start positions, shape (n, d) [units].
-        on_round: called after each round, for a live display.
-        steer: awaited before each round: whoever steers may change the schedule, the links and the planners by then.
+    After each round `on_round` is called, for a live display. Before each round `steer` is awaited: whoever steers may
+    change the schedule, the links and the planners by then.
     """
 
     def __init__(

@@ -96,16 +96,10 @@ class LinkTraffic:
 
 
 class ZenohLink:
-    """Connects one process to a swarm's network. A topic is `kind/id`.
+    """Connects one process to a swarm's network. A topic is `kind/id`; other swarms, and own messages, are ignored.
 
-    A payload is dropped, not delayed, where a receiver does not keep up.
-
-    Args:
-        session: an open zenoh session; closed by `close`.
-        swarm: name of the swarm; others on the same network are ignored.
-        own: id of this process, whose own messages are ignored.
-        seal: closes and opens payloads.
-        loop: where handlers run.
+    A payload is dropped, not delayed, where a receiver does not keep up. Handlers run in `loop`. The session is closed
+    by `close`.
     """
 
     def __init__(

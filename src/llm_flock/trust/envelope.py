@@ -77,12 +77,9 @@ class _Heard:
 
 
 class Envelope:
-    """Seals payloads of one process, and opens those of others.
+    """Seals payloads of one process, and opens those of others of at most `max_payload` [bytes].
 
-    Args:
-        keys: own secret key, and the public keys of all members.
-        session: number of this start of the process, higher than that of every start before.
-        max_payload: largest payload that is opened [bytes].
+    The number of its session must be higher than that of every start before.
     """
 
     def __init__(self, keys: Signer, session: int, *, max_payload: int) -> None:

@@ -66,12 +66,7 @@ class Keyring:
 
 
 def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
-    """Make the keys and certificates of a team; never overwrites a file.
-
-    Args:
-        folder: to write to; new or empty.
-        n_robots: team size N.
-        days: validity of the certificates.
+    """Make the keys of a team, and certificates that are valid for some days; never overwrites a file.
 
     Raises:
         InputError: too many robots, or the folder is not empty.
@@ -131,12 +126,9 @@ def load_keyring(folder: Path, member: int) -> Keyring:
 
 
 def next_session(folder: Path, member: int, clock_s: float) -> int:
-    """The session number of this start of a member: higher than that of every start before, whatever the clock.
+    """The session number of this start of a member: higher than that of every start before, whatever the Unix time.
 
-    Args:
-        folder: of the keys; the number is kept beside the member's own.
-        member: own id.
-        clock_s: Unix time [s].
+    It is kept beside the member's own keys.
     """
     path = folder / member_name(member) / "session"
     try:

@@ -24,12 +24,7 @@ ANSWER_S = 0.25
 class BodyControl:
     """Steers one body. Call `fly_to` to set out, `update` on every reading of the sensors, `control` in every period.
 
-    Args:
-        mission: its limits and surroundings.
-        speed: largest speed of any body [units/s].
-        period_s: control period.
-        lag_s: longest delay of a command to the body.
-        shield_on: project every move on what is safe.
+    No body is faster than `speed` [units/s], and no command reaches one later than by `lag_s`.
     """
 
     def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:

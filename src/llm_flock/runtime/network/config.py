@@ -53,11 +53,7 @@ class NetworkConfig(ConfigSection):
 
 
 class SwarmConfig(RunConfig):
-    """Everything that defines a swarm.
-
-    Raises:
-        InputError: a field of runs that swarms do not support.
-    """
+    """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
     network: NetworkConfig = Field(default_factory=NetworkConfig)
 
@@ -89,11 +85,7 @@ def endpoints(text: str) -> list[str]:
 
 
 def check_models(config: SwarmConfig) -> None:
-    """Refuse several local models in a swarm on one machine: each process would load an engine on the same cores.
-
-    Raises:
-        InputError: for field `model`.
-    """
+    """Refuse several local models in a swarm on one machine: each process would load an engine on the same cores."""
     n = config.mission.n_robots
     on_board = [name for name in parse_models(config.model.model, n) if parse_model(name).kind == "local"]
     if len(on_board) > 1:

@@ -61,11 +61,7 @@ def end_with_parent() -> None:
 
 
 async def until_stopped(work: Coroutine[None, None, None]) -> None:
-    """Do the work until it is done or fails, or until SIGTERM or SIGINT.
-
-    Raises:
-        Exception: the work's own.
-    """
+    """Do the work until it is done or raises its own exception, or until SIGTERM or SIGINT."""
     gc.freeze()  # spares later collections tens of milliseconds each: what exists by now stays
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -109,11 +109,7 @@ class Swarm:
                 self._news.notify_all()
 
     async def wait_until(self, condition: Callable[[], bool], longest_s: float = START_S) -> None:
-        """Wait until starts or ends of processes make a condition true.
-
-        Raises:
-            TimeoutError: they did not in time.
-        """
+        """Wait until starts or ends of processes make a condition true; `TimeoutError` if that takes too long."""
         async with asyncio.timeout(longest_s), self._news:
             await self._news.wait_for(condition)
 
@@ -133,11 +129,7 @@ class Swarm:
         await self.start(f"robot-{robot}", "robot", id=robot)
 
     async def start_world(self) -> None:
-        """Start the world, and wait until others can connect to it.
-
-        Raises:
-            SwarmError: it did not start.
-        """
+        """Start the world, and wait until others can connect to it; `SwarmError` if it does not start."""
         ready = self._folder / "ready"
         await self.start("world", "world", ready=str(ready))
         deadline = time.monotonic() + START_S
@@ -162,8 +154,7 @@ class Swarm:
     async def run(self, until: Callable[[Observer], bool] = lambda observer: observer.formed_s is not None) -> str:
         """Watch until the team has formed (or `until`), or the time is over; returns which: formed or time.
 
-        Raises:
-            SwarmError: the world process ended.
+        Raises `SwarmError` if the world process ends.
         """
         deadline = time.monotonic() + self.config.network.max_s
         while time.monotonic() < deadline:
@@ -255,10 +246,6 @@ async def launched(
 
 
 async def run_swarm(config: SwarmConfig, on_row: Callable[[TrialProgress], None] | None = None) -> SwarmResult:
-    """Fly one mission with a swarm of processes on this machine.
-
-    Raises:
-        SwarmError: a process of it failed.
-    """
+    """Fly one mission with a swarm of processes on this machine; `SwarmError` if one of them fails."""
     async with launched(config, on_row=on_row) as swarm:
         return swarm.result(await swarm.run())

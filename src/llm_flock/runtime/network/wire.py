@@ -110,11 +110,7 @@ def pack(message: msgspec.Struct) -> bytes:
 
 
 def unpack(kind: type[T], payload: bytes) -> T:
-    """The message that `pack` encoded.
-
-    Raises:
-        MessageError: it is not of this kind or version.
-    """
+    """The message that `pack` encoded; `MessageError` if it is not of this kind or version."""
     if payload[:1] != bytes([WIRE_VERSION]):
         raise MessageError("version", f"this program speaks version {WIRE_VERSION}")
     try:

@@ -35,12 +35,8 @@ SAME_POSITION = 1e-9
 class WorldBodies:
     """True positions of all bodies, and the path that each is flying.
 
-    Args:
-        start: shape (n, d) [units].
-        speed: of every body [units/s].
-        period_s: time in which a command's segment is to be flown.
-        lag_s: largest age of a command on arrival; its deadline is later by as much.
-        now: the time [s].
+    All fly at `speed` [units/s] from `start`, of shape (n, d) [units]. A command is at most `lag_s` old on arrival; its
+    segment is to be flown in `period_s`, and its deadline is later by `lag_s`.
     """
 
     def __init__(self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float) -> None:
