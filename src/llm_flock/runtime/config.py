@@ -176,12 +176,10 @@ class RunConfig(ConfigSection):
     def _check(self) -> Self:
         if self.protocol.shield:
             self.mission.check_sensing()
-            if self.trial.noise > self.mission.safe_distance / 4:
-                raise InputError(
-                    "noise",
-                    self.trial.noise,
-                    f"at most safe_distance / 4 = {self.mission.safe_distance / 4:g} while the shield is on",
-                )
+            most = self.mission.safe_distance / 4
+            if self.trial.noise > most:
+                allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
+                raise InputError("noise", self.trial.noise, allowed)
         self.schedule()
         return self
 
@@ -228,9 +226,8 @@ class RunConfig(ConfigSection):
             points = mission["points"]
             mission.setdefault("n_robots", len(points))
             if points and "center" not in mission and len(points[0]) != 2:
-                raise InputError(
-                    "center", "not given", f"a centre with {len(points[0])} coordinates, as the points have"
-                )
+                allowed = f"a centre with {len(points[0])} coordinates, as the points have"
+                raise InputError("center", "not given", allowed)
         try:
             return cls(**data)
         except ValidationError as error:

@@ -13,7 +13,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
@@ -30,8 +30,6 @@ from llm_flock.runtime.network.process import PeriodClock, phase_s
 from llm_flock.runtime.network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock.transport.radio import Radio
 from llm_flock.transport.zenoh import LinkTraffic
-
-T = TypeVar("T")
 
 SETTLED_EXCHANGES = 2
 """Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""

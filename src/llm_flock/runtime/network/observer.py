@@ -33,12 +33,10 @@ class Observer:
     def __init__(
         self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
     ) -> None:
-        self.mission = config.mission
         self.min_separation = math.inf
         self.calls = self.calls_failed = self.tokens = self.late_commands = 0
         self.latencies_s: list[float] = []
         self.began_s: float | None = None
-        self.formed_s: float | None = None
         self.in_order = False
         self.alive: set[int] = set()
         self.reports: dict[int, RobotReport] = {}
@@ -49,14 +47,17 @@ class Observer:
         self._row = -1
         self._row_due = 0.0
         self._row_closest = math.inf
-        self._since_s: float | None = None
         self._checks = 0
         self._counter = 0
         self._places: dict[str, int] = {}
         self._seen: set[int] = set()
-        self._target = self._shape()
-        self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
         self._missions = 0
+        self._set_mission(config.mission)
+
+    def _set_mission(self, mission: Mission) -> None:
+        self.mission = mission
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:
         """Take note that a process came or went: the team has to form again."""
@@ -65,7 +66,8 @@ class Observer:
             self._restart()
 
     def _restart(self) -> None:
-        self.formed_s, self._since_s = None, None
+        self.formed_s: float | None = None
+        self._since_s: float | None = None
         self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
 
     def world(self, state: WorldState) -> None:
@@ -92,9 +94,8 @@ class Observer:
             points, proposer = [list(point) for point in report.points], report.proposer or 0
             self._sink.write(PlanInfo(round=now, plan_id=report.plan_id, proposer=proposer, points=points))
         for event in report.happened:
-            self._sink.write(
-                ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
-            )
+            noted = ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
+            self._sink.write(noted)
         for call in report.calls:
             entry = LlmEntry.model_validate({**call, "round": now})
             self._sink.write(entry)
@@ -108,18 +109,13 @@ class Observer:
             mission = Mission.model_validate(report.shape)
         except (ValueError, FlockError):
             return
-        self._counter, self.mission = report.mission[0], mission
-        self._target = self._shape()
-        self._restart()
+        self._counter = report.mission[0]
+        self._set_mission(mission)
         self._record_mission(max(self._row, 0) + 1)
 
     def _record_mission(self, first: int) -> None:
         self._sink.write(mission_info(self.mission, self._missions, first))
         self._missions += 1
-
-    def _shape(self) -> metrics.ShapeTarget | None:
-        ideal = self.mission.ideal
-        return None if ideal is None else metrics.ShapeTarget(np.array(ideal))
 
     @property
     def robots(self) -> list[int]:

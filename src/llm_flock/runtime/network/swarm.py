@@ -13,13 +13,11 @@ import os
 import signal
 import socket
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import FlockError
@@ -82,14 +80,13 @@ def world_config(config: SwarmConfig) -> SwarmConfig:
 class Swarm:
     """The running processes of a swarm, and an observer that follows them. Made by `launched`."""
 
-    def __init__(self, config: SwarmConfig, forkserver: asyncio.subprocess.Process, folder: Path) -> None:
+    def __init__(self, config: SwarmConfig, forkserver: asyncio.subprocess.Process) -> None:
         self.config = config
         self.pids: dict[str, int] = {}  # by name: `world`, `recorder`, `robot-3`
         self.ended: dict[str, int] = {}  # exit codes
         self.observer: Observer
-        self.ready = False
+        self.ready: set[str] = set()
         self._forkserver = forkserver
-        self._folder = folder
         self._news = asyncio.Condition()
 
     async def listen(self) -> None:
@@ -105,7 +102,7 @@ class Swarm:
                 elif "ended" in event:
                     self.ended[event["name"]] = event["ended"]
                 else:
-                    self.ready = True
+                    self.ready.add(event["ready"])
                 self._news.notify_all()
 
     async def wait_until(self, condition: Callable[[], bool], longest_s: float = START_S) -> None:
@@ -130,13 +127,11 @@ class Swarm:
 
     async def start_world(self) -> None:
         """Start the world, and wait until others can connect to it; `SwarmError` if it does not start."""
-        ready = self._folder / "ready"
-        await self.start("world", "world", ready=str(ready))
-        deadline = time.monotonic() + START_S
-        while not ready.exists():
-            if "world" in self.ended or time.monotonic() > deadline:
-                raise SwarmError("the world did not start")
-            await asyncio.sleep(0.02)
+        await self.start("world", "world")
+        with contextlib.suppress(TimeoutError):
+            await self.wait_until(lambda: "world" in self.ready or "world" in self.ended)
+        if "world" not in self.ready:
+            raise SwarmError("the world did not start")
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal to one process."""
@@ -168,8 +163,7 @@ class Swarm:
 
     def result(self, stopped: str) -> SwarmResult:
         """The outcome so far."""
-        observer, reports = self.observer, self.observer.reports.values()
-        began = observer.began_s
+        observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
         seconds = sum(max(0.0, report.stamp - (began or report.stamp)) for report in reports)
         ages = sorted(observer.latencies_s)
 
@@ -222,11 +216,11 @@ async def launched(
         start_new_session=True,  # Ctrl-C is for the launcher only, and the whole group can be ended at once
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )
-    with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder, contextlib.ExitStack() as watching:
-        swarm = Swarm(config, forkserver, Path(folder))
+    with contextlib.ExitStack() as watching:
+        swarm = Swarm(config, forkserver)
         news = asyncio.create_task(swarm.listen())
         try:
-            await swarm.wait_until(lambda: swarm.ready)
+            await swarm.wait_until(lambda: "forkserver" in swarm.ready)
             await swarm.start_world()
             swarm.observer = watching.enter_context(observing(config, NullWriter(), on_row))
             if config.record is not None:
