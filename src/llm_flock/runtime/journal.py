@@ -118,14 +118,8 @@ class Journal:
         """Record a plan's points when it is first seen."""
         if plan.digest not in self._known_plans:
             self._known_plans.add(plan.digest)
-            self.writer.write(
-                PlanInfo(
-                    round=round_number,
-                    plan_id=plan.digest,
-                    proposer=proposer,
-                    points=[list(point) for point in plan.points],
-                )
-            )
+            points = [list(point) for point in plan.points]
+            self.writer.write(PlanInfo(round=round_number, plan_id=plan.digest, proposer=proposer, points=points))
 
     def end_round(
         self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic

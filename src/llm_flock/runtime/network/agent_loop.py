@@ -230,13 +230,13 @@ class AgentLoop:
 
     async def _land(self) -> None:
         """Wait until the body has arrived, cannot get any nearer, or has lost its waypoint."""
-        body = self._body
-        last, moved_at = body.position, time.monotonic()
+        body, radio = self._body, self._radio
+        last, moved_at = radio.position, time.monotonic()
         while body.waypoint is not None and not body.arrived:
             await asyncio.sleep(self._config.network.control_s / 4)
             now = time.monotonic()
-            if body.position != last:
-                last, moved_at = body.position, now
+            if radio.position != last:
+                last, moved_at = radio.position, now
             if now - moved_at > STUCK_S or now > self._due:
                 break
         body.waypoint = None

@@ -7,11 +7,11 @@ import math
 from collections.abc import Sequence
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
 from llm_flock.protocol.motion.limits import Limits
 from llm_flock.protocol.motion.projection import clip
 from llm_flock.protocol.motion.shield_async import Sighting, project_async
 from llm_flock.protocol.motion.surroundings import static_half_spaces
+from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Body, Command
 
 STILL = 1e-6
@@ -24,27 +24,22 @@ ANSWER_S = 0.25
 class BodyControl:
     """Steers one body. Call `fly_to` to set out, `update` on every reading of the sensors, `control` in every period.
 
-    No body is faster than `speed` [units/s], and no command reaches one later than by `lag_s`.
+    With the shield on, every move is projected on what is safe.
     """
 
-    def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
+    def __init__(self, config: SwarmConfig) -> None:
         self.waypoint: Point | None = None  # where to fly; None to stand still [units; world frame]
         self.news = asyncio.Event()  # set with everything after which another command may be possible
-        self._mission, self._limits = mission, Limits.of(mission)
-        self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
-        self._shield_on = shield_on
+        self._mission, self._limits = config.mission, Limits.of(config.mission)
+        self._speed, self._period_s, self._lag_s = config.speed, config.network.control_s, config.network.lag_s
+        self._shield_on = bool(config.protocol.shield)
         self._body: Body | None = None
         self._number = 0
         self._given = -math.inf
 
     @property
-    def position(self) -> Point | None:
-        """The body's last known position [units; world frame]."""
-        return None if self._body is None else self._body.position
-
-    @property
     def end(self) -> Point | None:
-        """Where it will stop [units; world frame]."""
+        """Where the body will stop [units; world frame]."""
         return None if self._body is None else self._body.end
 
     def fly_to(self, waypoint: Point) -> None:

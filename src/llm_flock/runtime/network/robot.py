@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import closing, suppress
 from typing import Any
 
 from llm_flock.errors import InputError, MessageError
@@ -53,13 +54,7 @@ class RobotProcess:
             delay_s=network.gossip_s,
             clock_error_s=network.clock_error_s,
         )
-        self.body = BodyControl(
-            mission,
-            speed=config.speed,
-            period_s=network.control_s,
-            lag_s=network.lag_s,
-            shield_on=bool(config.protocol.shield),
-        )
+        self.body = BodyControl(config)
         keys = load_keys(config, robot)
         agent = make_agent(config, config.protocol.rules(), robot, own_clock=True, authenticator=keys)
         self.agent_loop = AgentLoop(config, agent, self.planners[robot], self.radio, self.body, self._broadcast)
@@ -76,7 +71,7 @@ class RobotProcess:
         self._link.publish("say", self._robot, pack(BeaconedMessage(beacon=beacon, message=message)))
 
     def _own_beacon(self) -> Beacon | None:
-        position, end = self.body.position, self.body.end
+        position, end = self.radio.position, self.body.end
         if position is None or end is None:
             return None
         self._beacon_sent_s = time.monotonic()
@@ -116,14 +111,12 @@ class RobotProcess:
         network = self._config.network
         await self._sees.wait()
         self._link.declare_alive(self._robot)
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(network.gather_s), asyncio.TaskGroup() as group:
                 beacons = group.create_task(self._send_beacons())
                 await self._all_here.wait()
                 await asyncio.sleep(3 * network.beacon_s)
                 beacons.cancel()
-        except TimeoutError:
-            pass
         async with asyncio.TaskGroup() as group:
             loops = self._send_beacons(), self._control(), self.agent_loop.gossip(), self._report(), self._partition()
             for task in loops:
@@ -186,12 +179,9 @@ async def run_robot(config: SwarmConfig, robot: int) -> None:
     mission = config.mission
     if not 0 <= robot < mission.n_robots:
         raise InputError("id", robot, f"0 .. {mission.n_robots - 1}")
-    link = open_link(config, robot)
-    try:
+    with closing(open_link(config, robot)) as link:
         process = RobotProcess(config, robot, link)
         try:
             await until_stopped(process.live())
         finally:
             await process.planners.close()
-    finally:
-        link.close()

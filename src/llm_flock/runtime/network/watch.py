@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
@@ -39,14 +39,11 @@ def observing(
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; call in a running event loop."""
     observer = Observer(config, sink, on_row)
-    link = open_link(config, WATCHER, FREE_PORT)
-    try:
+    with closing(open_link(config, WATCHER, FREE_PORT)) as link:
         receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
         receive(link, "report", RobotReport, observer.report)
         link.watch_alive(observer.comes_or_goes)
         yield observer
-    finally:
-        link.close()
 
 
 async def look(observer: Observer) -> None:
@@ -82,14 +79,13 @@ async def run_watch(
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
     """Give another mission to one robot: the given one, or any. Returns the robot that took it, None if none did."""
     order = mission_order(config, dict(fields))
-    link = open_link(config, OPERATOR, FREE_PORT)
     found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def on_alive(number: int, alive: bool) -> None:
         if alive and number >= 0 and robot in (None, number) and not found.done():
             found.set_result(number)
 
-    try:
+    with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
         try:
             taker = await asyncio.wait_for(found, MEET_S)
@@ -98,5 +94,3 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
         link.publish("mission", taker, pack(order))
         await asyncio.sleep(SEND_S)
         return taker
-    finally:
-        link.close()

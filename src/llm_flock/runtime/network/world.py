@@ -12,6 +12,7 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Body, Command, WorldState, pack
 from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.transport.zenoh import ZenohLink
 
 SUBSTEP_S = 0.01
 """Longest piece of a path along which the separation is measured: paths have corners [s]."""
@@ -126,13 +128,12 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
     mission, network, trial = config.mission, config.network, config.trial
     start = start_positions(mission, trial.start_positions, trial.start, stream(trial.seed, Stream.START))
     bodies = WorldBodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
-    link = open_link(config, WORLD)
 
     def obey(sender: int, order: Command) -> None:
         if 0 <= sender < mission.n_robots:
             bodies.command(sender, order, time.time())
 
-    async def publish_states() -> None:
+    async def publish_states(link: ZenohLink) -> None:
         while True:
             now = time.time()
             bodies.advance(now)
@@ -140,11 +141,9 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
             link.publish("frame", WORLD, pack(state))
             await asyncio.sleep(network.frame_s)
 
-    try:
+    with closing(open_link(config, WORLD)) as link:
         receive(link, "command", Command, obey)
         link.declare_alive(WORLD)
         if on_ready is not None:
             on_ready()
-        await until_stopped(publish_states())
-    finally:
-        link.close()
+        await until_stopped(publish_states(link))
