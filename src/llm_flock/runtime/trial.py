@@ -278,11 +278,7 @@ class Trial:
 
 
 async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
-    """Await everybody's answer at once, by robot.
-
-    Raises:
-        Exception: the first one that a planner raised; the others are cancelled.
-    """
+    """Await everybody's answer at once, by robot. The first error of a planner is raised, and cancels the others."""
     if not asking:
         return {}
     try:

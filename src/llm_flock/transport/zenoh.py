@@ -16,7 +16,7 @@ import os
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.transport.seal import Seal
@@ -33,9 +33,6 @@ THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), a
 
 KEEP_ALIVES = 4
 """Signs of life per lease."""
-
-Handler: TypeAlias = Callable[[int, bytes], None]
-"""Takes a sender and its payload."""
 
 
 def settings(
@@ -132,8 +129,8 @@ class ZenohLink:
         self.traffic.bytes[kind] += len(sealed)
         publisher.put(sealed)
 
-    def listen(self, kind: str, number: int | None, handler: Handler) -> None:
-        """Have a handler called in the event loop for every message of a kind, for one number or for all.
+    def listen(self, kind: str, number: int | None, handler: Callable[[int, bytes], None]) -> None:
+        """Have a handler called in the event loop with sender and payload of each message of a kind, to one number or all.
 
         A message under another number than that of the sender that its seal names is refused, unless the topic belongs
         to the receiver (`number` is given).
