@@ -130,7 +130,7 @@ class ZenohLink:
         publisher.put(sealed)
 
     def listen(self, kind: str, number: int | None, handler: Callable[[int, bytes], None]) -> None:
-        """Have a handler called in the event loop with sender and payload of each message of a kind, to one number or all.
+        """Call the handler in the event loop with sender and payload of each message of a kind, to one number or all.
 
         A message under another number than that of the sender that its seal names is refused, unless the topic belongs
         to the receiver (`number` is given).
