@@ -14,8 +14,7 @@ import pytest
 import zenoh
 
 from llm_flock.errors import InputError
-from llm_flock.trust.keys import make_keys
-from llm_flock.trust.tls import tls_config
+from llm_flock.trust.keys import make_keys, tls_config
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
 from dataclasses import dataclass
 
@@ -23,7 +22,6 @@ def pair(**kwargs: int) -> tuple[Envelope, Envelope]:
 def refused(reader: Envelope, sealed: bytes, topic: str = "") -> str:
     with pytest.raises(MessageError) as error:
         reader.open(sealed, topic)
-    assert reader.refused[error.value.reason] >= 1
     return error.value.reason
 
 
@@ -79,7 +77,6 @@ def test_reasons_have_names() -> None:
     assert refused(reader, b"") == "version"
     assert refused(reader, b"\2abc") == "version"
     assert refused(reader, b"\1abc") == "malformed"
-    assert reader.refused == {"version": 2, "malformed": 1}
 
 
 def test_a_new_start_is_heard_and_the_old_one_is_not_heard_again() -> None:
@@ -101,10 +98,13 @@ def test_each_is_taken_once_in_any_order_within_the_window(seed: int) -> None:
     arriving = [*sent, *rng.choices(sent, k=20)] if sent else []
     rng.shuffle(arriving)
     opened = []
+    reasons: set[str] = set()
     for item in arriving:
-        with contextlib.suppress(MessageError):
+        try:
             opened.append(reader.open(item)[1])
-    assert set(reader.refused) <= {"replayed"}
+        except MessageError as error:
+            reasons.add(error.reason)
+    assert reasons <= {"replayed"}
     assert sorted(opened) == sorted(bytes([k]) for k in range(60) if sealed[k] in sent)
 
 

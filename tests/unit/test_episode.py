@@ -36,6 +36,11 @@ def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:
     return episode.bound
 
 
+def in_time(episode: Episode, bound: int | None) -> bool:
+    episode.bound = bound
+    return episode.formed_in_time
+
+
 def test_the_bound_is_from_where_the_robots_were_when_the_mission_was_given() -> None:
     episode = Episode(LINE, 0, START)
     assert bound(episode, [0, 1, 2], Mind(PLAN), Mind(PLAN), Mind(PLAN)) == 5
@@ -74,11 +79,11 @@ def test_forming_counts_from_the_mission_and_in_time_from_what_came_last() -> No
         episode.tracker.update(number, **fields)
     assert (episode.formed_at, episode.rounds_to_formed) == (11, 1)
     episode.disturb(59)
-    assert episode.formed_at is None and not episode.in_time(3)
+    assert episode.formed_at is None and not in_time(episode, 3)
     for number in range(80, 83):
         episode.tracker.update(number, **fields)
     assert (episode.formed_at, episode.rounds_to_formed) == (80, 70)
-    assert episode.in_time(1) and not episode.in_time(0) and not episode.in_time(None)
+    assert in_time(episode, 1) and not in_time(episode, 0) and not in_time(episode, None)
 
 
 def test_as_many_robots_as_there_are_can_be_compared_with_a_shape_of_that_number() -> None:

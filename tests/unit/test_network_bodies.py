@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
 from llm_flock.protocol.motion.shield_async import Sighting
 from llm_flock.runtime.network.body_control import BodyControl
+from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Body, Command
 from llm_flock.runtime.network.world import WorldBodies
 
 SPEED, PERIOD, LAG = 12.0, 0.1, 0.05
-MISSION = Mission(shape="circle", n_robots=4)
+CONFIG = {"shape": "circle", "n_robots": 4, "max_step": 6.0, "step_s": 6.0 / SPEED, "control_s": PERIOD, "lag_s": LAG}
 
 
 def bodies(*start: Point) -> WorldBodies:
@@ -84,12 +84,12 @@ def test_separation_is_measured_on_the_way_and_not_only_at_frames() -> None:
     world.command(0, order(1, 0.0, (0.0, 0.0), (1.2, 0.0)), 0.0)
     world.command(1, order(1, 0.0, (1.2, 0.0), (0.0, 0.0)), 0.0)
     world.advance(0.2)
-    assert world.closest() == pytest.approx(0.0, abs=1e-9) and world.smallest == pytest.approx(0.0, abs=1e-9)
+    assert world.closest() == pytest.approx(0.0, abs=1e-9)
     assert world.closest() == pytest.approx(1.2)
 
 
 def pilotage(*, shield_on: bool = True) -> BodyControl:
-    own = BodyControl(MISSION, speed=SPEED, period_s=PERIOD, lag_s=LAG, shield_on=shield_on)
+    own = BodyControl(SwarmConfig.build({}, **CONFIG, shield=shield_on))
     own.update(Body(position=(50.0, 50.0), end=(50.0, 50.0), command=7))
     own.waypoint = (56.0, 50.0)
     return own
@@ -118,8 +118,8 @@ def test_nothing_to_fly_is_no_command() -> None:
     assert own.control(0.0, [], 0.0) is None and not own.arrived
     own.waypoint = (50.0, 50.0)
     assert own.control(0.0, [], 0.0) is None and own.arrived
-    blank = BodyControl(MISSION, speed=SPEED, period_s=PERIOD, lag_s=LAG, shield_on=True)
-    assert blank.control(0.0, [], 0.0) is None and blank.position is None and blank.end is None
+    blank = BodyControl(SwarmConfig.build({}, **CONFIG))
+    assert blank.control(0.0, [], 0.0) is None and blank.end is None
 
 
 def test_the_age_of_a_sighting_takes_its_way() -> None:

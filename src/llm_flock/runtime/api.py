@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from llm_flock.arrays import Points
 from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import CallLane
@@ -17,19 +16,17 @@ from llm_flock.protocol.agreement.assignment import AssignmentRule
 from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import start_positions
-from llm_flock.runtime.bodies import Bodies, InstantBodies
+from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.config import RECORD_NAME, RunConfig
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
-from llm_flock.runtime.roster import Roster, make_agent
-from llm_flock.runtime.rules import Rules, assignment_rule, consensus_rule
+from llm_flock.runtime.rules import assignment_rule, consensus_rule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.trial import Steer, Trial, TrialProgress
-from llm_flock.transport.memory import MemoryTransport
 
-__all__ = ["RECORD_NAME", "build_trial", "open_outputs", "run", "run_async"]
+__all__ = ["RECORD_NAME", "open_outputs", "run", "run_async"]
 
 
 def run(mission: Mission | None = None, **options: Any) -> RunResult:
@@ -86,12 +83,12 @@ async def run_async(
         assignment = assignment_rule(protocol.assignment or "")
 
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
-    seed, given = config.trial.seed, config.trial
-    start = start_positions(config.mission, given.start_positions, given.start, stream(seed, Stream.START))
-    bodies = InstantBodies(config.mission, start, given.noise, stream(seed, Stream.NOISE))
+    given = config.trial
+    start = start_positions(config.mission, given.start_positions, given.start, stream(given.seed, Stream.START))
+    bodies = InstantBodies(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
     planners = TeamPlanners(config, lane)
     with open_outputs(config, planners, sink) as (journal, record):
-        trial = build_trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
+        trial = Trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
         try:
             await trial.run()
         except BaseException:
@@ -101,35 +98,6 @@ async def run_async(
         finally:
             await planners.close()
         return trial.finish(record)
-
-
-def build_trial(
-    config: RunConfig,
-    rules: Rules,
-    planners: TeamPlanners,
-    bodies: Bodies,
-    journal: Journal,
-    start: Points,
-    on_round: Callable[[TrialProgress], None] | None = None,
-    steer: Steer | None = None,
-) -> Trial:
-    """A trial of these bodies and planners, ready to run.
-
-    Args:
-        config: the run.
-        rules: for consensus and assignment.
-        planners: one planner per robot.
-        bodies: the bodies and their sensors.
-        journal: counts and records.
-        start: start positions, shape (n, d) [units].
-        on_round: called after each round.
-        steer: awaited before each round.
-    """
-    mission, schedule = config.mission, config.schedule()
-    roster = Roster(lambda robot: make_agent(config, rules, robot), mission.n_robots, schedule.asleep)
-    transport = MemoryTransport(mission.n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
-    journal.mission_given(mission, 0, start)
-    return Trial(config, schedule, roster, planners, bodies, transport, journal, on_round, steer)
 
 
 @contextmanager
@@ -142,15 +110,14 @@ def open_outputs(
         InputError: a file exists already, or cannot be made.
     """
     with ExitStack() as stack:
-        path = config.record
-        cassette = None if config.model.record_llm is None else Path(config.model.record_llm)
+        path, cassette = config.record, config.model.record_llm
         if cassette is not None:
-            planners.listen(stack.enter_context(CassetteWriter(cassette)))
+            planners.listen(stack.enter_context(CassetteWriter(Path(cassette))))
         try:
             writer = stack.enter_context(NullWriter() if path is None else RecordWriter(path))
         except InputError:
             if cassette is not None:
-                cassette.unlink()  # created just now, and still empty
+                Path(cassette).unlink()  # created just now, and still empty
             raise
         journal = Journal(
             config.mission, writer if sink is None else Tee(writer, sink), replans=config.protocol.gaps == "replan"

@@ -16,7 +16,6 @@ from llm_flock.mission import Coordinate, Mission, input_error
 from llm_flock.protocol.membership.liveness import TIME_OUT
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.schedule import Change, Schedule, build_schedule, load_points
-from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.transport.memory import LinkFaults
 
 Count = Annotated[int, Field(ge=1)]
@@ -59,8 +58,7 @@ class ProtocolConfig(ConfigSection):
     )
     comm_rounds: Count | None = Field(default=None, description="Communication rounds per motion round [preset's]")
     gaps: Literal["report", "replan"] = Field(
-        default="report",
-        description="If fewer robots are alive than the plan has places: report the gaps, or replan",
+        default="report", description="If fewer robots are alive than the plan has places: report the gaps, or replan"
     )
     time_out: Count = Field(
         default=TIME_OUT,
@@ -78,11 +76,7 @@ class ProtocolConfig(ConfigSection):
         return self
 
     def rules(self) -> Rules:
-        """The consensus and assignment rules by these names.
-
-        Raises:
-            InputError: unknown name.
-        """
+        """The consensus and assignment rules by these names; `InputError` for an unknown one."""
         return consensus_rule(self.consensus or ""), assignment_rule(self.assignment or "")
 
 
@@ -127,9 +121,7 @@ class LimitConfig(ConfigSection):
     """Limits of a run's model calls, and its budget."""
 
     max_concurrent: Count = Field(default=1000, description="Largest number of model calls at once")
-    timeout_s: float = Field(
-        default=120.0, gt=0, allow_inf_nan=False, description="Time-out of one try of a model call [s]"
-    )
+    timeout_s: float = seconds(120.0, "Time-out of one try of a model call")
     max_tries: Count = Field(default=8, description="Largest number of tries of a model call when the provider fails")
     max_calls: Count | None = Field(default=None, description="Budget: model calls of the whole run")
     max_tokens: Count | None = Field(default=None, description="Budget: tokens in and out of the whole run")
@@ -184,32 +176,16 @@ class RunConfig(ConfigSection):
     def _check(self) -> Self:
         if self.protocol.shield:
             self.mission.check_sensing()
-            if self.trial.noise > self.mission.safe_distance / 4:
-                raise InputError(
-                    "noise",
-                    self.trial.noise,
-                    f"at most safe_distance / 4 = {self.mission.safe_distance / 4:g} while the shield is on",
-                )
+            most = self.mission.safe_distance / 4
+            if self.trial.noise > most:
+                allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
+                raise InputError("noise", self.trial.noise, allowed)
         self.schedule()
         return self
 
     def schedule(self) -> Schedule:
-        """Deaths, joins and mission changes in flight; the random ones are drawn from the seed.
-
-        Raises:
-            InputError: such a schedule is not possible.
-        """
-        trial = self.trial
-        return build_schedule(
-            self.mission,
-            kill=trial.kill,
-            join=trial.join,
-            kill_random=trial.kill_random,
-            join_random=trial.join_random,
-            changes=trial.changes,
-            rounds=trial.rounds,
-            rng=stream(trial.seed, Stream.FAULTS),
-        )
+        """Deaths, joins and mission changes in flight, drawn from the seed where random; `InputError` if impossible."""
+        return build_schedule(self.mission, self.trial)
 
     @property
     def record(self) -> Path | None:
@@ -218,11 +194,7 @@ class RunConfig(ConfigSection):
 
     @classmethod
     def section_of(cls, field: str) -> str:
-        """The section that holds a field.
-
-        Raises:
-            InputError: there is no such field.
-        """
+        """The section that holds a field; `InputError` if none does."""
         for name, info in cls.model_fields.items():
             section = info.annotation
             assert isinstance(section, type) and issubclass(section, BaseModel)
@@ -254,9 +226,8 @@ class RunConfig(ConfigSection):
             points = mission["points"]
             mission.setdefault("n_robots", len(points))
             if points and "center" not in mission and len(points[0]) != 2:
-                raise InputError(
-                    "center", "not given", f"a centre with {len(points[0])} coordinates, as the points have"
-                )
+                allowed = f"a centre with {len(points[0])} coordinates, as the points have"
+                raise InputError("center", "not given", allowed)
         try:
             return cls(**data)
         except ValidationError as error:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
-from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import MoveTo, Origin
-from llm_flock.record.schema import CallUsage, ChatLine, LlmEntry, MetricsRow, MissionInfo, RunInfo, State
+from llm_flock.record.schema import CallUsage, ChatLine, LlmEntry, MissionInfo, RunInfo, State
 from llm_flock.runtime import versions
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
@@ -18,14 +20,11 @@ from llm_flock.runtime.roster import Roster
 
 
 def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None) -> RunInfo:
-    """The origin of a run: configuration, versions and machine.
+    """The origin of a run: configuration, versions (also of weights on board), and machine without any name or path.
 
-    Args:
-        config: everything that defines the run. Paths of its files are left out: the same run elsewhere leaves the
-            same record.
-        simulated: whether any language model is a simulated stand-in.
-        weights: versions of the weights of models on board, by name.
+    Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
+    machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
     return RunInfo(
         format_version=1,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
@@ -33,8 +32,8 @@ def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] |
         git_revision=versions.git_revision(),
         seed=config.trial.seed,
         simulated=simulated,
-        created_at=versions.now(),
-        environment=versions.environment(),
+        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        environment=machine,
     )
 
 
@@ -57,52 +56,6 @@ def state_entry(
     )
 
 
-def metrics_row(
-    round_number: int,
-    *,
-    error: tuple[float, float | None] | None,
-    separation: tuple[float, float | None],
-    plan_ids: Sequence[str | None],
-    slots: Sequence[int | None],
-    at_goal: int,
-    connected: bool,
-    calls: tuple[int, int, float | None],
-    traffic: tuple[int, int, Mapping[str, int]],
-) -> MetricsRow:
-    """The measurements of one round, as they are recorded.
-
-    Args:
-        round_number: motion round.
-        error: mean distance to the ideal shape [units] and mean squared distance [units^2]; None where not known.
-        separation: smallest distance of two robots now, and while they moved in this round [units]; infinite for one
-            robot alone.
-        plan_ids: the plan of each robot that is awake.
-        slots: its slot in the plan.
-        at_goal: robots at their goals.
-        connected: whether the radio graph is one piece.
-        calls: model calls, tokens, and cost [US dollars] so far.
-        traffic: messages sent, bytes sent, and messages refused by reason so far.
-    """
-    mean, mean_squared = (None, None) if error is None else error
-    return MetricsRow(
-        round=round_number,
-        procrustes_mean=mean,
-        procrustes_mean_squared=mean_squared,
-        min_separation=finite(separation[0]),
-        segment_separation=finite(separation[1]),
-        plans_in_use=metrics.plans_in_use(plan_ids),
-        distinct_goals=metrics.distinct_goals(plan_ids, slots),
-        robots_at_goal=at_goal,
-        connected=connected,
-        model_calls=calls[0],
-        tokens=calls[1],
-        cost_usd=calls[2],
-        messages_sent=traffic[0],
-        bytes_sent=traffic[1],
-        messages_rejected=dict(traffic[2]),
-    )
-
-
 def mission_info(mission: Mission, version: int, first_round: int) -> MissionInfo:
     """A mission as it is recorded; `version` counts the missions of a run from 0."""
     ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
@@ -110,8 +63,8 @@ def mission_info(mission: Mission, version: int, first_round: int) -> MissionInf
 
 
 def finite(value: float | None) -> float | None:
-    """None for an infinite distance, which JSON cannot represent."""
-    return value if value is not None and value < float("inf") else None
+    """None for an infinite distance (of one robot alone), which JSON cannot represent."""
+    return value if value is not None and value < math.inf else None
 
 
 def llm_entry(attempt: Attempt) -> LlmEntry:

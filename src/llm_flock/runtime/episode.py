@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from llm_flock import metrics
-from llm_flock.arrays import Points
+from llm_flock.arrays import Point, Points
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
@@ -16,15 +16,9 @@ from llm_flock.protocol.plan import Plan
 
 
 class Episode:
-    """One mission, from the moment at which the first robot received it.
+    """One mission, from when the first robot received it, with true positions of shape (n, d) [units] then.
 
-    Args:
-        mission: the mission.
-        flown: rounds flown before; the mission is given at the start of the next one.
-        positions: true positions then, shape (n, d) [units].
-
-    Attributes:
-        bound: lower bound of the rounds it takes, known when the mission is over; None without one plan.
+    It is given at the start of the round after those `flown` before.
     """
 
     def __init__(self, mission: Mission, flown: int, positions: Points) -> None:
@@ -33,7 +27,7 @@ class Episode:
         self.tracker = metrics.FormedTracker(spacing=mission.spacing)
         self._start = positions
         self._disturbed = flown
-        self.bound: int | None = None
+        self.bound: int | None = None  # lower bound of the rounds it takes, set by `close`; None without one plan
         self._targets: dict[int, metrics.ShapeTarget | None] = {}
         self._measured: tuple[Points, metrics.ShapeError | None] | None = None
 
@@ -52,30 +46,28 @@ class Episode:
         """Rounds from the moment at which the mission was given until the team had formed."""
         return None if self.formed_at is None else self.formed_at - self.flown
 
-    def in_time(self, bound: int | None) -> bool:
+    @property
+    def formed_in_time(self) -> bool:
         """Whether the team formed in three times the lower bound plus 20 rounds, counted from the last disturbance."""
-        formed = self.formed_at
+        formed, bound = self.formed_at, self.bound
         return formed is not None and bound is not None and metrics.within_limit(formed - self._disturbed, bound)
 
     def error(self, positions: Points) -> metrics.ShapeError | None:
         """Distance from the ideal shape of as many robots as `positions`, shape (m, d), has; None without an ideal."""
         # A team that has arrived stays where it is.
         if self._measured is None or not np.array_equal(self._measured[0], positions):
-            count = len(positions)
-            if count not in self._targets:
-                self._targets[count] = self._target(count)
-            target = self._targets[count]
+            target = self._target(len(positions))
             self._measured = positions.copy(), None if target is None else target.error(positions)
         return self._measured[1]
 
     def _target(self, count: int) -> metrics.ShapeTarget | None:
-        if not count:
-            return None
-        try:
-            ideal = self.mission.resized(count).ideal
-        except InputError:  # the shape does not exist for this number of robots
-            return None
-        return None if ideal is None else metrics.ShapeTarget(np.array(ideal))
+        if count not in self._targets:
+            try:
+                ideal = self.mission.resized(count).ideal if count else None
+            except InputError:  # the shape does not exist for this number of robots
+                ideal = None
+            self._targets[count] = None if ideal is None else metrics.ShapeTarget(np.array(ideal))
+        return self._targets[count]
 
     def plan(self, agents: Sequence[Agent]) -> Plan | None:
         """The plan of this mission that all of these robots follow, or None."""
@@ -95,35 +87,22 @@ class Episode:
             return True
 
     def close(self, awake: Sequence[int], agents: Sequence[Agent]) -> None:
-        """The mission is over: find the rounds that a perfect central planner needs for the plan agreed on.
-
-        Args:
-            awake: robots that count.
-            agents: their agents.
-        """
-        self.bound = self._lower_bound(awake, agents)
-
-    def _lower_bound(self, awake: Sequence[int], agents: Sequence[Agent]) -> int | None:
-        plan = self.plan(agents)
+        """The mission is over: find the rounds that a perfect central planner needs for the plan that these follow."""
+        mission, plan, blocked = self.mission, self.plan(agents), blocked_places(agents)
         if plan is None:
-            return None
-        blocked = blocked_places(agents)
+            self.bound = None
+            return
         goals = np.array([point for slot, point in enumerate(plan.points) if slot not in blocked])
-        if not len(goals):
-            return 0
         start = self._start[list(awake)]
-        if self.mission.velocity is None:
-            return metrics.lower_bound_rounds(start, goals, self.mission.max_step)
-        return metrics.lower_bound_rounds(
-            start, goals, self.mission.max_step, lambda rounds: self.mission.drift(self.flown + rounds)
-        )
+
+        def drift(rounds: int) -> Point:
+            return mission.drift(self.flown + rounds)
+
+        along = None if mission.velocity is None else drift
+        self.bound = metrics.lower_bound_rounds(start, goals, mission.max_step, along) if len(goals) else 0
 
 
 def blocked_places(agents: Sequence[Agent]) -> frozenset[int]:
     """Slots without an owner because an obstructing body lies on them, as known to any of these agents."""
-    found: set[int] = set()
-    for agent in agents:
-        table = agent.claim.table
-        if table is not None:
-            found.update(slot for slot, entry in enumerate(table) if entry[2] < NO_OWNER)
-    return frozenset(found)
+    tables = (agent.claim.table or () for agent in agents)
+    return frozenset(slot for table in tables for slot, entry in enumerate(table) if entry[2] < NO_OWNER)

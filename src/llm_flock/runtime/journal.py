@@ -13,14 +13,10 @@ from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
 from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import (
-    PlanInfo,
-    ProtocolEvent,
-    RoundEnd,
-)
+from llm_flock.record.schema import MetricsRow, PlanInfo, ProtocolEvent, RoundEnd
 from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.bodies import Bodies
-from llm_flock.runtime.entries import llm_entry, metrics_row, mission_info, state_entry
+from llm_flock.runtime.entries import finite, llm_entry, mission_info, state_entry
 from llm_flock.runtime.episode import Episode, blocked_places
 from llm_flock.runtime.roster import Roster
 from llm_flock.transport.memory import Traffic
@@ -36,10 +32,8 @@ class Journal:
     Model calls are held back until `flush_attempts`, and written in the order of the robots: the order in which models
     answer must not show in the record, which is the same for the same seed.
 
-    Args:
-        mission: the first mission.
-        writer: takes the record. For a `NullWriter` no entries are built.
-        replans: whether the team plans again when robots die: only such a plan counts as formed then.
+    Where the team `replans` when robots die, only such a plan counts as formed then. For a `NullWriter` no entries are
+    built.
     """
 
     def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False) -> None:
@@ -91,17 +85,16 @@ class Journal:
         self._attempts.append(attempt)
         if attempt.error is not None:
             self.last_failure = ": ".join(attempt.error)
-        if attempt.error is not None and attempt.error[0] == "budget":
-            return
+            if attempt.error[0] == "budget":
+                return
         self.calls += 1
         self.latency_s += attempt.latency_s
-        if attempt.faults:
-            self.faults.update(attempt.faults)
+        self.faults.update(attempt.faults)
         if attempt.reply is None:
             self.calls_failed += 1
         else:
             self.calls_rejected += attempt.rejected is not None
-            self.usage = self.usage + attempt.reply.usage
+            self.usage += attempt.reply.usage
             cost = attempt.reply.cost_usd
             self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
 
@@ -125,22 +118,11 @@ class Journal:
         """Record a plan's points when it is first seen."""
         if plan.digest not in self._known_plans:
             self._known_plans.add(plan.digest)
-            self.writer.write(
-                PlanInfo(
-                    round=round_number,
-                    plan_id=plan.digest,
-                    proposer=proposer,
-                    points=[list(point) for point in plan.points],
-                )
-            )
+            points = [list(point) for point in plan.points]
+            self.writer.write(PlanInfo(round=round_number, plan_id=plan.digest, proposer=proposer, points=points))
 
     def end_round(
-        self,
-        round_number: int,
-        team: Bodies,
-        roster: Roster,
-        moves: Mapping[int, MoveTo] | None,
-        traffic: Traffic,
+        self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic
     ) -> None:
         """Record where the robots are, what they follow, and what was measured; then the round is complete.
 
@@ -212,16 +194,22 @@ class Journal:
         )
         if self._recording:
             self.writer.write(
-                metrics_row(
-                    round_number,
-                    error=error,
-                    separation=(separation, on_segment),
-                    plan_ids=plan_ids,
-                    slots=slots,
-                    at_goal=self.at_goal,
+                MetricsRow(
+                    round=round_number,
+                    procrustes_mean=None if error is None else error[0],
+                    procrustes_mean_squared=None if error is None else error[1],
+                    min_separation=finite(separation),
+                    segment_separation=finite(on_segment),
+                    plans_in_use=metrics.plans_in_use(plan_ids),
+                    distinct_goals=metrics.distinct_goals(plan_ids, slots),
+                    robots_at_goal=self.at_goal,
                     connected=team.connected(roster.awake),
-                    calls=(self.calls, self.usage.total, self.cost_usd),
-                    traffic=(traffic.sent, traffic.bytes, self.rejected(roster)),
+                    model_calls=self.calls,
+                    tokens=self.usage.total,
+                    cost_usd=self.cost_usd,
+                    messages_sent=traffic.sent,
+                    bytes_sent=traffic.bytes,
+                    messages_rejected=dict(self.rejected(roster)),
                 )
             )
 

@@ -10,15 +10,8 @@ from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.models import (
-    ModelPool,
-    check_priced,
-    parse_base_urls,
-    parse_model,
-    parse_models,
-    parse_settings,
-)
-from llm_flock.llm.planner import CheckPlan, CheckStep, LanguagePlanner, parse_history
+from llm_flock.llm.models import ModelPool, check_priced, parse_base_urls, parse_model, parse_models, parse_settings
+from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import ReplayModel
@@ -34,9 +27,7 @@ from llm_flock.runtime.seeds import Stream, stream
 class TeamPlanners:
     """The planners of a team, by robot, with the connections, budget and listeners that they share.
 
-    Args:
-        config: the models, how to ask them, and their limits.
-        lane: access to what this run shares with others; None for a run by itself.
+    A `lane` is access to what this run shares with others.
 
     Raises:
         InputError: a model cannot work, as far as that is known before asking it.
@@ -53,10 +44,9 @@ class TeamPlanners:
         base_urls = parse_base_urls(model.base_url, self.names)
         check_priced(limits.max_cost, self.names, base_urls)
         self._lane = lane
-        shared = None if lane is None else lane.pools
-        make = ModelPool if shared is None else shared.pool
+        self._own_pool = lane is None or lane.pools is None
+        make = ModelPool if lane is None or lane.pools is None else lane.pools.pool
         self._pool = make(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
-        self._own_pool = shared is None
         seed = config.trial.seed
 
         def limits_of(at_once: int) -> CallLimits:
@@ -84,8 +74,13 @@ class TeamPlanners:
 
         self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
         history = parse_history(model.history)
-        shield_on = bool(config.protocol.shield)
-        plan_check, step_check = _checks(shield_on=shield_on) if config.protocol.verify else (None, None)
+        shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
+
+        def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+            return check_proposal(question.mission, answer.plan, question.still)
+
+        def check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
+            return check_answer(question.mission, question, answer, shield_on=shield_on)
 
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
@@ -100,7 +95,7 @@ class TeamPlanners:
             else:
                 remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
                 asked = Limited(remote, on_board if name.kind == "local" else self._limits)
-            planner: Planner = LanguagePlanner(
+            planner = LanguagePlanner(
                 robot,
                 asked,
                 self._prompts[text],
@@ -108,15 +103,14 @@ class TeamPlanners:
                 history=history,
                 answers=model.answers,
                 on_attempt=self._notify,
-                check_plan=plan_check,
-                check_step=step_check,
+                check_plan=check_plan if verify else None,
+                check_step=check_step if verify else None,
                 frame=model.frame or ("own" if trained_for(text) else "world"),
             )
-            if config.protocol.fallback == "geometry":
-                # In the reference orientation: robots whose models fail propose one and the same plan.
-                geometry = GeometryPlanner(robot)
-                planner = FallbackPlanner(planner, geometry, shield_on=shield_on)
-            return planner
+            if config.protocol.fallback == "hold":
+                return planner
+            # In the reference orientation: robots whose models fail propose one and the same plan.
+            return FallbackPlanner(planner, GeometryPlanner(robot), shield_on=shield_on)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of
@@ -126,25 +120,13 @@ class TeamPlanners:
         return self._planners[robot]
 
     def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
-        """Wrap every planner in another one, also planners made later.
-
-        Args:
-            around: makes the outer planner from a robot's id and its planner.
-        """
+        """Wrap every planner in another one, made from a robot's id and its planner; also planners made later."""
         inner = self._planner_of
-
-        def planner_of(robot: int, text: str) -> Planner:
-            return around(robot, inner(robot, text))
-
-        self._planner_of = planner_of
+        self._planner_of = lambda robot, text: around(robot, inner(robot, text))
         self._planners = [around(robot, planner) for robot, planner in enumerate(self._planners)]
 
     def replace(self, robot: int, model: str) -> None:
-        """Give a robot another model from its next question on.
-
-        Raises:
-            InputError: there is no such model.
-        """
+        """Give a robot another model from its next question on; `InputError` if there is no such model."""
         if model not in self._prompts:
             self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
@@ -181,15 +163,3 @@ class TeamPlanners:
             await self._pool.aclose()
         for replay in self._replays.values():
             replay.close()
-
-
-def _checks(*, shield_on: bool) -> tuple[CheckPlan, CheckStep]:
-    """The checks of a language model's answers, as its planner calls them."""
-
-    def plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-        return check_proposal(question.mission, answer.plan, question.still)
-
-    def step(question: StepQuestion, answer: StepAnswer) -> str | None:
-        return check_answer(question.mission, question, answer, shield_on=shield_on)
-
-    return plan, step

@@ -15,48 +15,28 @@ from llm_flock.runtime.config import RunConfig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionOutcome:
-    """The outcome of one mission of a run.
+    """The outcome of one mission of a run."""
 
-    Attributes:
-        round: round at whose start it was given to a robot, 0 for the first one.
-        shape: its shape.
-        places: places of its formation.
-        formed: first round in which the team had formed; None if it never had.
-        lower_bound_rounds: as in `Summary`, from where the robots were when the mission was given.
-    """
-
-    round: int
+    round: int  # at whose start it was given to a robot, 0 for the first one
     shape: str
-    places: int
-    formed: int | None
-    lower_bound_rounds: int | None
+    places: int  # of its formation
+    formed: int | None  # first round in which the team had formed; None if it never had
+    lower_bound_rounds: int | None  # as in `Summary`, from where the robots were when the mission was given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightFigures:
-    """The figures of a flight. Distances are those of estimates, while both drones were in the air.
+    """The figures of a flight. Distances are those of estimates, while both drones were in the air."""
 
-    Attributes:
-        ended: why it ended: the mission, or the kind of failure.
-        reason: the failure in words.
-        ends: how each drone ended, by name: landed, never took off, cut, out of reach, ...
-        safe: whether each drone landed, never took off, or confirmed that its motors were cut.
-        air_s: from the first take-off until the last drone was down [s].
-        min_separation_m: smallest distance of two drones, heights scaled by the vertical rule [m]; None for one alone.
-        tracking_rms_m: distance of the drones from their moving set-points, root of the mean square [m].
-        tracking_max_m: the largest [m].
-        fan_out_ms: longest time to send all drones their targets [ms]; None where none was sent.
-    """
-
-    ended: str
-    reason: str | None
-    ends: dict[str, str]
-    safe: bool
-    air_s: float
-    min_separation_m: float | None
-    tracking_rms_m: float | None
-    tracking_max_m: float | None
-    fan_out_ms: float | None
+    ended: str  # why it ended: the mission, or the kind of failure
+    reason: str | None  # the failure in words
+    ends: dict[str, str]  # how each drone ended, by name: landed, never took off, cut, out of reach, ...
+    safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut
+    air_s: float  # from the first take-off until the last drone was down
+    min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
+    tracking_rms_m: float | None  # distance of the drones from their moving set-points, root of the mean square
+    tracking_max_m: float | None  # the largest of these distances
+    fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,22 +13,9 @@ from llm_flock.runtime.rules import Rules
 
 
 def make_agent(
-    config: RunConfig,
-    rules: Rules,
-    robot: int,
-    *,
-    own_clock: bool = False,
-    authenticator: Authenticator | None = None,
+    config: RunConfig, rules: Rules, robot: int, *, own_clock: bool = False, authenticator: Authenticator | None = None
 ) -> Agent:
-    """A new agent of one robot.
-
-    Args:
-        config: the run.
-        rules: for consensus and assignment.
-        robot: id.
-        own_clock: heartbeats come from a clock of the robot, not from lockstep rounds.
-        authenticator: its keys; None in an unsigned team.
-    """
+    """A new agent; heartbeats come from lockstep rounds or its robot's `own_clock`, its keys from `authenticator`."""
     protocol = config.protocol
     return Agent(
         robot,
@@ -46,13 +33,7 @@ def make_agent(
 
 
 class Roster:
-    """One agent a robot, and which robots are awake. A silent robot still has its body.
-
-    Args:
-        make: makes a new agent for a robot.
-        n_robots: team size N.
-        asleep: robots that join later.
-    """
+    """One agent a robot, and which robots are awake: those `asleep` join later. A silent robot still has its body."""
 
     def __init__(self, make: Callable[[int], Agent], n_robots: int, asleep: Iterable[int] = ()) -> None:
         self._make = make

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from llm_flock.errors import InputError
 from llm_flock.protocol.agreement.assignment import (
@@ -16,8 +16,6 @@ from llm_flock.protocol.agreement.assignment import (
 )
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
-
-Rule = TypeVar("Rule")
 
 Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
 """The two rules of an agent."""
@@ -49,30 +47,16 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 
 
 def consensus_rule(name: str) -> ConsensusRule:
-    """The consensus rule of this name.
-
-    Raises:
-        InputError: unknown name.
-    """
-    return _checked("consensus", name, _resolve("consensus", name, CONSENSUS), ("choose",))
+    """The consensus rule of this name; `InputError` for an unknown one."""
+    return _rule("consensus", name, CONSENSUS, ("choose",))
 
 
 def assignment_rule(name: str) -> AssignmentRule:
-    """The assignment rule of this name.
-
-    Raises:
-        InputError: unknown name.
-    """
-    return _checked("assignment", name, _resolve("assignment", name, ASSIGNMENT), ("take", "update"))
+    """The assignment rule of this name; `InputError` for an unknown one."""
+    return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 
-def _checked(field: str, name: str, rule: object, methods: tuple[str, ...]) -> Any:
-    if not isinstance(getattr(rule, "name", None), str) or not all(callable(getattr(rule, m, None)) for m in methods):
-        raise InputError(field, name, f"a class with a name and {' and '.join(methods)}; see llm_flock.testing")
-    return rule
-
-
-def _resolve(field: str, name: str, known: Mapping[str, Callable[[], Rule]]) -> Rule:
+def _rule(field: str, name: str, known: Mapping[str, Callable[[], Any]], methods: tuple[str, ...]) -> Any:
     if name in known:
         return known[name]()
     allowed = f"one of {', '.join(known)}, or package.module:Class"
@@ -80,6 +64,9 @@ def _resolve(field: str, name: str, known: Mapping[str, Callable[[], Rule]]) -> 
     if not colon:
         raise InputError(field, name, allowed)
     try:
-        return getattr(importlib.import_module(module), attribute)()
+        rule = getattr(importlib.import_module(module), attribute)()
     except (ImportError, AttributeError, TypeError) as error:
         raise InputError(field, name, f"{allowed} ({error})") from None
+    if not isinstance(getattr(rule, "name", None), str) or not all(callable(getattr(rule, m, None)) for m in methods):
+        raise InputError(field, name, f"a class with a name and {' and '.join(methods)}; see llm_flock.testing")
+    return rule

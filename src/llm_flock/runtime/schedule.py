@@ -7,15 +7,18 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from llm_flock import formations
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
+from llm_flock.runtime.seeds import Stream, stream
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.config import TrialConfig
 
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
@@ -36,18 +39,11 @@ class Change(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """Events at the start of rounds.
+    """Events at the start of rounds: by round, the robots that die or join, and who is given which mission."""
 
-    Attributes:
-        asleep: robots that are not awake at the start of the run.
-        kills: by round, the robots that die.
-        joins: by round, the robots that join, for the first time or again.
-        missions: by round, the robot that is given a mission, and the mission.
-    """
-
-    asleep: frozenset[int]
+    asleep: frozenset[int]  # robots that are not awake at the start of the run
     kills: Mapping[int, tuple[int, ...]]
-    joins: Mapping[int, tuple[int, ...]]
+    joins: Mapping[int, tuple[int, ...]]  # for the first time or again
     missions: Mapping[int, tuple[int, Mission]]
 
     @property
@@ -56,17 +52,7 @@ class Schedule:
         return max((*self.kills, *self.joins, *self.missions), default=0)
 
 
-def build_schedule(
-    mission: Mission,
-    *,
-    kill: str | None,
-    join: str | None,
-    kill_random: int,
-    join_random: int,
-    changes: Sequence[Change],
-    rounds: int,
-    rng: np.random.Generator,
-) -> Schedule:
+def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
     """All events, checked as a whole.
 
     Robots that are named in no event die or join at random, each in a round from 1 to RANDOM_ROUNDS.
@@ -75,23 +61,25 @@ def build_schedule(
         InputError: no such robot, no such round, a robot dies twice or joins while it is awake, no robot is left awake,
             or a mission cannot be changed like that.
     """
-    killed = _turns("kill", kill, mission.n_robots, rounds)
-    joined = _turns("join", join, mission.n_robots, rounds)
-    named = {robot for robot, _ in (*killed, *joined)} | {change.robot for change in changes}
+    rounds, kill_random = trial.rounds, trial.kill_random
+    killed = _turns("kill", trial.kill, mission.n_robots, rounds)
+    joined = _turns("join", trial.join, mission.n_robots, rounds)
+    named = {robot for robot, _ in (*killed, *joined)} | {change.robot for change in trial.changes}
     free = [robot for robot in range(mission.n_robots) if robot not in named]
-    wanted = kill_random + join_random
+    wanted = kill_random + trial.join_random
     if wanted > len(free) or (wanted and wanted == mission.n_robots):
-        field, value = ("kill_random", kill_random) if kill_random else ("join_random", join_random)
+        field, value = ("kill_random", kill_random) if kill_random else ("join_random", trial.join_random)
         most = min(len(free), mission.n_robots - 1)
         raise InputError(field, value, f"at most {most} robots that die or join at random, of those named nowhere else")
     if wanted:
+        rng = stream(trial.seed, Stream.FAULTS)
         drawn = rng.permutation(free)[:wanted].tolist()
         whens = rng.integers(1, min(RANDOM_ROUNDS, max(1, rounds)) + 1, size=wanted).tolist()
         turns = list(zip(drawn, whens, strict=True))
         killed, joined = killed + turns[:kill_random], joined + turns[kill_random:]
     asleep = _asleep(mission.n_robots, killed, joined)
     schedule = Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions={})
-    return replace(schedule, missions=_missions(mission, changes, schedule, rounds))
+    return replace(schedule, missions=_missions(mission, trial.changes, schedule, rounds))
 
 
 def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Turn]:
@@ -167,17 +155,12 @@ def _missions(
             new = mission.at(when).change(**fields, since=when)
         except InputError as error:
             raise InputError("changes", value, str(error)) from None
-        _check_accepted(mission, new, value)
+        for field in Mission.model_fields:  # a robot's limits and surroundings are fixed
+            if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
+                allowed = f"only fields that a robot accepts by radio ({', '.join(sorted(MISSION_FIELDS - {'since'}))})"
+                raise InputError("changes", value, f"{allowed}, not {field}")
         found[when], mission = (robot, new), new
     return found
-
-
-def _check_accepted(mission: Mission, new: Mission, value: Mapping[str, Any]) -> None:
-    """Check that only those fields change that robots accept by radio: their limits and surroundings are fixed."""
-    for field in Mission.model_fields:
-        if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
-            allowed = ", ".join(sorted(MISSION_FIELDS - {"since"}))
-            raise InputError("changes", value, f"only fields that a robot accepts by radio ({allowed}), not {field}")
 
 
 def load_points(fields: dict[str, Any]) -> bool:

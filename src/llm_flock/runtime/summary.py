@@ -3,54 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from llm_flock import metrics
-from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.entries import finite
-from llm_flock.runtime.episode import Episode
-from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
-from llm_flock.runtime.roster import Roster
-from llm_flock.runtime.schedule import Schedule
-from llm_flock.transport.memory import Traffic
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.trial import Trial
 
 
-def summarize(
-    config: RunConfig,
-    schedule: Schedule,
-    roster: Roster,
-    planners: TeamPlanners,
-    traffic: Traffic,
-    journal: Journal,
-    *,
-    stopped: tuple[str, str | None],
-    rounds: int,
-    wall_s: float,
-    record: str | None,
-    flight: FlightFigures | None,
-) -> Summary:
-    """The summary of a run that has ended.
-
-    Args:
-        config: everything that defined it.
-        schedule: scheduled deaths, joins and missions.
-        roster: the agents at the end.
-        planners: the planners.
-        traffic: messages and bytes sent.
-        journal: counts and measurements.
-        stopped: why it ended, and the last failure.
-        rounds: motion rounds flown.
-        wall_s: how long it took [s].
-        record: path of the record.
-        flight: figures of a real flight; None in simulation.
-    """
-    agents, episode = roster.awake_agents(), journal.episode
+def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFigures | None) -> Summary:
+    """The summary of a trial that has ended: its duration [s], the path of its record, the figures of a real flight."""
+    config, journal, traffic, rounds = trial.config, trial.journal, trial.transport.traffic, trial.round
+    agents, episode = trial.roster.awake_agents(), journal.episode
     plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
     slots = [a.claim.slot for a in agents]
     plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
-    journal.close_episode(roster)
-    bound = episode.bound
+    journal.close_episode(trial.roster)
     error = journal.errors[-1]
     return Summary(
         shape=config.mission.shape,
@@ -59,14 +29,14 @@ def summarize(
         consensus=config.protocol.consensus or "",
         assignment=config.protocol.assignment or "",
         shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(planners.names)),
-        simulated=planners.simulated,
-        stopped=stopped[0],
-        reason=stopped[1],
+        models=tuple(dict.fromkeys(trial.planners.names)),
+        simulated=trial.planners.simulated,
+        stopped=trial.stopped,
+        reason=trial.reason,
         rounds=rounds,
-        formed=episode.in_time(bound),
+        formed=episode.formed_in_time,
         rounds_to_formed=episode.rounds_to_formed,
-        lower_bound_rounds=bound,
+        lower_bound_rounds=episode.bound,
         procrustes_mean=None if error is None else error[0],
         procrustes_mean_squared=None if error is None else error[1],
         min_separation=finite(journal.min_separation),
@@ -90,12 +60,21 @@ def summarize(
         waypoints=dict(sorted(journal.waypoints.items())),
         messages_sent=traffic.sent,
         bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
-        messages_rejected=dict(sorted(journal.rejected(roster).items())),
+        messages_rejected=dict(sorted(journal.rejected(trial.roster).items())),
         wall_s=wall_s,
         record=record,
-        killed=_turns(schedule.kills, rounds),
-        joined=_turns(schedule.joins, rounds),
-        missions=tuple(_outcome(e) for e in journal.episodes),
+        killed=_turns(trial.schedule.kills, rounds),
+        joined=_turns(trial.schedule.joins, rounds),
+        missions=tuple(
+            MissionOutcome(
+                round=part.flown + 1 if part.flown else 0,
+                shape=part.mission.shape,
+                places=part.mission.n_places,
+                formed=part.formed_at,
+                lower_bound_rounds=part.bound,
+            )
+            for part in journal.episodes
+        ),
         gaps=None if plan is None else len(plan) - len(owned),
         spares=None if plan is None else slots.count(None),
         flight=flight,
@@ -105,13 +84,3 @@ def summarize(
 def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
     """What happened up to a round, in the notation of the command line."""
     return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)
-
-
-def _outcome(episode: Episode) -> MissionOutcome:
-    return MissionOutcome(
-        round=episode.flown + 1 if episode.flown else 0,
-        shape=episode.mission.shape,
-        places=episode.mission.n_places,
-        formed=episode.formed_at,
-        lower_bound_rounds=episode.bound,
-    )

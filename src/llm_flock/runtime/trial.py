@@ -12,25 +12,8 @@ import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.events import (
-    AgreementEnded,
-    Arrived,
-    AskPlan,
-    AskStep,
-    Broadcast,
-    CommRoundBegan,
-    CommRoundEnded,
-    Decided,
-    Effect,
-    MissionGiven,
-    MoveTo,
-    Note,
-    Planned,
-    Received,
-    RoundBegan,
-    Stopped,
-)
+from llm_flock.protocol import events
+from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.record.schema import SummaryMessage
@@ -39,8 +22,9 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
-from llm_flock.runtime.roster import Roster
-from llm_flock.runtime.schedule import Schedule
+from llm_flock.runtime.roster import Roster, make_agent
+from llm_flock.runtime.rules import Rules
+from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.summary import summarize
 from llm_flock.transport.memory import MemoryTransport
 
@@ -70,39 +54,32 @@ class TrialProgress:
 
 
 class Trial:
-    """Drives agents, bodies, planners and messages through one mission.
+    """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    Args:
-        config: everything that defines the run.
-        schedule: what happens to robots and mission in flight.
-        roster: one mind per robot, and who is awake.
-        planners: one planner per robot, and what the models have used.
-        bodies: the bodies and their sensors.
-        transport: carries the messages.
-        journal: counts and records.
-        on_round: told after each round, for a live display.
-        steer: asked before each round: whoever steers may change the schedule, the links and the planners by then.
+    After each round `on_round` is called, for a live display. Before each round `steer` is awaited: whoever steers may
+    change the schedule, the links and the planners by then.
     """
 
     def __init__(
         self,
         config: RunConfig,
-        schedule: Schedule,
-        roster: Roster,
+        rules: Rules,
         planners: TeamPlanners,
         bodies: Bodies,
-        transport: MemoryTransport,
         journal: Journal,
+        start: Points,
         on_round: Callable[[TrialProgress], None] | None = None,
         steer: Steer | None = None,
     ) -> None:
+        n_robots = config.mission.n_robots
         self.config = config
-        self.schedule = schedule
-        self.roster = roster
+        self.schedule = config.schedule()
+        self.roster = Roster(lambda robot: make_agent(config, rules, robot), n_robots, self.schedule.asleep)
         self.planners = planners
         self.bodies = bodies
-        self.transport = transport
+        self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
         self.journal = journal
+        journal.mission_given(config.mission, 0, start)
         self.round = 0
         self.stopped = "rounds"
         self.reason: str | None = None
@@ -141,7 +118,7 @@ class Trial:
             raise
         finally:
             for agent in self.roster.agents:
-                agent.handle(Stopped())
+                agent.handle(events.Stopped())
 
     def begin(self) -> None:
         """Record the start positions. Call before the first round; further calls do nothing."""
@@ -175,69 +152,62 @@ class Trial:
             robot, mission = schedule.missions[number]
             journal.close_episode(roster)
             journal.mission_given(mission, number - 1, self.bodies.positions)
-            self._perform(number, None, robot, roster.agents[robot].handle(MissionGiven(mission=mission)))
+            self._tell(robot, events.MissionGiven(mission=mission))
 
     async def _fly_round(self, number: int) -> None:
         self._let_happen(number)
         await self._think_plans(number)
         for comm_round in range(self.config.protocol.comm_rounds or 1):
-            self._exchange(number, comm_round)
-        moves = await self._think_steps(number)
+            self._exchange(comm_round)
+        moves = await self._think_steps()
         await self._move(moves)
-        for robot, agent in self._minds():
-            self._perform(number, None, robot, agent.handle(Arrived()))
+        for robot in self.roster.awake:
+            self._tell(robot, events.Arrived())
         self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
-
-    def _minds(self) -> list[tuple[int, Agent]]:
-        """The robots that are awake, and their minds, by id."""
-        return [(robot, self.roster.agents[robot]) for robot in self.roster.awake]
 
     async def _think_plans(self, number: int) -> None:
         """Sense; robots without a plan ask for one, all at once."""
         asking: dict[int, Coroutine[Any, Any, PlanAnswer | NoAnswer]] = {}
         everybody = self.config.model.observe == "all"
-        for robot, agent in self._minds():
+        for robot in self.roster.awake:
             seen = self.bodies.sense(robot)
             observed = self.bodies.others(robot) if everybody else tuple(seen.sensed.values())
-            began = RoundBegan(
+            began = events.RoundBegan(
                 round=number,
                 position=seen.position,
                 neighbors=len(self.roster.hears(self.bodies, robot)),
                 sensed=seen.sensed,
                 observed=observed,
             )
-            for effect in self._perform(number, None, robot, agent.handle(began)):
+            for effect in self._tell(robot, began):
                 if isinstance(effect, AskPlan):
                     asking[robot] = self.planners[robot].plan(effect.question)
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
-            self._perform(number, None, robot, self.roster.agents[robot].handle(Planned(answer)))
+            self._tell(robot, events.Planned(answer))
             if isinstance(answer, PlanAnswer):
                 self.journal.plan(number, answer.plan, robot)
 
-    def _exchange(self, number: int, comm_round: int) -> None:
+    def _exchange(self, comm_round: int) -> None:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
-        minds = self._minds()
-        for robot, agent in minds:
-            for effect in agent.handle(CommRoundBegan()):
+        awake, listening = self.roster.awake, set(self.roster.awake)
+        for robot in awake:
+            for effect in self._tell(robot, events.CommRoundBegan(), comm_round):
                 if isinstance(effect, Broadcast):
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
-        listening = dict(minds)
         for robot, payload in self.transport.deliver():
-            # A message may arrive after its receiver has died.
-            if robot in listening and (notes := listening[robot].handle(Received(payload))):
-                self._perform(number, comm_round, robot, notes)
-        for robot, agent in minds:
-            if notes := agent.handle(CommRoundEnded()):
-                self._perform(number, comm_round, robot, notes)
+            if robot in listening:  # a message may arrive after its receiver has died
+                self._tell(robot, events.Received(payload), comm_round)
+        for robot in awake:
+            self._tell(robot, events.CommRoundEnded(), comm_round)
 
-    async def _think_steps(self, number: int) -> dict[int, MoveTo]:
+    async def _think_steps(self) -> dict[int, MoveTo]:
         """Robots with a goal ask for a waypoint, all at once; returns the move of each that is awake."""
         asking: dict[int, Coroutine[Any, Any, StepAnswer | NoAnswer]] = {}
         moves: dict[int, MoveTo] = {}
-        for robot, agent in self._minds():
-            for effect in self._perform(number, None, robot, agent.handle(AgreementEnded())):
+        for robot in self.roster.awake:
+            for effect in self._tell(robot, events.AgreementEnded()):
                 if isinstance(effect, AskStep):
                     asking[robot] = self.planners[robot].step(effect.question)
                 elif isinstance(effect, MoveTo):
@@ -245,7 +215,7 @@ class Trial:
         answers = await _all(asking)
         self.journal.flush_attempts()
         for robot, answer in answers.items():
-            for effect in self._perform(number, None, robot, self.roster.agents[robot].handle(Decided(answer))):
+            for effect in self._tell(robot, events.Decided(answer)):
                 if isinstance(effect, MoveTo):
                     moves[robot] = effect
         return dict(sorted(moves.items()))
@@ -257,12 +227,15 @@ class Trial:
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
         await self.bodies.fly(displacements)
 
-    def _perform(self, number: int, comm_round: int | None, robot: int, effects: list[Effect]) -> list[Effect]:
-        """Record the notes among the effects; return the rest."""
-        notes = [effect for effect in effects if isinstance(effect, Note)]
-        for note in notes:
-            self.journal.note(number, comm_round, robot, note)
-        return [effect for effect in effects if not isinstance(effect, Note)] if notes else effects
+    def _tell(self, robot: int, event: Event, comm_round: int | None = None) -> list[Effect]:
+        """Give a robot's mind an event of the next round; record the notes among its effects, and return the rest."""
+        effects = self.roster.agents[robot].handle(event)
+        if not effects:
+            return effects
+        for effect in effects:
+            if isinstance(effect, Note):
+                self.journal.note(self.round + 1, comm_round, robot, effect)
+        return [effect for effect in effects if not isinstance(effect, Note)]
 
     def _report(self) -> None:
         if self._on_round is None:
@@ -291,19 +264,7 @@ class Trial:
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
             self.journal.measure_error(self.roster)
-        summary = summarize(
-            self.config,
-            self.schedule,
-            self.roster,
-            self.planners,
-            self.transport.traffic,
-            self.journal,
-            stopped=(self.stopped, self.reason),
-            rounds=self.round,
-            wall_s=time.perf_counter() - self._began,
-            record=record,
-            flight=flight,
-        )
+        summary = summarize(self, time.perf_counter() - self._began, record, flight)
         self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,
@@ -317,11 +278,7 @@ class Trial:
 
 
 async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
-    """Await everybody's answer at once, by robot.
-
-    Raises:
-        Exception: the first one that a planner raised; the others are cancelled.
-    """
+    """Await everybody's answer at once, by robot. The first error of a planner is raised, and cancels the others."""
     if not asking:
         return {}
     try:

@@ -1,10 +1,8 @@
-"""Provenance of a run: versions, revision of the code, machine."""
+"""Provenance of a run: versions, and revision of the code."""
 
 from __future__ import annotations
 
-import platform
 import subprocess
-from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -33,11 +31,6 @@ def versions() -> dict[str, str]:
     return found
 
 
-def environment() -> dict[str, str]:
-    """Interpreter and machine, without any name or path."""
-    return {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
-
-
 def git_revision() -> str | None:
     """Revision of the checkout that this package runs from, `+dirty` with local changes; None outside a checkout."""
     here = Path(__file__).parent
@@ -52,8 +45,3 @@ def git_revision() -> str | None:
 def _git(folder: Path, *arguments: str) -> str:
     done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=5, check=True)
     return done.stdout.strip()
-
-
-def now() -> str:
-    """The present moment, UTC, ISO 8601."""
-    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -19,10 +19,7 @@ class LinkFaults(BaseModel):
 
     loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
     delay: int = Field(
-        default=0,
-        ge=0,
-        le=1000,
-        description="Longest delay [communication rounds]; messages draw 0..delay",
+        default=0, ge=0, le=1000, description="Longest delay [communication rounds]; messages draw 0..delay"
     )
     duplicate: Share = Field(default=0.0, description="Probability that a message arrives twice")
     reorder: Share = Field(
@@ -46,13 +43,7 @@ class Traffic:
 
 
 class MemoryTransport:
-    """Delivers broadcasts to the robots within radio range of the sender at the moment of sending.
-
-    Args:
-        n_robots: team size.
-        faults: of the links.
-        rng: draws them.
-    """
+    """Delivers broadcasts, with the faults of the links, which `rng` draws."""
 
     def __init__(self, n_robots: int, faults: LinkFaults, rng: np.random.Generator) -> None:
         self._n_robots = n_robots

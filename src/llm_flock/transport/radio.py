@@ -24,13 +24,7 @@ FRESH_BEACONS = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Position of a body at one time.
-
-    Attributes:
-        stamp: by the wall clock [s].
-        position: [units; world frame].
-        end: end of the segment that it was flying, if it announced one.
-    """
+    """Position of a body at one time, by the wall clock [s], and the end of the segment that it flew, if announced."""
 
     stamp: float
     position: Point
@@ -38,16 +32,10 @@ class Seen:
 
 
 class Radio:
-    """What one robot receives and senses of the others.
+    """What one robot receives and senses of the others, within the ranges of the mission.
 
-    Args:
-        robot: own id.
-        mission: its ranges.
-        faults: injected faults, `delay` in units of `delay_s`.
-        rng: draws them.
-        beacon_s: time between two beacons [s].
-        delay_s: unit of delays [s].
-        clock_error_s: largest difference between two wall clocks of the swarm [s].
+    Injected faults are drawn by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference
+    between two wall clocks of the swarm [s].
     """
 
     def __init__(
@@ -63,7 +51,6 @@ class Radio:
     ) -> None:
         self.position: Point | None = None
         self.cut: frozenset[int] = frozenset()
-        self.lost = 0
         self._robot = robot
         self._reach = mission.comm_range
         self._sight = mission.sensing
@@ -77,8 +64,6 @@ class Radio:
         self._sensed: dict[int, Seen] = {}
         self._read_s = -math.inf
 
-    # ---------------------------------------------------------------- the air
-
     def carries(self, sender: int) -> bool:
         """Whether a radio would carry a message of this sender to this robot now, by their positions."""
         there = self._beacons.get(sender)
@@ -86,29 +71,24 @@ class Radio:
             return False
         return math.dist(self.position, there.position) <= self._reach
 
-    def fate(self) -> list[float]:
-        """Injected faults of one message: the delays of the copies that arrive [s]."""
-        faults, rng = self._faults, self._rng
-        if not faults.any:
-            return [0.0]
-        copies = 1 + int(rng.random() < faults.duplicate)
-        arriving = [rng.random() >= faults.loss for _ in range(copies)]
-        self.lost += copies - sum(arriving)
-        return [float(rng.uniform(0.0, faults.delay * self._delay_s)) for there in arriving if there]
-
     def deliver(
         self, sender: int, hand_over: Callable[[], None], later: Callable[[float, Callable[[], None]], object]
     ) -> None:
-        """Hand a message over if the radio carries it, now or after its injected delay."""
+        """Hand a message over if the radio carries it, with the injected faults: not at all, twice, or `later`."""
+        faults, rng = self._faults, self._rng
         if not self.carries(sender):
             return
-        for delay_s in self.fate():
+        if not faults.any:
+            hand_over()
+            return
+        copies = 1 + int(rng.random() < faults.duplicate)
+        arriving = [rng.random() >= faults.loss for _ in range(copies)]
+        for _ in range(sum(arriving)):
+            delay_s = rng.uniform(0.0, faults.delay * self._delay_s)
             if delay_s > 0.0:
                 later(delay_s, hand_over)
             else:
                 hand_over()
-
-    # ---------------------------------------------------------------- beacons and sensors
 
     def place(self, sender: int, beacon: Seen) -> None:
         """Place a sender, for `carries` only: a robot out of its range learns nothing from this."""

@@ -29,11 +29,7 @@ class Seal(Protocol):
 
 
 class PlainSeal:
-    """Names the sender without proof: for networks on which every process is trusted.
-
-    Args:
-        sender: own id.
-    """
+    """Names the sender without proof: for networks on which every process is trusted."""
 
     def __init__(self, sender: int) -> None:
         self._head = sender.to_bytes(_ID_BYTES, "big", signed=True)

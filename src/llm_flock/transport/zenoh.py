@@ -16,7 +16,7 @@ import os
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.transport.seal import Seal
@@ -34,20 +34,13 @@ THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), a
 KEEP_ALIVES = 4
 """Signs of life per lease."""
 
-Handler: TypeAlias = Callable[[int, bytes], None]
-"""Takes a sender and its payload."""
-
 
 def settings(
     *, listen: Sequence[str], connect: Sequence[str], lease_s: float, security: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """A peer's configuration, by path.
+    """A peer's configuration, by path: its own endpoints, those of peers that may be there already, and TLS.
 
-    Args:
-        listen: own endpoints, such as `tcp/127.0.0.1:7447`; port 0 takes a free one.
-        connect: endpoints of peers that may be there already.
-        lease_s: silence after which a link is given up [s].
-        security: more of the configuration, for TLS.
+    Endpoints are like `tcp/127.0.0.1:7447`; port 0 takes a free one. A link is given up after `lease_s` of silence [s].
     """
     return {
         "mode": "peer",
@@ -100,16 +93,10 @@ class LinkTraffic:
 
 
 class ZenohLink:
-    """Connects one process to a swarm's network. A topic is `kind/id`.
+    """Connects one process to a swarm's network. A topic is `kind/id`; other swarms, and own messages, are ignored.
 
-    A payload is dropped, not delayed, where a receiver does not keep up.
-
-    Args:
-        session: an open zenoh session; closed by `close`.
-        swarm: name of the swarm; others on the same network are ignored.
-        own: own id: messages of its own are ignored.
-        seal: closes and opens payloads.
-        loop: where handlers run.
+    A payload is dropped, not delayed, where a receiver does not keep up. Handlers run in `loop`. The session is closed
+    by `close`.
     """
 
     def __init__(
@@ -142,15 +129,31 @@ class ZenohLink:
         self.traffic.bytes[kind] += len(sealed)
         publisher.put(sealed)
 
-    def listen(self, kind: str, number: int | None, handler: Handler) -> None:
-        """Have a handler called in the event loop for every message of a kind, for one number or for all.
+    def listen(self, kind: str, number: int | None, handler: Callable[[int, bytes], None]) -> None:
+        """Call the handler in the event loop with sender and payload of each message of a kind, to one number or all.
 
         A message under another number than that of the sender that its seal names is refused, unless the topic belongs
         to the receiver (`number` is given).
         """
 
+        def open_sealed(topic: str, sealed: bytes) -> None:
+            named = topic.rpartition("/")[2] if number is None else None
+            if self._closed or named == str(self._own):
+                return
+            try:
+                if len(sealed) > MAX_SEALED_BYTES:
+                    raise MessageError("oversized", f"{len(sealed)} bytes")
+                sender, payload = self._seal.open(sealed, topic)
+                if named not in (None, str(sender)):
+                    raise MessageError("wrong_topic", f"{sender} in {kind}")
+            except MessageError as error:
+                self.traffic.refused[error.reason] += 1
+                return
+            if sender != self._own:
+                handler(sender, payload)
+
         def take(sample: zenoh.Sample) -> None:
-            self._call(self._take, str(sample.key_expr), kind, number, sample.payload.to_bytes(), handler)
+            self._call(open_sealed, str(sample.key_expr).removeprefix(f"{self._root}/"), sample.payload.to_bytes())
 
         key = f"{self._root}/{kind}/{'*' if number is None else number}"
         self._kept.append(self._session.declare_subscriber(key, _straight(take)))
@@ -171,21 +174,6 @@ class ZenohLink:
         for _ in range(len(self._came)):
             function, args = self._came.popleft()
             self._loop.call_soon(function, *args)
-
-    def _take(self, key: str, kind: str, number: int | None, sealed: bytes, handler: Handler) -> None:
-        if self._closed or (number is None and key.rpartition("/")[2] == str(self._own)):
-            return
-        try:
-            if len(sealed) > MAX_SEALED_BYTES:
-                raise MessageError("oversized", f"{len(sealed)} bytes")
-            sender, payload = self._seal.open(sealed, key.removeprefix(f"{self._root}/"))
-            if number is None and key.rpartition("/")[2] != str(sender):
-                raise MessageError("wrong_topic", f"{sender} in {kind}")
-        except MessageError as error:
-            self.traffic.refused[error.reason] += 1
-            return
-        if sender != self._own:
-            handler(sender, payload)
 
     def declare_alive(self, number: int) -> None:
         """Announce this number for as long as the process runs."""

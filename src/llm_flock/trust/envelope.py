@@ -7,12 +7,12 @@ number. A receiver accepts each number once, in any order within a window, and n
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Annotated, Protocol
 
 import msgspec
 
 from llm_flock.errors import MessageError
+from llm_flock.protocol.signed.certificates import Authenticator
 
 ENVELOPE_VERSION = 1
 SIGNATURE_BYTES = 64
@@ -25,20 +25,12 @@ OVERHEAD = 128
 Number = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 
 
-class Signer(Protocol):
-    """Holds keys: signs statements, and checks signatures of others."""
+class Signer(Authenticator, Protocol):
+    """Signs as a member, and checks the signatures of others."""
 
     @property
     def member(self) -> int:
         """Own id."""
-        ...
-
-    def sign(self, statement: bytes) -> bytes:
-        """The own signature on a statement."""
-        ...
-
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
         ...
 
 
@@ -85,16 +77,12 @@ class _Heard:
 
 
 class Envelope:
-    """Seals payloads of one process, opens those of others, and counts refusals.
+    """Seals payloads of one process, and opens those of others of at most `max_payload` [bytes].
 
-    Args:
-        keys: own secret key, and the public keys of all members.
-        session: number of this start of the process, higher than that of every start before.
-        max_payload: largest payload that is opened [bytes].
+    The number of its session must be higher than that of every start before.
     """
 
     def __init__(self, keys: Signer, session: int, *, max_payload: int) -> None:
-        self.refused: Counter[str] = Counter()
         self._keys = keys
         self._session = session
         self._max_payload = max_payload
@@ -115,13 +103,6 @@ class Envelope:
             MessageError: with reason `oversized`, `version`, `malformed`, `own_id`, `old_session`, `too_old`,
                 `replayed` or `bad_signature` (also of an unknown sender).
         """
-        try:
-            return self._open(sealed, topic)
-        except MessageError as error:
-            self.refused[error.reason] += 1
-            raise
-
-    def _open(self, sealed: bytes, topic: str) -> tuple[int, bytes]:
         if len(sealed) > self._max_payload + OVERHEAD:
             raise MessageError("oversized", f"{len(sealed)} bytes")
         if sealed[:1] != bytes([ENVELOPE_VERSION]):

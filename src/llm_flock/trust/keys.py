@@ -30,7 +30,6 @@ from llm_flock.errors import InputError
 from llm_flock.members import member_name, members
 from llm_flock.mission import MAX_ROBOTS
 
-SIGNATURE_BYTES = 64
 PRIVATE = 0o600
 PRIVATE_FOLDER = 0o700
 PUBLIC = 0o644
@@ -38,15 +37,9 @@ PUBLIC = 0o644
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Keyring:
-    """The keys of one member: its secret key, and the public keys of all.
+    """The keys of one member: its secret key, and the public keys of all by their ids."""
 
-    Attributes:
-        swarm: name of the team, drawn when its keys were made; part of every signature.
-        member: own id.
-        public: public keys by member id.
-    """
-
-    swarm: bytes
+    swarm: bytes  # name of the team, drawn when its keys were made; part of every signature
     member: int
     public: Mapping[int, Ed25519PublicKey]
     _secret: Ed25519PrivateKey = field(repr=False)
@@ -73,12 +66,7 @@ class Keyring:
 
 
 def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
-    """Make the keys and certificates of a team; never overwrites a file.
-
-    Args:
-        folder: to write to; new or empty.
-        n_robots: team size N.
-        days: validity of the certificates.
+    """Make the keys of a team, and certificates that are valid for some days; never overwrites a file.
 
     Raises:
         InputError: too many robots, or the folder is not empty.
@@ -92,10 +80,10 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
     _folder(folder)
     swarm = secrets.token_bytes(16)
     authority = ec.generate_private_key(ec.SECP256R1())
-    issuer = _common_name(f"llm-flock {swarm.hex()[:8]}")
+    issuer = f"llm-flock {swarm.hex()[:8]}"
     ends = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=days)
     _write(_folder(folder / "authority") / "ca.key", _pem(authority), PRIVATE)
-    _write(folder / "ca.pem", _authority_certificate(authority, issuer, ends), PUBLIC)
+    _write(folder / "ca.pem", _certificate(issuer, authority, issuer, authority, ends), PUBLIC)
     public: dict[str, str] = {}
     for member in members(n_robots):
         name = member_name(member)
@@ -103,7 +91,7 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
         signing, tls = Ed25519PrivateKey.generate(), ec.generate_private_key(ec.SECP256R1())
         _write(own / "sign.key", _pem(signing), PRIVATE)
         _write(own / "tls.key", _pem(tls), PRIVATE)
-        _write(own / "tls.pem", _member_certificate(name, tls, authority, issuer, ends), PUBLIC)
+        _write(own / "tls.pem", _certificate(name, tls, issuer, authority, ends), PUBLIC)
         public[name] = signing.public_key().public_bytes_raw().hex()
     team = {"version": 1, "swarm": swarm.hex(), "robots": n_robots, "public": public}
     _write(folder / "team.json", json.dumps(team, indent=1).encode(), PUBLIC)
@@ -128,8 +116,7 @@ def load_keyring(folder: Path, member: int) -> Keyring:
         raise InputError("keys", str(path), f"keys of version 1 with one for {member_name(member)}")
     path = folder / member_name(member) / "sign.key"
     try:
-        if path.stat().st_mode & 0o077:
-            raise InputError("keys", str(path), "a file that nobody else may read: chmod 600")
+        _check_private(path)
         secret = serialization.load_pem_private_key(path.read_bytes(), password=None)
     except (OSError, ValueError, TypeError) as error:
         raise InputError("keys", str(path), f"the secret key that `llm-flock keys` writes ({error!r})") from None
@@ -139,12 +126,9 @@ def load_keyring(folder: Path, member: int) -> Keyring:
 
 
 def next_session(folder: Path, member: int, clock_s: float) -> int:
-    """The session number of this start of a member: higher than that of every start before, whatever the clock.
+    """The session number of this start of a member: higher than that of every start before, whatever the Unix time.
 
-    Args:
-        folder: of the keys; the number is kept beside the member's own.
-        member: own id.
-        clock_s: Unix time [s].
+    It is kept beside the member's own keys.
     """
     path = folder / member_name(member) / "session"
     try:
@@ -158,6 +142,42 @@ def next_session(folder: Path, member: int, clock_s: float) -> int:
     fresh.write_text(str(session), encoding="ascii")
     fresh.replace(path)
     return session
+
+
+def tls_config(folder: Path, member: int) -> dict[str, Any]:
+    """The part of a zenoh configuration that admits only processes with a certificate of this team.
+
+    Endpoints are `tls/HOST:PORT`. Only the team's authority is trusted, and it signs only members, so the name in a
+    certificate need not be that of the machine: any member may run anywhere. The signature on each envelope tells which
+    member sent it. Keys are zenoh's paths into its configuration, values are plain.
+
+    Raises:
+        InputError: a file is missing, or other users can read the secret one.
+    """
+    own = folder / member_name(member)
+    authority, certificate, key = folder / "ca.pem", own / "tls.pem", own / "tls.key"
+    for path in (authority, certificate, key):
+        if not path.is_file():
+            raise InputError("keys", str(path), "a file that `llm-flock keys` writes")
+    _check_private(key)
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls": {
+            "root_ca_certificate": str(authority),
+            "listen_private_key": str(key),
+            "listen_certificate": str(certificate),
+            "connect_private_key": str(key),
+            "connect_certificate": str(certificate),
+            "enable_mtls": True,
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        },
+    }
+
+
+def _check_private(path: Path) -> None:
+    if path.stat().st_mode & 0o077:
+        raise InputError("keys", str(path), "a file that nobody else may read: chmod 600")
 
 
 def _folder(path: Path) -> Path:
@@ -179,15 +199,14 @@ def _pem(key: Ed25519PrivateKey | ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _certificate(
-    subject: x509.Name,
+    name: str,
     key: ec.EllipticCurvePrivateKey,
-    issuer: x509.Name,
+    issuer: str,
     authority: ec.EllipticCurvePrivateKey,
     ends: datetime.datetime,
-    *extensions: tuple[x509.ExtensionType, bool],
 ) -> bytes:
-    """A certificate signed by the authority; `extensions` with whether each is critical."""
-    is_authority = subject == issuer
+    """A certificate signed by the authority, for itself or a member."""
+    is_authority = name == issuer
     # Clocks of robots may be behind: a certificate is valid from a day ago on.
     begins = datetime.datetime.now(datetime.UTC) - datetime.timedelta(days=1)
     usage = x509.KeyUsage(
@@ -203,8 +222,8 @@ def _certificate(
     )
     builder = (
         x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
+        .subject_name(_common_name(name))
+        .issuer_name(_common_name(issuer))
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(begins)
@@ -212,33 +231,16 @@ def _certificate(
         .add_extension(x509.BasicConstraints(ca=is_authority, path_length=0 if is_authority else None), critical=True)
         .add_extension(usage, critical=True)
     )
-    for extension, critical in extensions:
-        builder = builder.add_extension(extension, critical=critical)
+    extensions: list[x509.ExtensionType] = [x509.SubjectKeyIdentifier.from_public_key(key.public_key())]
+    if not is_authority:
+        extensions = [
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
+            x509.SubjectAlternativeName([x509.DNSName(name)]),
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.public_key()),
+        ]
+    for extension in extensions:
+        builder = builder.add_extension(extension, critical=False)
     return builder.sign(authority, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
-
-
-def _authority_certificate(key: ec.EllipticCurvePrivateKey, name: x509.Name, ends: datetime.datetime) -> bytes:
-    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
-    return _certificate(name, key, name, key, ends, (identifier, False))
-
-
-def _member_certificate(
-    name: str,
-    key: ec.EllipticCurvePrivateKey,
-    authority: ec.EllipticCurvePrivateKey,
-    issuer: x509.Name,
-    ends: datetime.datetime,
-) -> bytes:
-    return _certificate(
-        _common_name(name),
-        key,
-        issuer,
-        authority,
-        ends,
-        (x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), False),
-        (x509.SubjectAlternativeName([x509.DNSName(name)]), False),
-        (x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.public_key()), False),
-    )
 
 
 def _common_name(name: str) -> x509.Name:

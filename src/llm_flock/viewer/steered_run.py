@@ -208,17 +208,8 @@ class SteeredRun:
 
     def _schedule(self, kills: Sequence[str], changes: Sequence[Change]) -> Schedule:
         """Everything that happened and is ordered, checked as the command line checks it."""
-        trial = self.config.trial
-        return build_schedule(
-            self.config.mission,
-            kill=",".join(kills),
-            join=None,
-            kill_random=0,
-            join_random=0,
-            changes=changes,
-            rounds=trial.rounds,
-            rng=stream(trial.seed, Stream.FAULTS),
-        )
+        events = {"kill": ",".join(kills), "join": None, "kill_random": 0, "join_random": 0, "changes": tuple(changes)}
+        return build_schedule(self.config.mission, self.config.trial.model_copy(update=events))
 
     # ---------------------------------------------------------------- in flight
 

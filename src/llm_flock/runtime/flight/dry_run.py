@@ -11,7 +11,6 @@ from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
-from llm_flock.runtime.api import build_trial
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import with_drones
@@ -20,6 +19,7 @@ from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
+from llm_flock.runtime.trial import Trial
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +109,7 @@ async def dry_run(config: FlightConfig) -> DryRun:
     planners = TeamPlanners(config)
     journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan")
     planners.listen(journal.attempt)
-    trial = build_trial(config, config.protocol.rules(), planners, team, journal, aims)
+    trial = Trial(config, config.protocol.rules(), planners, team, journal, aims)
     try:
         await trial.run()
     finally:

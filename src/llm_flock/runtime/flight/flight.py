@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Robot, RobotError
-from llm_flock.runtime.api import build_trial, open_outputs
+from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
@@ -119,7 +119,7 @@ class Flight:
         supervisor = self._supervisor = FlightSupervisor(config, team, log)
         self._limit_waits(planners, supervisor)
         rules, start = config.protocol.rules(), team.set_point_rows
-        trial = build_trial(config, rules, planners, team, journal, start, self._on_round)
+        trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
         landing = Landing(config, team, log)
         async with HeartbeatSender(config, lambda: team.aloft) as heartbeats:

@@ -13,35 +13,14 @@ import math
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.metrics import AT_GOAL
+from llm_flock.protocol import events
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.events import (
-    AgreementEnded,
-    Arrived,
-    AskPlan,
-    AskStep,
-    Broadcast,
-    CommRoundBegan,
-    CommRoundEnded,
-    Decided,
-    Effect,
-    Event,
-    HeartbeatDue,
-    MissionGiven,
-    MoveTo,
-    Note,
-    Origin,
-    Phase,
-    Planned,
-    Received,
-    RoundBegan,
-    Sensed,
-    Stopped,
-)
+from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin, Phase
 from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
@@ -51,8 +30,6 @@ from llm_flock.runtime.network.process import PeriodClock, phase_s
 from llm_flock.runtime.network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock.transport.radio import Radio
 from llm_flock.transport.zenoh import LinkTraffic
-
-T = TypeVar("T")
 
 SETTLED_EXCHANGES = 2
 """Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""
@@ -65,16 +42,7 @@ STUCK_S = 0.3
 
 
 class AgentLoop:
-    """Drives one agent.
-
-    Args:
-        config: the swarm.
-        agent: the state machine.
-        planner: answers its questions.
-        radio: what it hears and sees.
-        body: controls its body.
-        broadcast: sends the bytes of a message.
-    """
+    """Drives one agent: `planner` answers its questions, `radio` hears and sees, `broadcast` sends its messages."""
 
     def __init__(
         self,
@@ -90,11 +58,9 @@ class AgentLoop:
         self.period = 0
         self.waypoints: Counter[str] = Counter()
         self.notes: list[ReportedEvent] = []
-        self._config = config
-        self._planner = planner
-        self._radio = radio
-        self._body = body
+        self._config, self._planner, self._radio, self._body = config, planner, radio, body
         self._broadcast = broadcast
+        self._known = {config.mission.digest}
         self._comm_rounds = 0
         self._settled_at = 0
         self._last_topic: object = None
@@ -104,17 +70,13 @@ class AgentLoop:
         self._going_for: object = None
         self._due = 0.0
 
-    # ---------------------------------------------------------------- events in, effects out
-
     def handle(self, event: Event) -> list[Effect]:
         """Give the agent an event; keep its notes and orders, and return its question for a plan."""
         rest: list[Effect] = []
         for effect in self.agent.handle(event):
             match effect:
                 case Note():
-                    self.notes.append(
-                        ReportedEvent(kind=effect.kind, detail=dict(effect.detail), comm_round=self._comm_rounds)
-                    )
+                    self.notes.append(ReportedEvent(effect.kind, dict(effect.detail), self._comm_rounds))
                 case Broadcast():
                     self._broadcast(effect.payload)
                 case AskStep() | MoveTo():
@@ -127,12 +89,12 @@ class AgentLoop:
     def look(self) -> None:
         """Give the agent the newest sensor readings."""
         if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
-            self.handle(Sensed(**self._sight()))
+            self.handle(events.Sensed(**self._sight()))
 
     def receive(self, payload: bytes, sender: int) -> None:
         """Take a message of another robot."""
         if self.agent.position and self.agent.phase is not Phase.STOPPED:
-            self.handle(Received(payload, sender))
+            self.handle(events.Received(payload, sender))
 
     def take_order(self, order: MissionOrder) -> None:
         """Take another mission from the operator; one that is not allowed is only recorded."""
@@ -143,7 +105,7 @@ class AgentLoop:
             self.notes.append(ReportedEvent(kind="rejected_message", detail=detail))
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
-        self.handle(MissionGiven(mission=mission, authorization=signed))
+        self.handle(events.MissionGiven(mission=mission, authorization=signed))
 
     def _sight(self) -> dict[str, Any]:
         """Sensor readings; a robot under way uses the waypoint that it flies to as its position."""
@@ -156,8 +118,6 @@ class AgentLoop:
             "sensed": sensed,
             "observed": tuple(sensed.values()),
         }
-
-    # ---------------------------------------------------------------- exchanges
 
     async def gossip(self) -> None:
         """Exchange messages periodically until cancelled, whatever else the robot is doing."""
@@ -172,11 +132,11 @@ class AgentLoop:
         self.look()
         if not self.agent.position:
             return
-        self.handle(CommRoundEnded())
+        self.handle(events.CommRoundEnded())
         if self._comm_rounds % (self._config.protocol.comm_rounds or 1) == 0:
             self.period += 1
-            self.handle(HeartbeatDue(self.period))
-        self.handle(CommRoundBegan())
+            self.handle(events.HeartbeatDue(self.period))
+        self.handle(events.CommRoundBegan())
         self._comm_rounds += 1
         if self._topic != self._last_topic:
             self._last_topic, self._settled_at = self._topic, self._comm_rounds
@@ -189,33 +149,31 @@ class AgentLoop:
         agent = self.agent
         return agent.mission.digest, None if agent.plan is None else agent.plan.digest, agent.claim.slot
 
-    # ---------------------------------------------------------------- rounds
-
     async def live(self) -> None:
         """Fly motion rounds until cancelled."""
         try:
             while True:
                 await self._fly_round()
         finally:
-            self.handle(Stopped())
+            self.handle(events.Stopped())
 
     async def _fly_round(self) -> None:
         self.round += 1
         topic = self._topic[:2]
-        for effect in self.handle(RoundBegan(round=self.round, **self._sight())):
+        for effect in self.handle(events.RoundBegan(round=self.round, **self._sight())):
             assert isinstance(effect, AskPlan)
             answer = await self._ask(self._planner.plan(effect.question), lambda: self._topic[:2] != topic)
-            self.handle(Planned(answer))
+            self.handle(events.Planned(answer))
         await self._settle()
         self._order = None
         self.look()
-        self.handle(AgreementEnded())
+        self.handle(events.AgreementEnded())
         move = await self._decide()
         await self._land()
         self.waypoints[move.origin.value] += 1
         self._moving = move
         self._take_off(move.waypoint)
-        self.handle(Arrived())
+        self.handle(events.Arrived())
         await self._rest(move)
 
     async def _settle(self) -> None:
@@ -237,7 +195,7 @@ class AgentLoop:
             await self._land()
             if self._order is None:
                 self.look()
-                self.handle(Decided(answer))
+                self.handle(events.Decided(answer))
 
     async def _ask(self, question: Awaitable[PlanAnswer | StepAnswer | NoAnswer], stale: Callable[[], bool]) -> Any:
         """The answer; `NoAnswer` if it is late or has become stale."""
@@ -260,8 +218,6 @@ class AgentLoop:
                 task.cancel()
                 await asyncio.gather(task, return_exceptions=True)
 
-    # ---------------------------------------------------------------- motion
-
     def _take_off(self, waypoint: Point) -> None:
         """Set out. The next question is asked at once, from where the body will arrive."""
         here = self._radio.position
@@ -274,13 +230,13 @@ class AgentLoop:
 
     async def _land(self) -> None:
         """Wait until the body has arrived, cannot get any nearer, or has lost its waypoint."""
-        body = self._body
-        last, moved_at = body.position, time.monotonic()
+        body, radio = self._body, self._radio
+        last, moved_at = radio.position, time.monotonic()
         while body.waypoint is not None and not body.arrived:
             await asyncio.sleep(self._config.network.control_s / 4)
             now = time.monotonic()
-            if body.position != last:
-                last, moved_at = body.position, now
+            if radio.position != last:
+                last, moved_at = radio.position, now
             if now - moved_at > STUCK_S or now > self._due:
                 break
         body.waypoint = None
@@ -297,13 +253,9 @@ class AgentLoop:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._changed.wait(), rest_s)
 
-    # ---------------------------------------------------------------- what observers see
-
-    def report(
-        self, known: set[str], calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic
-    ) -> RobotReport:
-        """The state for observers; includes plans and missions whose digests are not in `known`, and adds them."""
-        agent = self.agent
+    def report(self, calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic) -> RobotReport:
+        """The state for observers, with the plan and the mission where no report has named them before."""
+        agent, known = self.agent, self._known
         plan, origin, mission, move = agent.plan, agent.provenance, agent.mission, self._moving
         points = plan.points if plan is not None and plan.digest not in known else None
         shape = None if mission.digest in known else mission.model_dump(mode="json")

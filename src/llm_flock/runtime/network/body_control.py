@@ -7,10 +7,10 @@ import math
 from collections.abc import Sequence
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
 from llm_flock.protocol.motion.projection import clip
 from llm_flock.protocol.motion.shield_async import Sighting, project_async
 from llm_flock.protocol.motion.surroundings import static_half_spaces
+from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Body, Command
 
 STILL = 1e-6
@@ -23,36 +23,22 @@ ANSWER_S = 0.25
 class BodyControl:
     """Steers one body. Call `fly_to` to set out, `update` on every reading of the sensors, `control` in every period.
 
-    Args:
-        mission: its limits and surroundings.
-        speed: largest speed of any body [units/s].
-        period_s: control period [s].
-        lag_s: longest delay of a command to the body [s].
-        shield_on: project every move on what is safe.
-
-    Attributes:
-        waypoint: where to fly; None to stand still [units; world frame].
-        news: set with everything after which another command may be possible.
+    With the shield on, every move is projected on what is safe.
     """
 
-    def __init__(self, mission: Mission, *, speed: float, period_s: float, lag_s: float, shield_on: bool) -> None:
-        self.waypoint: Point | None = None
-        self.news = asyncio.Event()
-        self._mission = mission
-        self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
-        self._shield_on = shield_on
+    def __init__(self, config: SwarmConfig) -> None:
+        self.waypoint: Point | None = None  # where to fly; None to stand still [units; world frame]
+        self.news = asyncio.Event()  # set with everything after which another command may be possible
+        self._mission = config.mission
+        self._speed, self._period_s, self._lag_s = config.speed, config.network.control_s, config.network.lag_s
+        self._shield_on = bool(config.protocol.shield)
         self._body: Body | None = None
         self._number = 0
         self._given = -math.inf
 
     @property
-    def position(self) -> Point | None:
-        """The body's last known position [units; world frame]."""
-        return None if self._body is None else self._body.position
-
-    @property
     def end(self) -> Point | None:
-        """Where it will stop [units; world frame]."""
+        """Where the body will stop [units; world frame]."""
         return None if self._body is None else self._body.end
 
     def fly_to(self, waypoint: Point) -> None:
@@ -82,10 +68,7 @@ class BodyControl:
     def control(self, now: float, sightings: Sequence[Sighting], unseen_s: float) -> Command | None:
         """The next command; None with nothing to fly, no safe move, or a command under way.
 
-        Args:
-            now: by the wall clock [s].
-            sightings: of every body in sight.
-            unseen_s: how long ago all other bodies were out of sight [s].
+        `now` is by the wall clock [s]; bodies without a sighting were out of sight `unseen_s` ago.
         """
         body, waypoint = self._body, self.waypoint
         if body is None or waypoint is None or not self.is_free(now):

@@ -15,9 +15,7 @@ class NetworkConfig(ConfigSection):
     """Endpoints and periods: the same for all robots of a swarm."""
 
     swarm: str = Field(
-        default="flock",
-        pattern=r"^[A-Za-z0-9_-]{1,64}$",
-        description="Name of the swarm; others are ignored",
+        default="flock", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Name of the swarm; others are ignored"
     )
     listen: str = Field(
         default="tcp/127.0.0.1:0", description="Own endpoints, separated by commas; port 0 takes a free one"
@@ -37,10 +35,7 @@ class NetworkConfig(ConfigSection):
     beacon_s: float = seconds(0.1, "Time between two beacons")
     lag_s: float = seconds(0.05, "Longest delay of a command to the body; later ones are refused")
     clock_error_s: float = Field(
-        default=0.002,
-        ge=0,
-        allow_inf_nan=False,
-        description="Largest difference between two machines' clocks [s]",
+        default=0.002, ge=0, allow_inf_nan=False, description="Largest difference between two machines' clocks [s]"
     )
     gather_s: float = Field(
         default=5.0,
@@ -58,11 +53,7 @@ class NetworkConfig(ConfigSection):
 
 
 class SwarmConfig(RunConfig):
-    """Everything that defines a swarm.
-
-    Raises:
-        InputError: a field of runs that swarms do not support.
-    """
+    """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
     network: NetworkConfig = Field(default_factory=NetworkConfig)
 
@@ -73,9 +64,8 @@ class SwarmConfig(RunConfig):
             if getattr(trial, field):
                 raise InputError(field, getattr(trial, field), "nothing in a swarm of processes")
         if self.mission.velocity is not None:
-            raise InputError(
-                "velocity", self.mission.velocity, "nothing in a swarm of processes: rounds are not in step"
-            )
+            allowed = "nothing in a swarm of processes: rounds are not in step"
+            raise InputError("velocity", self.mission.velocity, allowed)
         return self
 
     @property
@@ -95,11 +85,7 @@ def endpoints(text: str) -> list[str]:
 
 
 def check_models(config: SwarmConfig) -> None:
-    """Refuse several local models in a swarm on one machine: each process would load an engine on the same cores.
-
-    Raises:
-        InputError: for field `model`.
-    """
+    """Refuse several local models in a swarm on one machine: each process would load an engine on the same cores."""
     n = config.mission.n_robots
     on_board = [name for name in parse_models(config.model.model, n) if parse_model(name).kind == "local"]
     if len(on_board) > 1:

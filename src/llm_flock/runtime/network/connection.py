@@ -42,12 +42,9 @@ def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
 
 
 def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> ZenohLink:
-    """Join as a member; call in a running event loop. With keys every endpoint uses TLS, however it is written.
+    """Join as a robot, or as WORLD, OPERATOR or WATCHER; call in a running event loop.
 
-    Args:
-        config: the swarm.
-        member: a robot's id, or WORLD, OPERATOR or WATCHER.
-        listen: own endpoints, if not those of the configuration.
+    With keys every endpoint uses TLS, however it is written. `listen` replaces the configuration's own endpoints.
 
     Raises:
         InputError: the keys cannot be used, or an endpoint cannot be opened.
@@ -58,8 +55,7 @@ def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> Ze
     seal: Seal = PlainSeal(member)
     if keys is not None and network.keys is not None:
         from llm_flock.trust.envelope import Envelope
-        from llm_flock.trust.keys import next_session
-        from llm_flock.trust.tls import tls_config
+        from llm_flock.trust.keys import next_session, tls_config
 
         folder = Path(network.keys)
         listens, connects = ([end.replace("tcp/", "tls/", 1) for end in ends] for ends in (listens, connects))
@@ -78,17 +74,10 @@ def receive(
     number: int | None = None,
     sender: int | None = None,
 ) -> None:
-    """Have a handler called with the sender and content of every message of a kind.
+    """Have a handler called in the event loop with the sender and content of every message of a kind.
 
-    A message that cannot be decoded, or that the handler refuses with a `MessageError`, is counted by its reason.
-
-    Args:
-        link: the network.
-        kind: of the topic.
-        message: type to decode.
-        handler: called in the event loop.
-        number: only messages to this id, for topics that belong to their receiver.
-        sender: only messages of this member; others are ignored.
+    A message that cannot be decoded, or that the handler refuses with a `MessageError`, is counted by its reason. With
+    a `number`, only messages to this id count, on a topic that belongs to its receiver; with a `sender`, only its own.
     """
 
     def take(source: int, payload: bytes) -> None:

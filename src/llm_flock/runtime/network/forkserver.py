@@ -1,7 +1,7 @@
 """Starts the processes of a swarm by forking, so that everything they all import is imported once and shared.
 
-It reads one line of JSON per process to start, and writes one line of JSON per start and per end. It has one thread and
-no network session. Its children end with it, and it ends with the launcher.
+It reads one line of JSON per process to start, and writes one line of JSON per start and per end, and one when it or
+the world is ready. It has one thread and no network session. Its children end with it, and it ends with the launcher.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> None:
     children: dict[int, str] = {}
     TeamPlanners(SwarmConfig.model_validate(EXAMPLE))
     gc.freeze()  # else a collection in a child would touch, and so copy, every shared page
-    _write(ready=True)
+    _write(ready="forkserver")
     while True:
         readable, _, _ = select.select([sys.stdin.buffer], [], [], REAP_S)
         if readable:
@@ -71,7 +71,7 @@ def _write(**event: Any) -> None:
 def _child(order: dict[str, Any]) -> int:
     """Do the work of the ordered process; returns its exit code."""
     end_with_parent()
-    null = os.open(os.devnull, os.O_RDWR)
+    null, answers = os.open(os.devnull, os.O_RDWR), os.dup(1)
     os.dup2(null, 0)
     os.dup2(2, 1)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
@@ -79,7 +79,7 @@ def _child(order: dict[str, Any]) -> int:
     kind = order["kind"]
     try:
         if kind == "world":
-            run(run_world(config, Path(order["ready"]).touch))
+            run(run_world(config, lambda: os.write(answers, b'{"ready": "world"}\n')))
         elif kind == "robot":
             run(run_robot(config, order["id"]))
         else:

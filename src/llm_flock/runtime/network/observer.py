@@ -5,53 +5,38 @@ An observer only listens. A swarm flies the same with one, several, or none.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from llm_flock import graph, metrics
+from llm_flock.arrays import Points
 from llm_flock.errors import FlockError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
-from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
+from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
-from llm_flock.runtime.entries import metrics_row, mission_info
+from llm_flock.runtime.entries import finite, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress
 
 
-@dataclass(slots=True)
-class SwarmMeasurements:
-    """Totals over all world states and reports."""
-
-    min_separation: float = float("inf")
-    calls: int = 0
-    calls_failed: int = 0
-    tokens: int = 0
-    late_commands: int = 0
-    latencies_s: list[float] = field(default_factory=list[float])
-
-
 class Observer:
     """Follows one swarm. Give it what arrives, and call `check` again and again.
 
-    Args:
-        config: the swarm.
-        sink: takes the record.
-        on_row: called with every row of the record.
+    It writes the record to `sink`, and calls `on_row` with every row of it.
     """
 
     def __init__(
         self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
     ) -> None:
-        self.mission = config.mission
-        self.measurements = SwarmMeasurements()
+        self.min_separation = math.inf
+        self.calls = self.calls_failed = self.tokens = self.late_commands = 0
+        self.latencies_s: list[float] = []
         self.began_s: float | None = None
-        self.formed_s: float | None = None
         self.in_order = False
         self.alive: set[int] = set()
         self.reports: dict[int, RobotReport] = {}
@@ -61,17 +46,18 @@ class Observer:
         self._world: WorldState | None = None
         self._row = -1
         self._row_due = 0.0
-        self._row_closest = float("inf")
-        self._since_s: float | None = None
+        self._row_closest = math.inf
         self._checks = 0
         self._counter = 0
         self._places: dict[str, int] = {}
         self._seen: set[int] = set()
-        self._target = self._shape()
-        self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
         self._missions = 0
+        self._set_mission(config.mission)
 
-    # ---------------------------------------------------------------- what arrives
+    def _set_mission(self, mission: Mission) -> None:
+        self.mission = mission
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:
         """Take note that a process came or went: the team has to form again."""
@@ -80,7 +66,8 @@ class Observer:
             self._restart()
 
     def _restart(self) -> None:
-        self.formed_s, self._since_s = None, None
+        self.formed_s: float | None = None
+        self._since_s: float | None = None
         self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
 
     def world(self, state: WorldState) -> None:
@@ -88,8 +75,8 @@ class Observer:
         if len(state.bodies) != self.mission.n_robots:
             return
         self._world = state
-        self.measurements.min_separation = min(self.measurements.min_separation, state.closest)
-        self.measurements.late_commands = state.late
+        self.min_separation = min(self.min_separation, state.closest)
+        self.late_commands = state.late
         self._row_closest = min(self._row_closest, state.closest)
 
     def report(self, robot: int, report: RobotReport) -> None:
@@ -101,47 +88,44 @@ class Observer:
             self.began_s = report.stamp
         if report.shape is not None and report.mission[0] > self._counter:
             self._new_mission(report)
-        now, total = max(self._row, 0), self.measurements
+        now = max(self._row, 0)
         if report.plan_id is not None and report.points is not None and report.plan_id not in self._places:
             self._places[report.plan_id] = len(report.points)
             points, proposer = [list(point) for point in report.points], report.proposer or 0
             self._sink.write(PlanInfo(round=now, plan_id=report.plan_id, proposer=proposer, points=points))
         for event in report.happened:
-            self._sink.write(
-                ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
-            )
+            noted = ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
+            self._sink.write(noted)
         for call in report.calls:
             entry = LlmEntry.model_validate({**call, "round": now})
             self._sink.write(entry)
-            total.calls += 1
-            total.calls_failed += entry.error is not None
-            total.tokens += entry.usage.input + entry.usage.output
-        total.latencies_s.extend(report.latencies_s)
+            self.calls += 1
+            self.calls_failed += entry.error is not None
+            self.tokens += entry.usage.input + entry.usage.output
+        self.latencies_s.extend(report.latencies_s)
 
     def _new_mission(self, report: RobotReport) -> None:
         try:
             mission = Mission.model_validate(report.shape)
         except (ValueError, FlockError):
             return
-        self._counter, self.mission = report.mission[0], mission
-        self._target = self._shape()
-        self._restart()
+        self._counter = report.mission[0]
+        self._set_mission(mission)
         self._record_mission(max(self._row, 0) + 1)
 
     def _record_mission(self, first: int) -> None:
         self._sink.write(mission_info(self.mission, self._missions, first))
         self._missions += 1
 
-    def _shape(self) -> metrics.ShapeTarget | None:
-        ideal = self.mission.ideal
-        return None if ideal is None else metrics.ShapeTarget(np.array(ideal))
-
-    # ---------------------------------------------------------------- evaluation
-
     @property
     def robots(self) -> list[int]:
         """Robots that are alive and have reported, by id."""
         return sorted(self.alive & self.reports.keys())
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Messages that the robots refused so far, by reason."""
+        return sum((Counter(report.rejected) for report in self.reports.values()), Counter[str]())
 
     @property
     def mission_s(self) -> float | None:
@@ -156,7 +140,7 @@ class Observer:
         positions = np.array([body.position for body in self._world.bodies])
         goals = {robot: self.reports[robot].goal for robot in robots}
         distances = [
-            float("inf") if goal is None else float(np.linalg.norm(positions[robot] - goal))
+            math.inf if goal is None else float(np.linalg.norm(positions[robot] - goal))
             for robot, goal in goals.items()
         ]
         complete = self._target is not None and len(robots) == self.mission.n_places
@@ -192,9 +176,7 @@ class Observer:
         if self.formed_s is None and now - self._since_s >= held_s:
             self.formed_s = self._since_s
 
-    def _write(
-        self, positions: np.ndarray[Any, Any], robots: list[int], distances: list[float], error: float | None
-    ) -> None:
+    def _write(self, positions: Points, robots: list[int], distances: list[float], error: float | None) -> None:
         if self._row < 0:
             self._record_mission(0)
         self._row += 1
@@ -202,23 +184,26 @@ class Observer:
         self._sink.write(self._state(positions, robots))
         near = graph.distances(positions) <= self.mission.comm_range
         reports = self.reports.values()
-        row = metrics_row(
-            self._row,
-            error=None if error is None else (error, None),
-            separation=(metrics.min_separation(positions), self._row_closest),
-            plan_ids=[self.reports[robot].plan_id for robot in robots],
-            slots=[self.reports[robot].slot for robot in robots],
-            at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+        plan_ids = [self.reports[robot].plan_id for robot in robots]
+        row = MetricsRow(
+            round=self._row,
+            procrustes_mean=error,
+            procrustes_mean_squared=None,
+            min_separation=finite(metrics.min_separation(positions)),
+            segment_separation=finite(self._row_closest),
+            plans_in_use=metrics.plans_in_use(plan_ids),
+            distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
+            robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
-            calls=(self.measurements.calls, self.measurements.tokens, None),
-            traffic=(
-                sum(report.sent for report in reports),
-                sum(report.bytes for report in reports),
-                sum((Counter(report.rejected) for report in reports), Counter[str]()),
-            ),
+            model_calls=self.calls,
+            tokens=self.tokens,
+            cost_usd=None,
+            messages_sent=sum(report.sent for report in reports),
+            bytes_sent=sum(report.bytes for report in reports),
+            messages_rejected=dict(self.rejected),
         )
         self._sink.write(row)
-        self._row_closest = float("inf")
+        self._row_closest = math.inf
         self._sink.write(RoundEnd(round=self._row))
         if self._on_row is not None:
             self._on_row(
@@ -236,7 +221,7 @@ class Observer:
                 )
             )
 
-    def _state(self, positions: np.ndarray[Any, Any], robots: list[int]) -> State:
+    def _state(self, positions: Points, robots: list[int]) -> State:
         n = len(positions)
         reports = [self.reports[robot] if robot in robots else None for robot in range(n)]
         start = Origin.START.value if self._row == 0 else Origin.HOLD.value

@@ -24,10 +24,6 @@ class PeriodClock:
 
     A moment that has passed is skipped, not made up for. Clocks of equal period and phase fire together, so messages
     sent on them leave together.
-
-    Args:
-        period_s: time between two moments [s].
-        phase_s: one of the moments [s].
     """
 
     def __init__(self, period_s: float, phase_s: float = 0.0) -> None:
@@ -65,11 +61,7 @@ def end_with_parent() -> None:
 
 
 async def until_stopped(work: Coroutine[None, None, None]) -> None:
-    """Do the work until it is done or fails, or until SIGTERM or SIGINT.
-
-    Raises:
-        Exception: the work's own.
-    """
+    """Do the work until it is done or raises its own exception, or until SIGTERM or SIGINT."""
     gc.freeze()  # spares later collections tens of milliseconds each: what exists by now stays
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

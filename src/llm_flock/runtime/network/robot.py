@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import closing, suppress
 from typing import Any
 
 from llm_flock.errors import InputError, MessageError
-from llm_flock.llm.port import Attempt
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.runtime.entries import llm_entry
 from llm_flock.runtime.network.agent_loop import AgentLoop
@@ -30,13 +30,7 @@ BEACON_DUE = 0.9
 
 
 class RobotProcess:
-    """The wiring of one robot.
-
-    Args:
-        config: the swarm.
-        robot: own id.
-        link: the network.
-    """
+    """The wiring of one robot."""
 
     def __init__(self, config: SwarmConfig, robot: int, link: ZenohLink) -> None:
         mission, network = config.mission, config.network
@@ -44,11 +38,10 @@ class RobotProcess:
         self._loop = asyncio.get_running_loop()
         self._phase_s = phase_s(robot, mission.n_robots, network.gossip_s)
         self.planners = TeamPlanners(config)
-        self.planners.listen(self._record_call)
+        self.planners.listen(lambda attempt: self._calls.append(llm_entry(attempt).model_dump(mode="json")))
         self._calls: list[dict[str, Any]] = []
         self._latencies_s: list[float] = []
         self._beacon_sent_s = 0.0
-        self._known: set[str] = {mission.digest}
         self._alive: set[int] = set()
         self._all_here = asyncio.Event()
         self._sees = asyncio.Event()
@@ -61,23 +54,16 @@ class RobotProcess:
             delay_s=network.gossip_s,
             clock_error_s=network.clock_error_s,
         )
-        self.body = BodyControl(
-            mission,
-            speed=config.speed,
-            period_s=network.control_s,
-            lag_s=network.lag_s,
-            shield_on=bool(config.protocol.shield),
-        )
+        self.body = BodyControl(config)
         keys = load_keys(config, robot)
         agent = make_agent(config, config.protocol.rules(), robot, own_clock=True, authenticator=keys)
         self.agent_loop = AgentLoop(config, agent, self.planners[robot], self.radio, self.body, self._broadcast)
         receive(link, "frame", WorldState, self._on_state, sender=WORLD)
-        receive(link, "beacon", Beacon, self._on_beacon)
-        receive(link, "say", BeaconedMessage, self._on_message)
-        receive(link, "mission", MissionOrder, self._on_order, number=robot, sender=OPERATOR)
+        receive(link, "beacon", Beacon, self._hear)
+        receive(link, "say", BeaconedMessage, lambda sender, said: self._hear(sender, said.beacon, said.message))
+        take_order = self.agent_loop.take_order
+        receive(link, "mission", MissionOrder, lambda _, order: take_order(order), number=robot, sender=OPERATOR)
         link.watch_alive(self._on_alive)
-
-    # ---------------------------------------------------------------- the network
 
     def _broadcast(self, message: bytes) -> None:
         beacon = self._own_beacon()
@@ -85,27 +71,14 @@ class RobotProcess:
         self._link.publish("say", self._robot, pack(BeaconedMessage(beacon=beacon, message=message)))
 
     def _own_beacon(self) -> Beacon | None:
-        position, end = self.body.position, self.body.end
+        position, end = self.radio.position, self.body.end
         if position is None or end is None:
             return None
         self._beacon_sent_s = time.monotonic()
         return Beacon(stamp=time.time(), position=position, end=end)
 
-    def _on_message(self, sender: int, message: BeaconedMessage) -> None:
-        seen = self._place(sender, message.beacon)
-
-        def hand_over() -> None:
-            self.radio.beacon(sender, seen)
-            self.agent_loop.receive(message.message, sender)
-
-        self.radio.deliver(sender, hand_over, self._loop.call_later)
-
-    def _on_beacon(self, sender: int, beacon: Beacon) -> None:
-        seen = self._place(sender, beacon)
-        self.radio.deliver(sender, lambda: self.radio.beacon(sender, seen), self._loop.call_later)
-
-    def _place(self, sender: int, beacon: Beacon) -> Seen:
-        """Tell the radio where a sender is."""
+    def _hear(self, sender: int, beacon: Beacon, message: bytes | None = None) -> None:
+        """Tell the radio where a sender is, and take what it carries from there."""
         dim = self._config.mission.dim
         if len(beacon.position) != dim or len(beacon.end) != dim:
             raise MessageError("wrong_length", "a beacon of another dimension")
@@ -114,7 +87,13 @@ class RobotProcess:
         # A stamp in the future would make the beacon look younger than it is.
         seen = Seen(stamp=min(beacon.stamp, now), position=beacon.position, end=beacon.end)
         self.radio.place(sender, seen)
-        return seen
+
+        def hand_over() -> None:
+            self.radio.beacon(sender, seen)
+            if message is not None:
+                self.agent_loop.receive(message, sender)
+
+        self.radio.deliver(sender, hand_over, self._loop.call_later)
 
     def _on_state(self, _sender: int, state: WorldState) -> None:
         if len(state.bodies) == self._config.mission.n_robots:
@@ -122,32 +101,22 @@ class RobotProcess:
             self.body.update(state.bodies[self._robot])
             self._sees.set()
 
-    def _on_order(self, _sender: int, order: MissionOrder) -> None:
-        self.agent_loop.take_order(order)
-
     def _on_alive(self, number: int, alive: bool) -> None:
         (self._alive.add if alive else self._alive.discard)(number)
         if len(self._alive - {WORLD}) >= self._config.mission.n_robots:
             self._all_here.set()
-
-    def _record_call(self, attempt: Attempt) -> None:
-        self._calls.append(llm_entry(attempt).model_dump(mode="json"))
-
-    # ---------------------------------------------------------------- its life
 
     async def live(self) -> None:
         """Wait for the own sensors, then for the other robots as long as the configuration says; then begin."""
         network = self._config.network
         await self._sees.wait()
         self._link.declare_alive(self._robot)
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(network.gather_s), asyncio.TaskGroup() as group:
                 beacons = group.create_task(self._send_beacons())
                 await self._all_here.wait()
                 await asyncio.sleep(3 * network.beacon_s)
                 beacons.cancel()
-        except TimeoutError:
-            pass
         async with asyncio.TaskGroup() as group:
             loops = self._send_beacons(), self._control(), self.agent_loop.gossip(), self._report(), self._partition()
             for task in loops:
@@ -184,7 +153,7 @@ class RobotProcess:
         clock = PeriodClock(REPORT_S, self._phase_s)
         while True:
             await clock.next()
-            report = self.agent_loop.report(self._known, self._calls, self._latencies_s, self._link.traffic)
+            report = self.agent_loop.report(self._calls, self._latencies_s, self._link.traffic)
             self._calls, self._latencies_s = [], []
             self._link.publish("report", self._robot, pack(report))
 
@@ -204,22 +173,15 @@ class RobotProcess:
 async def run_robot(config: SwarmConfig, robot: int) -> None:
     """Be one robot until the process is told to end.
 
-    Args:
-        config: the swarm.
-        robot: own id.
-
     Raises:
         InputError: no such robot, or an endpoint that cannot be opened.
     """
     mission = config.mission
     if not 0 <= robot < mission.n_robots:
         raise InputError("id", robot, f"0 .. {mission.n_robots - 1}")
-    link = open_link(config, robot)
-    try:
+    with closing(open_link(config, robot)) as link:
         process = RobotProcess(config, robot, link)
         try:
             await until_stopped(process.live())
         finally:
             await process.planners.close()
-    finally:
-        link.close()

@@ -13,13 +13,11 @@ import os
 import signal
 import socket
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import FlockError
@@ -42,43 +40,24 @@ class SwarmError(FlockError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SwarmResult:
-    """Outcome of a swarm.
+    """Outcome of a swarm."""
 
-    Attributes:
-        stopped: why it ended: formed or time.
-        formed: whether the team formed, as for a run, with the time of a step in place of a round.
-        mission_s: from the first robot's first round until it formed [s]; None if it never did.
-        n_robots: robots alive at the end.
-        simulated: whether any language model was a simulated stand-in.
-        min_separation: smallest distance of two bodies, from the world's true positions, along segments [units].
-        model_calls: calls of language models.
-        calls_failed: calls without an answer.
-        tokens: in and out.
-        bytes_per_robot_s: messages and beacons broadcast, each counted once [bytes/s].
-        latency_p50_s: one-way latency of a beacon, median [s].
-        latency_p99_s: 99th percentile [s].
-        late_commands: commands that bodies refused because they came too late.
-        waypoints: waypoints flown, by origin.
-        messages_rejected: messages refused, by reason.
-        record: path of the record; None without one.
-    """
-
-    stopped: str
-    formed: bool
-    mission_s: float | None
-    n_robots: int
-    simulated: bool
-    min_separation: float
+    stopped: str  # why it ended: formed or time
+    formed: bool  # whether the team formed, as for a run, with the time of a step in place of a round
+    mission_s: float | None  # from the first robot's first round until it formed; None if it never did
+    n_robots: int  # alive at the end
+    simulated: bool  # whether any language model was a simulated stand-in
+    min_separation: float  # smallest distance of two bodies, by their true positions, along segments too [units]
     model_calls: int
-    calls_failed: int
-    tokens: int
-    bytes_per_robot_s: float
-    latency_p50_s: float | None
-    latency_p99_s: float | None
-    late_commands: int
-    waypoints: dict[str, int]
-    messages_rejected: dict[str, int]
-    record: str | None
+    calls_failed: int  # without an answer
+    tokens: int  # in and out
+    bytes_per_robot_s: float  # messages and beacons broadcast, each counted once [bytes/s]
+    latency_p50_s: float | None  # one-way latency of a beacon, median
+    latency_p99_s: float | None  # 99th percentile
+    late_commands: int  # commands that bodies refused because they came too late
+    waypoints: dict[str, int]  # flown, by origin
+    messages_rejected: dict[str, int]  # by reason
+    record: str | None  # its path; None without one
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -89,8 +68,7 @@ def free_port() -> int:
     """A TCP port that is free at the moment."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+        return probe.getsockname()[1]
 
 
 def world_config(config: SwarmConfig) -> SwarmConfig:
@@ -100,22 +78,15 @@ def world_config(config: SwarmConfig) -> SwarmConfig:
 
 
 class Swarm:
-    """The running processes of a swarm, and an observer of them. Made by `launched`.
+    """The running processes of a swarm, and an observer that follows them. Made by `launched`."""
 
-    Attributes:
-        pids: process ids by name: `world`, `recorder`, `robot-3`.
-        ended: exit codes of those that have ended.
-        observer: follows the swarm for the launcher.
-    """
-
-    def __init__(self, config: SwarmConfig, forkserver: asyncio.subprocess.Process, folder: Path) -> None:
+    def __init__(self, config: SwarmConfig, forkserver: asyncio.subprocess.Process) -> None:
         self.config = config
-        self.pids: dict[str, int] = {}
-        self.ended: dict[str, int] = {}
+        self.pids: dict[str, int] = {}  # by name: `world`, `recorder`, `robot-3`
+        self.ended: dict[str, int] = {}  # exit codes
         self.observer: Observer
-        self.ready = False
+        self.ready: set[str] = set()
         self._forkserver = forkserver
-        self._folder = folder
         self._news = asyncio.Condition()
 
     async def listen(self) -> None:
@@ -131,15 +102,11 @@ class Swarm:
                 elif "ended" in event:
                     self.ended[event["name"]] = event["ended"]
                 else:
-                    self.ready = True
+                    self.ready.add(event["ready"])
                 self._news.notify_all()
 
     async def wait_until(self, condition: Callable[[], bool], longest_s: float = START_S) -> None:
-        """Wait until starts or ends of processes make a condition true.
-
-        Raises:
-            TimeoutError: they did not in time.
-        """
+        """Wait until starts or ends of processes make a condition true; `TimeoutError` if that takes too long."""
         async with asyncio.timeout(longest_s), self._news:
             await self._news.wait_for(condition)
 
@@ -147,9 +114,7 @@ class Swarm:
         """Start a process."""
         line = self._forkserver.stdin
         assert line is not None
-        config = self.config
-        if kind == "world":
-            config = world_config(config)
+        config = world_config(self.config) if kind == "world" else self.config
         self.pids.pop(name, None)
         order = {"name": name, "kind": kind, "config": config.model_dump(mode="json"), **more}
         line.write(json.dumps(order).encode() + b"\n")
@@ -161,18 +126,12 @@ class Swarm:
         await self.start(f"robot-{robot}", "robot", id=robot)
 
     async def start_world(self) -> None:
-        """Start the world, and wait until others can connect to it.
-
-        Raises:
-            SwarmError: it did not start.
-        """
-        ready = self._folder / "ready"
-        await self.start("world", "world", ready=str(ready))
-        deadline = time.monotonic() + START_S
-        while not ready.exists():
-            if "world" in self.ended or time.monotonic() > deadline:
-                raise SwarmError("the world did not start")
-            await asyncio.sleep(0.02)
+        """Start the world, and wait until others can connect to it; `SwarmError` if it does not start."""
+        await self.start("world", "world")
+        with contextlib.suppress(TimeoutError):
+            await self.wait_until(lambda: "world" in self.ready or "world" in self.ended)
+        if "world" not in self.ready:
+            raise SwarmError("the world did not start")
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal to one process."""
@@ -190,8 +149,7 @@ class Swarm:
     async def run(self, until: Callable[[Observer], bool] = lambda observer: observer.formed_s is not None) -> str:
         """Watch until the team has formed (or `until`), or the time is over; returns which: formed or time.
 
-        Raises:
-            SwarmError: the world process ended.
+        Raises `SwarmError` if the world process ends.
         """
         deadline = time.monotonic() + self.config.network.max_s
         while time.monotonic() < deadline:
@@ -205,10 +163,9 @@ class Swarm:
 
     def result(self, stopped: str) -> SwarmResult:
         """The outcome so far."""
-        observer, reports = self.observer, self.observer.reports.values()
-        measured, began = observer.measurements, observer.began_s
+        observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
         seconds = sum(max(0.0, report.stamp - (began or report.stamp)) for report in reports)
-        ages = sorted(measured.latencies_s)
+        ages = sorted(observer.latencies_s)
 
         def percentile(share: float) -> float | None:
             return ages[min(len(ages) - 1, int(share * len(ages)))] if ages else None
@@ -219,33 +176,28 @@ class Swarm:
             mission_s=observer.mission_s,
             n_robots=len(observer.robots),
             simulated=self.config.simulated,
-            min_separation=measured.min_separation,
-            model_calls=measured.calls,
-            calls_failed=measured.calls_failed,
-            tokens=measured.tokens,
+            min_separation=observer.min_separation,
+            model_calls=observer.calls,
+            calls_failed=observer.calls_failed,
+            tokens=observer.tokens,
             bytes_per_robot_s=sum(report.bytes for report in reports) / seconds if seconds else 0.0,
             latency_p50_s=percentile(0.5),
             latency_p99_s=percentile(0.99),
-            late_commands=measured.late_commands,
+            late_commands=observer.late_commands,
             waypoints=dict(sum((Counter(report.waypoints) for report in reports), Counter[str]())),
-            messages_rejected=dict(sum((Counter(report.rejected) for report in reports), Counter[str]())),
+            messages_rejected=dict(observer.rejected),
             record=None if self.config.record is None else str(self.config.record),
         )
 
 
 @asynccontextmanager
 async def launched(
-    config: SwarmConfig,
-    *,
-    on_row: Callable[[TrialProgress], None] | None = None,
-    absent: frozenset[int] = frozenset(),
+    config: SwarmConfig, *, on_row: Callable[[TrialProgress], None] | None = None, absent: frozenset[int] = frozenset()
 ) -> AsyncGenerator[Swarm]:
-    """A swarm whose processes are running; all have ended when the context is left.
+    """A swarm whose processes are running, all but `absent` robots; all have ended when the context is left.
 
-    Args:
-        config: the swarm; with `out`, a recorder writes `run.mcap` there. An empty `connect` takes a free port.
-        on_row: called with the progress, once per step time.
-        absent: robots that are not started.
+    With `out`, a recorder writes `run.mcap` there. An empty `connect` takes a free port. `on_row` is called once per
+    step time.
 
     Raises:
         SwarmError: a process did not start.
@@ -264,11 +216,11 @@ async def launched(
         start_new_session=True,  # Ctrl-C is for the launcher only, and the whole group can be ended at once
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )
-    with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder, contextlib.ExitStack() as watching:
-        swarm = Swarm(config, forkserver, Path(folder))
+    with contextlib.ExitStack() as watching:
+        swarm = Swarm(config, forkserver)
         news = asyncio.create_task(swarm.listen())
         try:
-            await swarm.wait_until(lambda: swarm.ready)
+            await swarm.wait_until(lambda: "forkserver" in swarm.ready)
             await swarm.start_world()
             swarm.observer = watching.enter_context(observing(config, NullWriter(), on_row))
             if config.record is not None:
@@ -288,10 +240,6 @@ async def launched(
 
 
 async def run_swarm(config: SwarmConfig, on_row: Callable[[TrialProgress], None] | None = None) -> SwarmResult:
-    """Fly one mission with a swarm of processes on this machine.
-
-    Raises:
-        SwarmError: a process of it failed.
-    """
+    """Fly one mission with a swarm of processes on this machine; `SwarmError` if one of them fails."""
     async with launched(config, on_row=on_row) as swarm:
         return swarm.result(await swarm.run())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
@@ -18,7 +18,6 @@ from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import RobotReport, WorldState, pack
 from llm_flock.runtime.trial import TrialProgress
-from llm_flock.transport.zenoh import ZenohLink
 
 CHECK_S = 0.1
 """Time between two checks whether the team has formed [s]."""
@@ -30,9 +29,8 @@ SEND_S = 0.3
 """Time for a message to leave before its session is closed [s]."""
 
 
-def connect_outside(config: SwarmConfig, member: int = WATCHER) -> ZenohLink:
-    """Connect a process that is no part of the swarm, on a free port."""
-    return open_link(config, member, listen="tcp/127.0.0.1:0")
+FREE_PORT = "tcp/127.0.0.1:0"
+"""Where processes listen that are no part of the swarm."""
 
 
 @contextmanager
@@ -41,14 +39,11 @@ def observing(
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; call in a running event loop."""
     observer = Observer(config, sink, on_row)
-    link = connect_outside(config)
-    try:
+    with closing(open_link(config, WATCHER, FREE_PORT)) as link:
         receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
         receive(link, "report", RobotReport, observer.report)
         link.watch_alive(observer.comes_or_goes)
         yield observer
-    finally:
-        link.close()
 
 
 async def look(observer: Observer) -> None:
@@ -61,12 +56,7 @@ async def look(observer: Observer) -> None:
 async def run_watch(
     config: SwarmConfig, record: Path | None, on_row: Callable[[TrialProgress], None] | None = None
 ) -> None:
-    """Watch until the process is told to end.
-
-    Args:
-        config: the swarm.
-        record: file to write, None for none.
-        on_row: called with every row of the record.
+    """Watch, and with a path write a record, until the process is told to end.
 
     Raises:
         InputError: the record exists already.
@@ -76,13 +66,12 @@ async def run_watch(
         writer.write(run_info(config, simulated=config.simulated))
         observer = stack.enter_context(observing(config, writer, on_row))
         await until_stopped(look(observer))
-        measured = observer.measurements
         result = {
             "formed": observer.formed_s is not None,
             "mission_s": observer.mission_s,
-            "min_separation": measured.min_separation,
-            "model_calls": measured.calls,
-            "tokens": measured.tokens,
+            "min_separation": observer.min_separation,
+            "model_calls": observer.calls,
+            "tokens": observer.tokens,
         }
         writer.write(SummaryMessage(result=result))
 
@@ -90,14 +79,13 @@ async def run_watch(
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
     """Give another mission to one robot: the given one, or any. Returns the robot that took it, None if none did."""
     order = mission_order(config, dict(fields))
-    link = connect_outside(config, OPERATOR)
     found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def on_alive(number: int, alive: bool) -> None:
         if alive and number >= 0 and robot in (None, number) and not found.done():
             found.set_result(number)
 
-    try:
+    with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
         try:
             taker = await asyncio.wait_for(found, MEET_S)
@@ -106,5 +94,3 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
         link.publish("mission", taker, pack(order))
         await asyncio.sleep(SEND_S)
         return taker
-    finally:
-        link.close()

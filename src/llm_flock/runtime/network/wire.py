@@ -1,14 +1,6 @@
 """Messages between the processes of a swarm other than those of the protocol, as MessagePack.
 
-| topic | from | to | content |
-|---|---|---|---|
-| `say/ID` | robot | robots in radio range | `BeaconedMessage`: a protocol message, unchanged, behind a beacon |
-| `beacon/ID` | robot | robots in radio range | `Beacon`, where no message has carried one for a while |
-| `frame/-1` | world | robots (their sensors), observers | `WorldState` |
-| `command/ID` | robot | its body, in the world | `Command` |
-| `report/ID` | robot | observers | `RobotReport` |
-| `mission/ID` | operator | one robot | `MissionOrder` |
-| `alive/ID` | liveliness token | all processes | nothing |
+docs/reference/wire.md has a table of their topics.
 """
 
 from __future__ import annotations
@@ -47,35 +39,21 @@ class Body(msgspec.Struct, array_like=True, frozen=True):
 
 
 class WorldState(msgspec.Struct, array_like=True, frozen=True):
-    """All bodies at one moment.
-
-    Attributes:
-        stamp: by the wall clock [s].
-        closest: smallest distance of two bodies since the last state, also along their segments [units].
-        bodies: by id.
-        late: commands refused so far because they came too late.
-    """
+    """All bodies, by id, at one moment by the wall clock [s]."""
 
     stamp: float
-    closest: float
+    closest: float  # smallest distance of two bodies since the last state, also along their segments [units]
     bodies: tuple[Body, ...]
-    late: int
+    late: int  # commands refused so far because they came too late
 
 
 class Command(msgspec.Struct, array_like=True, frozen=True):
-    """Fly from where the body will stop straight on to `target`, up to the deadline.
+    """Fly from where the body will stop straight on to `target`, up to the deadline."""
 
-    Attributes:
-        number: counts the robot's commands.
-        stamp: when it was given, by the wall clock [s].
-        origin: where the robot believes that its body will stop; the body refuses another origin [units].
-        target: where to stop then [units; world frame].
-    """
-
-    number: int
-    stamp: float
-    origin: Point
-    target: Point
+    number: int  # counts the robot's commands
+    stamp: float  # when it was given, by the wall clock [s]
+    origin: Point  # where the robot believes that its body will stop; the body refuses another origin [units]
+    target: Point  # where to stop then [units; world frame]
 
 
 class MissionOrder(msgspec.Struct, frozen=True):
@@ -95,55 +73,30 @@ class ReportedEvent(msgspec.Struct, frozen=True):
 
 
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a robot, for observers only: no robot listens to it.
+    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame]."""
 
-    Attributes:
-        stamp: by the wall clock [s].
-        round: own count of motion rounds.
-        period: own count of heartbeat periods.
-        phase: phase of its state machine.
-        mission: counter and digest of the mission in force.
-        plan_id: digest of the plan it follows.
-        points: that plan's places, in the first report that names it.
-        proposer: robot that proposed it.
-        slot: index of its place in the plan.
-        goal: that place [units; world frame].
-        blocked: slots that it knows to be out of every robot's reach.
-        waypoint: where it is flying to [units; world frame].
-        origin: what chose that waypoint.
-        neighbors: |N_i|.
-        happened: events since the last report.
-        calls: model calls since the last report, in the fields of the record.
-        waypoints: waypoints flown so far, by origin.
-        sent: protocol messages broadcast so far.
-        bytes: bytes broadcast so far, beacons included.
-        rejected: messages refused so far, by reason.
-        latencies_s: one-way latencies of beacons heard since the last report [s].
-        shape: the mission's fields, in the first report that names its digest.
-    """
-
-    stamp: float
-    round: int
-    period: int
-    phase: str
-    mission: tuple[int, str]
-    plan_id: str | None
-    points: tuple[Point, ...] | None
-    proposer: int | None
-    slot: int | None
-    goal: Point | None
-    blocked: tuple[int, ...]
-    waypoint: Point | None
-    origin: str
-    neighbors: int
-    happened: tuple[ReportedEvent, ...]
-    calls: tuple[dict[str, Any], ...]
-    waypoints: dict[str, int]
-    sent: int
-    bytes: int
-    rejected: dict[str, int]
-    latencies_s: tuple[float, ...]
-    shape: dict[str, Any] | None
+    stamp: float  # by the wall clock [s]
+    round: int  # own count of motion rounds
+    period: int  # own count of heartbeat periods
+    phase: str  # of its state machine
+    mission: tuple[int, str]  # counter and digest of the mission in force
+    plan_id: str | None  # digest of the plan it follows
+    points: tuple[Point, ...] | None  # that plan's places, in the first report that names it
+    proposer: int | None  # robot that proposed it
+    slot: int | None  # index of its place in the plan
+    goal: Point | None  # that place
+    blocked: tuple[int, ...]  # slots that it knows to be out of every robot's reach
+    waypoint: Point | None  # where it is flying to
+    origin: str  # what chose that waypoint
+    neighbors: int  # |N_i|
+    happened: tuple[ReportedEvent, ...]  # since the last report
+    calls: tuple[dict[str, Any], ...]  # model calls since the last report, in the fields of the record
+    waypoints: dict[str, int]  # flown so far, by origin
+    sent: int  # protocol messages broadcast so far
+    bytes: int  # broadcast so far, beacons included
+    rejected: dict[str, int]  # messages refused so far, by reason
+    latencies_s: tuple[float, ...]  # one-way, of beacons heard since the last report
+    shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
 
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -157,11 +110,7 @@ def pack(message: msgspec.Struct) -> bytes:
 
 
 def unpack(kind: type[T], payload: bytes) -> T:
-    """The message that `pack` encoded.
-
-    Raises:
-        MessageError: it is not of this kind or version.
-    """
+    """The message that `pack` encoded; `MessageError` if it is not of this kind or version."""
     if payload[:1] != bytes([WIRE_VERSION]):
         raise MessageError("version", f"this program speaks version {WIRE_VERSION}")
     try:

@@ -12,6 +12,7 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Body, Command, WorldState, pack
 from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.transport.zenoh import ZenohLink
 
 SUBSTEP_S = 0.01
 """Longest piece of a path along which the separation is measured: paths have corners [s]."""
@@ -35,19 +37,14 @@ SAME_POSITION = 1e-9
 class WorldBodies:
     """True positions of all bodies, and the path that each is flying.
 
-    Args:
-        start: shape (n, d) [units].
-        speed: of every body [units/s].
-        period_s: time in which a command's segment is to be flown [s].
-        lag_s: largest age of a command on arrival; its deadline is later by as much [s].
-        now: the time [s].
+    All fly at `speed` [units/s] from `start`, of shape (n, d) [units]. A command is at most `lag_s` old on arrival; its
+    segment is to be flown in `period_s`, and its deadline is later by `lag_s`.
     """
 
     def __init__(self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float) -> None:
         self.positions: Points = np.array(start, dtype=np.float64)
         self.late = 0
-        self.smallest = metrics.min_separation(self.positions)
-        self._closest = self.smallest
+        self._closest = metrics.min_separation(self.positions)
         self._standing: float | None = None
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._now = now
@@ -84,9 +81,7 @@ class WorldBodies:
                 if path:
                     self._fly(robot, path, step)
             self._now += step
-            nearest = metrics.segment_separation(before, self.positions)
-            self._closest = min(self._closest, nearest)
-            self.smallest = min(self.smallest, nearest)
+            self._closest = min(self._closest, metrics.segment_separation(before, self.positions))
 
     def _fly(self, robot: int, path: list[Point], step: float) -> None:
         left = self._speed * min(step, self._deadlines[robot] - self._now)
@@ -120,18 +115,12 @@ class WorldBodies:
 
     def states(self) -> tuple[Body, ...]:
         """Every body, by id."""
-        rows: list[Point] = [tuple(row) for row in self.positions.tolist()]
-        return tuple(
-            Body(position=row, end=self._end(robot), command=self._answered[robot]) for robot, row in enumerate(rows)
-        )
+        rows = enumerate(self.positions.tolist())
+        return tuple(Body(tuple(row), self._end(robot), self._answered[robot]) for robot, row in rows)
 
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
-    """Simulate the bodies until the process is told to end.
-
-    Args:
-        config: the swarm; `start` and `seed` choose the start positions.
-        on_ready: called once the endpoint is open.
+    """Simulate the bodies until the process is told to end; `on_ready` is called once the endpoint is open.
 
     Raises:
         InputError: the endpoint cannot be opened, or there is no room for the starts.
@@ -139,13 +128,12 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
     mission, network, trial = config.mission, config.network, config.trial
     start = start_positions(mission, trial.start_positions, trial.start, stream(trial.seed, Stream.START))
     bodies = WorldBodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
-    link = open_link(config, WORLD)
 
     def obey(sender: int, order: Command) -> None:
         if 0 <= sender < mission.n_robots:
             bodies.command(sender, order, time.time())
 
-    async def publish_states() -> None:
+    async def publish_states(link: ZenohLink) -> None:
         while True:
             now = time.time()
             bodies.advance(now)
@@ -153,11 +141,9 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
             link.publish("frame", WORLD, pack(state))
             await asyncio.sleep(network.frame_s)
 
-    try:
+    with closing(open_link(config, WORLD)) as link:
         receive(link, "command", Command, obey)
         link.declare_alive(WORLD)
         if on_ready is not None:
             on_ready()
-        await until_stopped(publish_states())
-    finally:
-        link.close()
+        await until_stopped(publish_states(link))
