@@ -179,7 +179,11 @@ class CrazyflieLink:
                 raise InputError("parameters", name, f"those that {self._name} has and lets be set ({error})") from None
 
     async def log(
-        self, name: str, period_ms: int, variables: Mapping[str, str], take: Callable[[Mapping[str, float]], None]
+        self,
+        name: str,
+        period_ms: int,
+        variables: Mapping[str, str],
+        take: Callable[[Mapping[str, float], float], None],
     ) -> None:
         """Start a log block.
 
@@ -187,14 +191,14 @@ class CrazyflieLink:
             name: of the block.
             period_ms: of the packets, a multiple of 10.
             variables: their types in packets, by name.
-            take: called in cflib's thread with the values by name.
+            take: called in cflib's thread with the values by name, and the time of arrival [s].
 
         Raises:
             RobotError: the firmware does not know one of them.
         """
 
         def came(_stamp: int, data: dict[str, float], _block: object) -> None:
-            take(data)
+            take(data, time.monotonic())
 
         block = library().log.LogConfig(name, period_ms)
         for variable, kind in variables.items():

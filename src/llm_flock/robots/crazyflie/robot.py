@@ -80,7 +80,7 @@ class CrazyflieRobot:
         if not uri.startswith(SCHEMES):
             raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
         self.uri = uri
-        self._name = name
+        self.name = name
         self._limits = limits or MotionLimits()
         self._link_timeout_s = link_timeout_s
         self._parameters = dict(parameters or {})
@@ -89,15 +89,8 @@ class CrazyflieRobot:
         self._log = Telemetry()
         self._connected = self._lost = self._aloft = False
         self._set_point: Position | None = None
-        self._segment: tuple[Segment, float] | None = None
+        self._segment: Segment | None = None
         self._yaw = 0.0
-
-    @property
-    def name(self) -> str:
-        """The name in reports and errors."""
-        return self._name
-
-    # ------------------------------------------------------------ link and state
 
     async def connect(self, timeout_s: float) -> None:
         """Open the link and wait for the first estimate; reopens a lost link, also in flight.
@@ -108,19 +101,15 @@ class CrazyflieRobot:
         """
         end = time.monotonic() + timeout_s
         await self._link.close()
-        self._link, log = CrazyflieLink(self._name, self.uri, self._cache), Telemetry()
+        self._link, log = CrazyflieLink(self.name, self.uri, self._cache), Telemetry()
         self._set_point, self._segment = None, None
         await self._link.connect(timeout_s, self._parameters)
         try:
-            await self._link.log(
-                "position", POSITION_PERIOD_MS, POSITION_LOG, lambda data: log.take_position(data, time.monotonic())
-            )
-            await self._link.log(
-                "variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, lambda data: log.take_variance(data, time.monotonic())
-            )
+            await self._link.log("position", POSITION_PERIOD_MS, POSITION_LOG, log.take_position)
+            await self._link.log("variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, log.take_variance)
             while log.position is None:
                 if time.monotonic() >= end:
-                    raise RobotError(self._name, f"no position within {timeout_s:g} s")
+                    raise RobotError(self.name, f"no position within {timeout_s:g} s")
                 await asyncio.sleep(0.005)
         except BaseException:
             await self._link.close()
@@ -131,7 +120,7 @@ class CrazyflieRobot:
         """The newest state that was logged."""
         log, now = self._log, time.monotonic()
         if not self._connected or log.position is None:
-            raise RobotError(self._name, "was never connected")
+            raise RobotError(self.name, "was never connected")
         if self._link.lost is not None or self._link.silent_s(now) > self._link_timeout_s:
             self._lost = True
         return RobotState(
@@ -156,20 +145,18 @@ class CrazyflieRobot:
             RobotError: not connected, or the link is lost.
         """
         if not self._connected or not self._link.open:
-            raise RobotError(self._name, self._link.why_closed)
+            raise RobotError(self.name, self._link.why_closed)
         state = self.state()
         if state.link_lost:
-            raise RobotError(self._name, f"the link is lost: {self._link.lost or 'nothing comes any more'}")
+            raise RobotError(self.name, f"the link is lost: {self._link.lost or 'nothing comes any more'}")
         return state
-
-    # ------------------------------------------------------------ flying
 
     async def arm(self) -> None:
         """Arm the drone, and repeat until the supervisor confirms it."""
         end = time.monotonic() + ARM_S
         while not self._ready().armed:
             if time.monotonic() >= end:
-                raise RobotError(self._name, f"does not arm; its supervisor says: {says(self._log.info)}")
+                raise RobotError(self.name, f"does not arm; its supervisor says: {says(self._log.info)}")
             await self._link.send(lambda cf: cf.supervisor.send_arming_request(True))
             await self._until(lambda: self.state().armed, min(0.2, max(0.0, end - time.monotonic())))
 
@@ -191,7 +178,7 @@ class CrazyflieRobot:
         """Fly the straight segment from the last set-point, keeping the yaw."""
         state = self._ready()
         if not self._aloft and not state.flying:
-            raise RobotError(self._name, "is not in the air")
+            raise RobotError(self.name, "is not in the air")
         start = self._set_point or state.position
         sent = self._limits.clip(start, target, duration_s)
         await self._go(sent.target, duration_s)
@@ -204,8 +191,7 @@ class CrazyflieRobot:
             return
         stop: Position | None = state.position
         if self._segment is not None:
-            segment, began = self._segment
-            stop = stopping_point(segment, time.monotonic() - began, HOLD_S)
+            stop = stopping_point(self._segment, time.monotonic(), HOLD_S)
         if stop is not None:
             await self._go(stop, HOLD_S)
             self._segment, self._set_point = None, stop
@@ -234,8 +220,9 @@ class CrazyflieRobot:
         return False
 
     def _flies(self, start: Position, sent: Commanded) -> Commanded:
-        segment = Segment(start=start, target=sent.target, duration_s=sent.duration_s)
-        self._segment, self._set_point = (segment, time.monotonic()), sent.target
+        now = time.monotonic()
+        self._segment = Segment(start=start, target=sent.target, duration_s=sent.duration_s, began_s=now)
+        self._set_point = sent.target
         return sent
 
     async def _go(self, target: Position, duration_s: float) -> None:
@@ -261,8 +248,8 @@ class CrazyflieRobot:
                 return
             if answer is not None:
                 said = says(self._log.info)
-                raise _Refused(self._name, f"refused {what} (answer {answer}); its supervisor says: {said}")
-        raise RobotError(self._name, f"did not confirm {what}, sent {ATTEMPTS} times")
+                raise _Refused(self.name, f"refused {what} (answer {answer}); its supervisor says: {said}")
+        raise RobotError(self.name, f"did not confirm {what}, sent {ATTEMPTS} times")
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         end = time.monotonic() + timeout_s

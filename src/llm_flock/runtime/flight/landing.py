@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from llm_flock.robots.base import PEAK_SPEED, Position, RobotError
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import SetPointCheck, moving
+from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
 MARGIN_S = 3.0
@@ -228,8 +229,9 @@ class Landing:
                 await asyncio.sleep(AGAIN_S)
             else:
                 return
-        self._log.note("given_up", robot, position=list(self._team.motions[robot].end))
+        self._log.note("given_up", robot, position=list(self._team.motions[robot].target))
         self.ends[robot] = TOLD if robot in self._told else LOST
 
     def _fly(self, robot: int, start: Position, end: Position, seconds: float) -> None:
-        self._team.motions[robot] = moving(start, end, time.monotonic(), seconds)
+        now = time.monotonic()
+        self._team.motions[robot] = Segment(start=start, target=end, duration_s=seconds, began_s=now)

@@ -13,8 +13,9 @@ from llm_flock.errors import RecordError
 from llm_flock.record.schema import BodySample, Entry, FlightEvent
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import RobotState
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Motion, scale_heights
+from llm_flock.runtime.flight.setpoints import scale_heights
 
 SAMPLE_S = 0.1
 """Time between two samples in the record [s]."""
@@ -60,10 +61,10 @@ class FlightLog:
         self._write(event)
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Segment], airborne: frozenset[int]
     ) -> None:
         """Measure all drones; every `SAMPLE_S` also record them."""
-        commanded = [motion.at(state.stamp_s) for state, motion in zip(states, motions, strict=True)]
+        commanded = [motion.at(state.stamp_s)[0] for state, motion in zip(states, motions, strict=True)]
         measured = self.measurements
         for robot in airborne:
             off = math.dist(states[robot].position, commanded[robot])

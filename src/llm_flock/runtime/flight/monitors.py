@@ -14,8 +14,9 @@ from enum import Enum
 from scipy.spatial.distance import pdist
 
 from llm_flock.robots.base import Position, RobotState
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Motion, scale_heights
+from llm_flock.runtime.flight.setpoints import scale_heights
 
 PERIOD_S = 0.05
 """Time between two checks [s]."""
@@ -75,7 +76,7 @@ class Monitors:
         self._off_since: dict[int, float] = {}
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Segment], airborne: frozenset[int]
     ) -> list[Trouble]:
         """Every trouble at this moment; one that lasts is returned again by every call.
 
@@ -91,7 +92,7 @@ class Monitors:
         found.extend(self._pairs(states, airborne))
         return found
 
-    def _one(self, now: float, robot: int, state: RobotState, motion: Motion, airborne: bool) -> list[Trouble]:
+    def _one(self, now: float, robot: int, state: RobotState, motion: Segment, airborne: bool) -> list[Trouble]:
         safety = self._safety
         found: list[Trouble] = []
 
@@ -118,7 +119,7 @@ class Monitors:
         low = state.battery_v is not None and state.battery_v < safety.low_battery_v
         if self._lasts(self._low_since, robot, low, now, safety.low_battery_s):
             report(TroubleKind.BATTERY_LOW, f"its battery has {state.battery_v:.2f} V")
-        off = math.dist(state.position, motion.at(state.stamp_s))
+        off = math.dist(state.position, motion.at(state.stamp_s)[0])
         if self._lasts(self._off_since, robot, airborne and off > safety.tracking_m, now, safety.off_course_s):
             report(TroubleKind.OFF_COURSE, f"it is {off:.2f} m from its set-point")
         return found

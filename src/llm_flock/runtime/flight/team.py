@@ -11,10 +11,11 @@ import numpy as np
 
 from llm_flock.arrays import Point, Points
 from llm_flock.robots.base import Position, Robot, RobotState
+from llm_flock.robots.segment import Segment
 from llm_flock.robots.simulated import Sensing, SimulatedTeam
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import Motion, SetPointCheck, moving, resting
+from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
 
 LOOK_S = 0.02
 """Time between two checks whether the drones have arrived [s]."""
@@ -60,7 +61,7 @@ class FlyingTeam:
         self._check = SetPointCheck(config)
         self._log = log
         places = [state.position for state in self.states()]
-        self.motions: list[Motion] = [resting(place) for place in places]
+        self.motions: list[Segment] = [resting(place) for place in places]
         above = [(x, y, config.world.altitude_m) for x, y, _ in places]  # where the mission begins
         self._aims = self._sensors(np.array([self._frame.to_mission(place) for place in above]))
 
@@ -74,7 +75,7 @@ class FlyingTeam:
     def set_points(self) -> list[Position]:
         """Set-points of all drones now [m]."""
         now = time.monotonic()
-        return [motion.at(now) for motion in self.motions]
+        return [motion.at(now)[0] for motion in self.motions]
 
     def take_off(self, robot: int) -> None:
         """Count a drone as in the air. Call before its command to take off, so that the deadman knows of it first."""
@@ -124,7 +125,7 @@ class FlyingTeam:
         """
         self._log.round += 1
         safety = self._config.safety
-        before = [motion.end for motion in self.motions]
+        before = [motion.target for motion in self.motions]
         aims = self._aims.positions + displacements
         after = [self._frame.to_world(tuple(row)) for row in aims.tolist()]
         faults = self._check.faults(before, after, safety.round_s)
@@ -146,7 +147,7 @@ class FlyingTeam:
         async def one(robot: int) -> Position:
             order = await asyncio.wait_for(self.robots[robot].go_to(after[robot], duration_s), SEND_S)
             end = order.target if math.dist(order.target, after[robot]) > CLIPPED_M else after[robot]
-            self.motions[robot] = moving(before[robot], end, began, order.duration_s)
+            self.motions[robot] = Segment(start=before[robot], target=end, duration_s=order.duration_s, began_s=began)
             return end
 
         results = await asyncio.gather(*map(one, range(len(self.robots))), return_exceptions=True)
@@ -161,6 +162,6 @@ class FlyingTeam:
         until = time.monotonic() + longest_s
         while time.monotonic() < until:
             places = [state.position for state in self.states()]
-            if all(math.dist(x, motion.end) <= within_m for x, motion in zip(places, self.motions, strict=True)):
+            if all(math.dist(x, motion.target) <= within_m for x, motion in zip(places, self.motions, strict=True)):
                 return
             await asyncio.sleep(LOOK_S)
