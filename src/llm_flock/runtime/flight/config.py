@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
@@ -10,7 +11,7 @@ from pydantic import Field, model_validator
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
-from llm_flock.runtime.flight.frame import MissionFrame, middle
+from llm_flock.runtime.flight.frame import MissionFrame
 
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 
@@ -34,17 +35,10 @@ class WorldConfig(ConfigSection):
 
     scale_m: float = _length(0.1, "Length of one mission unit")
     stretch: float = Field(
-        default=1.0,
-        ge=1,
-        le=100,
-        allow_inf_nan=False,
-        description="Missions in space: extra scale of z over x and y",
+        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
     )
     yaw_deg: float = Field(
-        default=0.0,
-        ge=-360,
-        le=360,
-        description="The mission's x axis in the world, counterclockwise [degrees]",
+        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
     )
     origin_m: tuple[Metres, Metres] = Field(
         default=(0.0, 0.0), description="Middle of the arena in the world, x and y [m]"
@@ -119,10 +113,7 @@ class SafetyConfig(ConfigSection):
     off_course_s: float = _seconds(0.5, "Longest time that a drone may be farther than tracking_m from its set-point")
     cut_outside_m: float = _length(1.0, "Cut the motors of a drone that is this far outside the geofence")
     silent_rounds: int = Field(
-        default=3,
-        ge=1,
-        le=1000,
-        description="Land after this many rounds in a row without an answer of a model",
+        default=3, ge=1, le=1000, description="Land after this many rounds in a row without an answer of a model"
     )
     think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
     max_flight_s: float = _seconds(240.0, "Land after this time in the air")
@@ -164,11 +155,10 @@ class FlightConfig(RunConfig):
             twice = next((value for value in given if given.count(value) > 1), None)
             if twice is not None:
                 raise InputError("drones", twice, f"a {field} for each drone; this one is there twice")
-        starts = {drone.name: (drone.start[0], drone.start[1]) for drone in drones if drone.start is not None}
-        names = list(starts)
-        for k, one in enumerate(names):
-            for two in names[:k]:
-                apart = math.dist(starts[one], starts[two])
+        starts = [(drone.name, drone.start[:2]) for drone in drones if drone.start is not None]
+        for k, (one, here) in enumerate(starts):
+            for two, there in starts[:k]:
+                apart = math.dist(here, there)
                 if apart < self.safe_distance_m - ROUNDING_M:
                     raise InputError(
                         "drones",
@@ -224,12 +214,10 @@ class FlightConfig(RunConfig):
         low, high = self.world.geofence
         if any(a >= b for a, b in zip(low, high, strict=True)):
             raise InputError("geofence", self.world.geofence, "two corners, each number of the first one lower")
-        inner_low, inner_high = self.inner_fence
-        for corner in self.frame.corners(self.mission):
-            if not all(
-                a - ROUNDING_M <= x <= b + ROUNDING_M for a, x, b in zip(inner_low, corner, inner_high, strict=True)
-            ):
-                x, y, z = corner
+        bounds, frame = list(zip(*self.inner_fence, strict=True)), self.frame
+        for corner in product(*zip(*self.mission.arena, strict=True)):
+            x, y, z = frame.to_world(corner)
+            if not all(a - ROUNDING_M <= v <= b + ROUNDING_M for v, (a, b) in zip((x, y, z), bounds, strict=True)):
                 raise InputError(
                     "geofence",
                     self.world.geofence,
@@ -256,7 +244,7 @@ class FlightConfig(RunConfig):
         """The mission in the world."""
         world = self.world
         return MissionFrame(
-            anchor=middle(self.mission),
+            anchor=tuple((a + b) / 2 for a, b in zip(*self.mission.arena, strict=True)),
             scale_m=world.scale_m,
             stretch=world.stretch if self.mission.dim == 3 else 1.0,
             yaw=math.radians(world.yaw_deg),

@@ -51,7 +51,7 @@ class Flight:
     """Flies one mission. Call `run` once; `abort` and `emergency` at any time meanwhile.
 
     Args:
-        config: the flight file.
+        config: of the flight.
         robots: one for each robot of the mission, not connected yet.
         on_round: called after each round, for a live display.
         on_stage: called with the name of each stage as it begins.
@@ -63,12 +63,12 @@ class Flight:
         robots: Sequence[Robot],
         *,
         on_round: Callable[[TrialProgress], None] | None = None,
-        on_stage: Callable[[str], None] | None = None,
+        on_stage: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._config = config
         self._robots = robots
         self._on_round = on_round
-        self._on_stage = on_stage or _ignore
+        self._on_stage = on_stage
         self._supervisor: FlightSupervisor | None = None
 
     def abort(self) -> bool:
@@ -118,7 +118,7 @@ class Flight:
         team = FlyingTeam(config, self._robots, log)
         supervisor = self._supervisor = FlightSupervisor(config, team, log)
         self._limit_waits(planners, supervisor)
-        rules, start = config.protocol.rules(), team.set_point_rows
+        rules, start = config.protocol.rules(), team.places
         trial = build_trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
         landing = Landing(config, team, log)
@@ -172,22 +172,18 @@ class Flight:
                 ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
-        found, trouble = log.measurements, supervisor.trouble
+        trouble = supervisor.trouble
         return FlightFigures(
             ended="mission" if trouble is None else trouble.kind.value,
             reason=None if trouble is None else trouble.detail,
             ends=ends,
             safe=set(ends.values()) <= SAFE_ENDS,
             air_s=round(supervisor.aloft_s, 3),
-            min_separation_m=found.nearest_m if found.nearest_m < float("inf") else None,
-            tracking_rms_m=(found.squares / found.counted) ** 0.5 if found.counted else None,
-            tracking_max_m=found.worst_m if found.counted else None,
-            fan_out_ms=1000 * max(found.fan_outs_s) if found.fan_outs_s else None,
+            min_separation_m=log.nearest_m if log.nearest_m < float("inf") else None,
+            tracking_rms_m=(log.squares / log.counted) ** 0.5 if log.counted else None,
+            tracking_max_m=log.worst_m if log.counted else None,
+            fan_out_ms=1000 * max(log.fan_outs_s) if log.fan_outs_s else None,
         )
-
-
-def _ignore(_: str) -> None:
-    pass
 
 
 def _end_unwatched(task: asyncio.Task[None], supervisor: FlightSupervisor) -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
 from llm_flock.robots.base import Position
 
 
@@ -40,11 +37,7 @@ class MissionFrame:
         dx, dy = ((x - a) * self.scale_m for x, a in zip(point[:2], self.anchor[:2], strict=True))
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         rise = (point[2] - self.anchor[2]) * self.scale_m * self.stretch if len(point) > 2 else 0.0
-        return (
-            self.origin[0] + cos * dx - sin * dy,
-            self.origin[1] + sin * dx + cos * dy,
-            self.altitude_m + rise,
-        )
+        return (self.origin[0] + cos * dx - sin * dy, self.origin[1] + sin * dx + cos * dy, self.altitude_m + rise)
 
     def to_mission(self, position: Position) -> Point:
         """A position of the world in the mission [units]; a mission in the plane drops the altitude."""
@@ -57,13 +50,3 @@ class MissionFrame:
         if len(self.anchor) == 2:
             return plane
         return (*plane, self.anchor[2] + (position[2] - self.altitude_m) / (self.scale_m * self.stretch))
-
-    def corners(self, mission: Mission) -> Iterator[Position]:
-        """The corners of the mission's arena in the world [m]."""
-        for corner in product(*zip(*mission.arena, strict=True)):
-            yield self.to_world(corner)
-
-
-def middle(mission: Mission) -> Point:
-    """The middle of the mission's arena [units]."""
-    return tuple((a + b) / 2 for a, b in zip(*mission.arena, strict=True))
