@@ -5,24 +5,15 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink
-from llm_flock.robots.crazyflie.telemetry import (
-    ARMED,
-    FLYING,
-    LOCKED,
-    POSITION_LOG,
-    POSITION_PERIOD_MS,
-    VARIANCE_LOG,
-    VARIANCE_PERIOD_MS,
-    Telemetry,
-    says,
-)
 from llm_flock.robots.segment import Segment, stopping_point
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
@@ -49,6 +40,81 @@ HOLD_S = 1.0
 
 REFUSED = 1
 """The firmware's answer to a take-off in flight, and to a second landing."""
+
+POSITION_LOG: Mapping[str, str] = MappingProxyType(
+    {
+        "stateEstimate.x": "float",
+        "stateEstimate.y": "float",
+        "stateEstimate.z": "float",
+        "stateEstimate.yaw": "FP16",
+        "pm.vbat": "FP16",
+        "supervisor.info": "uint16_t",
+    }
+)
+"""Variables of the frequent log block, and their types in packets: 18 of the 26 bytes that a packet holds."""
+
+VARIANCE_LOG: Mapping[str, str] = MappingProxyType(
+    {"kalman.varPX": "float", "kalman.varPY": "float", "kalman.varPZ": "float"}
+)
+"""Variables of the log block for `settled`."""
+
+POSITION_PERIOD_MS = 50
+VARIANCE_PERIOD_MS = 100
+
+SETTLED_SAMPLES = 10
+SETTLED_RANGE = 0.001
+"""The estimator has converged when the variance of no axis changed by more than this [m^2] over the last
+`SETTLED_SAMPLES` samples (the measure of cflib's `Swarm.reset_estimators`, over one second instead of five)."""
+
+CAN_ARM, ARMED, FLYING, TUMBLED, LOCKED, CRASHED = 0x01, 0x02, 0x10, 0x20, 0x40, 0x80
+"""Bits of `supervisor.info` (firmware: `src/modules/src/supervisor.c`)."""
+
+_NAMES = {
+    CAN_ARM: "can be armed",
+    ARMED: "armed",
+    FLYING: "flying",
+    TUMBLED: "tumbled",
+    LOCKED: "locked: restart it",
+    CRASHED: "crashed: recover it",
+}
+
+
+def says(info: int) -> str:
+    """The supervisor's state, in words."""
+    return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
+
+
+class Telemetry:
+    """The newest values that were logged. Written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self.position: Position | None = None
+        self.stamp_s = 0.0
+        self.yaw_deg = 0.0
+        self.battery_v: float | None = None
+        self.info = 0
+        self._variances: deque[tuple[float, float, float]] = deque(maxlen=SETTLED_SAMPLES)
+        self._variance_stamp_s = 0.0
+
+    def take_position(self, data: Mapping[str, float], now: float) -> None:
+        """Take a packet of `POSITION_LOG` that arrived at `now`."""
+        self.battery_v = float(data["pm.vbat"])
+        self.info = int(data["supervisor.info"])
+        self.yaw_deg = float(data["stateEstimate.yaw"])
+        self.position = (float(data["stateEstimate.x"]), float(data["stateEstimate.y"]), float(data["stateEstimate.z"]))
+        self.stamp_s = now
+
+    def take_variance(self, data: Mapping[str, float], now: float) -> None:
+        """Take a packet of `VARIANCE_LOG` that arrived at `now`."""
+        self._variances.append((data["kalman.varPX"], data["kalman.varPY"], data["kalman.varPZ"]))
+        self._variance_stamp_s = now
+
+    def settled(self, now: float) -> bool:
+        """Whether the estimator has converged, by recent samples."""
+        samples = list(self._variances)
+        if len(samples) < SETTLED_SAMPLES or now - self._variance_stamp_s > SETTLED_SAMPLES * VARIANCE_PERIOD_MS / 1e3:
+            return False
+        return all(max(axis) - min(axis) < SETTLED_RANGE for axis in zip(*samples, strict=True))
 
 
 class _Refused(RobotError):
@@ -139,11 +205,7 @@ class CrazyflieRobot:
         await self._link.close()
 
     def _ready(self) -> RobotState:
-        """The state, if the link works.
-
-        Raises:
-            RobotError: not connected, or the link is lost.
-        """
+        """The state; raises RobotError if the link does not work."""
         if not self._connected or not self._link.open:
             raise RobotError(self.name, self._link.why_closed)
         state = self.state()
@@ -232,11 +294,7 @@ class CrazyflieRobot:
         await self._command(number, lambda cf, left: cf.go_to(x, y, z, self._yaw, left), duration_s, "a way-point")
 
     async def _command(self, number: int, send: Callable[[Any, float], None], duration_s: float, what: str) -> None:
-        """Send until the firmware answers, each time with the rest of the duration.
-
-        Raises:
-            RobotError: refused, or never answered.
-        """
+        """Send until the firmware answers, each time with the rest of the duration; raises RobotError."""
         began = time.monotonic()
         for attempt in range(ATTEMPTS):
             left = max(SHORTEST_S, duration_s - (time.monotonic() - began))

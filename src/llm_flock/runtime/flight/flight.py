@@ -36,12 +36,7 @@ SAFE_ENDS = frozenset({LANDED, STOPPED, NEVER_UP, CUT})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """The result of a flight, or of a preflight that was not passed.
-
-    Attributes:
-        report: the preflight.
-        result: the trial that was flown, with the flight in its summary; None if nothing took off.
-    """
+    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off)."""
 
     report: PreflightReport
     result: RunResult | None = None

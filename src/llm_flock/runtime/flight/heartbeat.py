@@ -32,11 +32,9 @@ class NoDeadman(FlockError):
 
 
 class Heartbeat(BaseModel):
-    """A sign of life of the flight process: one line of JSON.
+    """A sign of life of the flight process, one line of JSON: ids of the drones in the air, for the deadman to land.
 
-    Attributes:
-        aloft: ids of the drones in the air, which the deadman has to land.
-        farewell: the flight is over; the deadman is to end.
+    With a farewell the flight is over, and the deadman ends.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -48,9 +46,7 @@ class Heartbeat(BaseModel):
 class HeartbeatSender:
     """Runs a deadman as long as its context lasts; its heartbeats stop when this process's event loop does.
 
-    Args:
-        config: the flight; no process is started where it needs no deadman.
-        aloft: returns the drones in the air.
+    No process is started for a flight that needs none. `aloft` returns the drones in the air.
     """
 
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]]) -> None:
@@ -58,11 +54,6 @@ class HeartbeatSender:
         self._aloft = aloft
         self._process: subprocess.Popen[bytes] | None = None
         self._beating: asyncio.Task[None] | None = None
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the deadman; None without one."""
-        return None if self._process is None else self._process.pid
 
     async def __aenter__(self) -> Self:
         if self._config.fleet.watched:

@@ -49,13 +49,7 @@ RINGS, SPOTS = 12, 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Descent:
-    """How one drone lands: first aside to `via` if given, then straight down.
-
-    Attributes:
-        robot: id.
-        spot: where it lands, x and y [m].
-        via: set-point above that spot at the drone's altitude; None if it hovers there already.
-    """
+    """How one drone lands: first aside to `via` if given, a set-point above its spot, then straight down [m]."""
 
     robot: int
     spot: tuple[float, float]
@@ -129,11 +123,6 @@ def _descent(
 class Landing:
     """Lands drones, and keeps calling those out of reach until they answer or the time is up.
 
-    Args:
-        config: times and distances.
-        team: the drones.
-        log: records events.
-
     Attributes:
         ends: how each drone ended: LANDED, STOPPED, TOLD or LOST.
     """
@@ -154,8 +143,8 @@ class Landing:
         standing = [state.position for robot, state in enumerate(team.states()) if robot not in places]
         async with asyncio.TaskGroup() as group:
             for batch in plan_landing(self._config, places, standing):
-                rescues = await asyncio.gather(*(self._land(descent) for descent in batch))
-                for descent, reached in zip(batch, rescues, strict=True):
+                results = await asyncio.gather(*map(self._land, batch))
+                for descent, reached in zip(batch, results, strict=True):
                     if not reached:
                         group.create_task(self._call_down(descent))
 

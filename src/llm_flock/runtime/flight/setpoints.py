@@ -30,11 +30,7 @@ def scale_heights(positions: Sequence[Position], beside: float, above: float) ->
 
 
 class SetPointCheck:
-    """Checks the set-points of a round.
-
-    Args:
-        config: the limits.
-    """
+    """Checks the set-points of a round."""
 
     def __init__(self, config: FlightConfig) -> None:
         safety = config.safety
@@ -50,16 +46,10 @@ class SetPointCheck:
         )
 
     def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
-        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown.
-
-        Args:
-            before: set-points now, by robot [m].
-            after: set-points at the end [m].
-            duration_s: of the motion [s].
-        """
-        found = [
-            text for k, (x, y) in enumerate(zip(before, after, strict=True)) for text in self._one(k, x, y, duration_s)
-        ]
+        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown [m, s]."""
+        found: list[str] = []
+        for robot, (start, end) in enumerate(zip(before, after, strict=True)):
+            found += self._one(robot, start, end, duration_s)
         nearest = self.separation(before, after)
         if nearest < self._beside - SLACK_M:
             found.append(f"two set-points come as near as {nearest:.3f} m; at least {self._beside:g} m is asked for")

@@ -34,9 +34,8 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
         RobotError: a drone refused.
         TimeoutError: a drone did not answer.
     """
-    robots = range(len(team.robots))
-    size = config.fleet.take_off_group
-    for first in range(0, len(robots), size):
+    robots, size = range(len(team.robots)), config.fleet.take_off_group
+    for first in robots[::size]:
         group = robots[first : first + size]
         results = await asyncio.gather(*(_lift(config, team, log, robot) for robot in group), return_exceptions=True)
         for result in results:  # the whole group has ended by now, so whoever is up can be landed

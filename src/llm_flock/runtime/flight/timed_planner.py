@@ -12,13 +12,10 @@ T = TypeVar("T")
 
 
 class TimedPlanner:
-    """A planner whose answers come within a time limit.
+    """A planner whose answers come within `longest_s`, retries included.
 
-    Args:
-        planner: answers the questions.
-        longest_s: longest wait for an answer, retries included [s].
-        most: rounds in a row without an answer before `on_silence` is called. An unusable answer counts as one.
-        on_silence: called with the number of rounds.
+    After `most` rounds in a row without an answer (an unusable one counts as one) it calls `on_silence` with their
+    number.
     """
 
     def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[int], None]) -> None:
