@@ -76,7 +76,6 @@ class PhysicsWorld:
         clock: returns the time [s].
 
     Attributes:
-        bodies: one per drone, for `SimulatedRobot`.
         positions: true positions at the last step, shape (n, 3) [m].
         targets: set-points of the same moment, shape (n, 3) [m].
 

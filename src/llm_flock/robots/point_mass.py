@@ -42,9 +42,7 @@ class PointMass:
 
     Attributes:
         home: position before take-off [m].
-        ground_m: height of the ground [m].
         auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
-        battery_v: [V].
         drain_v_s: how fast the battery empties in flight [V/s].
     """
 

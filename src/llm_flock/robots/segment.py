@@ -13,6 +13,9 @@ from typing import TypeAlias
 
 from llm_flock.robots.base import Position
 
+HOLD_S = 1.0
+"""Time in which a robot comes to rest on `hold` [s]."""
+
 _Coefficients: TypeAlias = tuple[float, float, float, float, float, float, float]
 _REST: Position = (0.0, 0.0, 0.0)
 

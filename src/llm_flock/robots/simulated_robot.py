@@ -9,17 +9,14 @@ from dataclasses import replace
 
 from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.point_mass import PointMass
-from llm_flock.robots.segment import Segment, stopping_point
-
-HOLD_S = 1.0
-"""Time in which a robot comes to rest on `hold` [s]."""
+from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 
 class SimulatedRobot:
     """One point mass in this process.
 
     Args:
-        name: for reports and errors.
+        name: in reports and errors.
         home: position before take-off [m].
         limits: enforced by the driver.
         clock: returns the time [s]; `time.monotonic` if not given.

@@ -14,7 +14,7 @@ from typing import Any
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink
-from llm_flock.robots.segment import Segment, stopping_point
+from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
 """Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
@@ -34,9 +34,6 @@ SHORTEST_S = 0.1
 ARM_S = 2.0
 STOP_S = 1.0
 """Longest time to try arming, and an emergency stop [s]."""
-
-HOLD_S = 1.0
-"""Time in which a robot comes to rest on `hold` [s]."""
 
 REFUSED = 1
 """The firmware's answer to a take-off in flight, and to a second landing."""

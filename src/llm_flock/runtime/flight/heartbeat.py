@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection
-from types import TracebackType
 from typing import Self
 
 from pydantic import BaseModel, ConfigDict
@@ -103,9 +102,7 @@ class HeartbeatSender:
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Send the farewell; if this process fails with drones in the air, let the deadman take over instead."""
         process = self._process
         if process is None:

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from llm_flock.robots.base import PEAK_SPEED, Position, RobotError
 from llm_flock.robots.segment import Segment
@@ -101,23 +102,24 @@ def _descent(
     apart: float,
 ) -> Descent:
     """The nearest free spot with a free path to it; straight down if there is none."""
+    straight = Descent(robot=robot, spot=_flat(place))
+    if _free(taken, [straight.spot], apart):
+        return straight
     check = SetPointCheck(config)
     low, high = config.inner_fence
-    if _free(taken, [_flat(place)], apart):
-        return Descent(robot=robot, spot=_flat(place))
-    for ring in range(1, RINGS + 1):
-        for k in range(SPOTS):
-            angle, reach = 2 * math.pi * k / SPOTS, ring * apart / 2
-            x, y = place[0] + reach * math.cos(angle), place[1] + reach * math.sin(angle)
-            via = (x, y, place[2])
-            inside = low[0] <= x <= high[0] and low[1] <= y <= high[1]
-            if not inside or not _free(taken, [(x, y)], apart):
-                continue
-            # Drones may be nearer than allowed already; the path must not bring them nearer.
-            allowed = min(apart, check.separation([place, *hovering], [place, *hovering]))
-            if check.separation([place, *hovering], [via, *hovering]) >= allowed - 1e-3:
-                return Descent(robot=robot, spot=(x, y), via=via)
-    return Descent(robot=robot, spot=_flat(place))
+    before = [place, *hovering]
+    # Drones may be nearer than allowed already; the path must not bring them nearer.
+    allowed = min(apart, check.separation(before, before))
+    for ring, k in product(range(1, RINGS + 1), range(SPOTS)):
+        angle, reach = 2 * math.pi * k / SPOTS, ring * apart / 2
+        x, y = place[0] + reach * math.cos(angle), place[1] + reach * math.sin(angle)
+        via = (x, y, place[2])
+        inside = low[0] <= x <= high[0] and low[1] <= y <= high[1]
+        if not inside or not _free(taken, [(x, y)], apart):
+            continue
+        if check.separation(before, [via, *hovering]) >= allowed - 1e-3:
+            return Descent(robot=robot, spot=(x, y), via=via)
+    return straight
 
 
 class Landing:

@@ -96,7 +96,7 @@ class StandIn:
         """Freeze the position estimate, with growing variance; or let it work again."""
         self._at_once(lambda body, now: body.stall(now, stalled))
 
-    # ------------------------------------------------------------ for the thread that serves it
+    # The rest is for the thread that serves it.
 
     def receive(self) -> None:
         """Answer all packets that have arrived."""
