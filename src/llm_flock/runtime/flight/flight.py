@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from llm_flock.protocol.planning import Planner
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.api import build_trial, open_outputs
 from llm_flock.runtime.flight.config import FlightConfig
@@ -68,16 +69,17 @@ class Flight:
 
     def abort(self) -> bool:
         """Land all drones; returns False if the flight has not begun."""
-        if self._supervisor is None:
-            return False
-        self._supervisor.abort()
-        return True
+        return self._trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
 
     def emergency(self) -> bool:
-        """Cut all motors; returns False if the flight has not begun."""
+        """Cut all motors, wherever the drones are; returns False if the flight has not begun."""
+        everybody = frozenset(range(len(self._robots)))
+        return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+
+    def _trip(self, trouble: Trouble) -> bool:
         if self._supervisor is None:
             return False
-        self._supervisor.emergency()
+        self._supervisor.trip(trouble)
         return True
 
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
@@ -108,11 +110,17 @@ class Flight:
     async def _fly(
         self, planners: TeamPlanners, journal: Journal, record: str | None, report: PreflightReport
     ) -> RunResult:
-        config = self._config
+        config, safety = self._config, self._config.safety
         log = FlightLog(config, journal.writer)
         team = FlyingTeam(config, self._robots, log)
         supervisor = self._supervisor = FlightSupervisor(config, team, log)
-        self._limit_waits(planners, supervisor)
+
+        def timed(robot: int, planner: Planner) -> Planner:
+            detail = f"{team.names[robot]}: no answer in {safety.silent_rounds} rounds in a row"
+            trouble = Trouble(TroubleKind.MODEL_SILENT, robot, detail)
+            return TimedPlanner(planner, safety.think_s, safety.silent_rounds, lambda: supervisor.trip(trouble))
+
+        planners.wrap(timed)
         rules, start = config.protocol.rules(), team.places
         trial = build_trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
@@ -148,17 +156,6 @@ class Flight:
         trial.begin()
         if supervisor.trouble is not None:
             trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
-
-    def _limit_waits(self, planners: TeamPlanners, supervisor: FlightSupervisor) -> None:
-        safety = self._config.safety
-
-        def on_silence(robot: int) -> Callable[[int], None]:
-            name = self._robots[robot].name
-            return lambda rounds: supervisor.trip(
-                Trouble(TroubleKind.MODEL_SILENT, robot, f"{name}: no answer in {rounds} rounds in a row")
-            )
-
-        planners.wrap(lambda robot, inner: TimedPlanner(inner, safety.think_s, safety.silent_rounds, on_silence(robot)))
 
     def _result(self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog) -> FlightFigures:
         ends: dict[str, str] = {}

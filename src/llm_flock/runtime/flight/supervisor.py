@@ -57,15 +57,6 @@ class FlightSupervisor:
             self.trouble = trouble
             self._tripped.set()
 
-    def abort(self) -> None:
-        """Land all drones at the operator's command."""
-        self.trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
-
-    def emergency(self) -> None:
-        """Cut all motors at the operator's command, wherever the drones are."""
-        everybody = frozenset(range(len(self._team.robots)))
-        self.trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
-
     async def watch(self) -> None:
         """Monitor all drones until cancelled."""
         team = self._team

@@ -14,11 +14,10 @@ T = TypeVar("T")
 class TimedPlanner:
     """A planner whose answers come within `longest_s`, retries included.
 
-    After `most` rounds in a row without an answer (an unusable one counts as one) it calls `on_silence` with their
-    number.
+    After `most` rounds in a row without an answer (an unusable one counts as an answer) it calls `on_silence`.
     """
 
-    def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[int], None]) -> None:
+    def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[], None]) -> None:
         self._planner = planner
         self._longest_s = longest_s
         self._most = most
@@ -43,5 +42,5 @@ class TimedPlanner:
             return found
         self._silent.add(number)
         if len(self._silent) >= self._most:
-            self._on_silence(len(self._silent))
+            self._on_silence()
         return found
