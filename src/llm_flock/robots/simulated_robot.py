@@ -13,14 +13,9 @@ from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 
 class SimulatedRobot:
-    """One point mass in this process.
+    """One point mass in this process, before take-off at `home` [m].
 
-    Args:
-        name: in reports and errors.
-        home: position before take-off [m].
-        limits: enforced by the driver.
-        clock: returns the time [s]; `time.monotonic` if not given.
-        body: the point mass, for tests that make it fail; made from `home` if not given.
+    `clock` returns the time [s], `time.monotonic` if not given. Tests that make the robot fail give its `body`.
     """
 
     def __init__(

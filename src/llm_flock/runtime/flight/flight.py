@@ -83,10 +83,7 @@ class Flight:
         return True
 
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
-        """Fly.
-
-        Args:
-            confirm: called with a preflight that was passed; nothing takes off unless it returns True.
+        """Fly. Nothing takes off unless `confirm` returns True; it gets a preflight that was passed.
 
         Raises:
             InputError: the file, or a path to write to, cannot be used; nothing has moved.
