@@ -94,7 +94,7 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
         for _ in range(reading.comm_rounds):
             exchange(agents, bodies.in_radio_range)
         waypoints = [settle(agent, mission.max_step) for agent in agents]
-        bodies.move(np.array(waypoints) - bodies.positions)
+        bodies.move(np.array(waypoints) - bodies.places)
     one_plan = len({a.plan for a in agents}) == 1
     return one_plan, one_plan and len({a.claim.slot for a in agents}) == reading.n
 

@@ -89,7 +89,7 @@ from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 async def main():
     config = flight_config(deadman=True, robot="flights:one_by_one", deadman_s=1.0, reach_s=3.0)
     async with HeartbeatSender(config, lambda: {0, 2}) as heart:
-        print(heart.pid, flush=True)
+        print(heart._process.pid, flush=True)
         await asyncio.sleep(60)
 
 asyncio.run(main())

@@ -13,10 +13,10 @@ from pydantic import BaseModel
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED
-from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.robots.segment import Segment
+from llm_flock.runtime.flight.config import FlightConfig, MissionFrame
 from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.frame import MissionFrame
-from llm_flock.runtime.flight.setpoints import SetPointCheck, moving, resting
+from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
 
 SPACE: dict[str, Any] = {
     "points": [[0, 0, -4], [0, 0, 4], [8, 0, 0]],
@@ -134,12 +134,13 @@ def test_set_points_are_checked_one_by_one_and_against_each_other() -> None:
 
 
 def test_set_points_move_as_the_drones_do() -> None:
-    motion = moving((0.0, 0.0, 1.0), (1.0, 0.0, 1.0), 10.0, 2.0)
-    assert motion.at(5.0) == (0.0, 0.0, 1.0) and motion.at(12.0) == motion.end == (1.0, 0.0, 1.0)
-    assert motion.at(11.0)[0] == pytest.approx(0.5)
+    motion = Segment(start=(0.0, 0.0, 1.0), target=(1.0, 0.0, 1.0), duration_s=2.0, began_s=10.0)
+    assert motion.at(5.0)[0] == (0.0, 0.0, 1.0) and motion.at(12.0)[0] == motion.target == (1.0, 0.0, 1.0)
+    (x, _, _), (speed, _, _), _ = motion.at(11.0)
+    assert x == pytest.approx(0.5) and speed == pytest.approx(PEAK_SPEED / 2)
     step = 1e-4
-    assert (motion.at(11.0 + step)[0] - motion.at(11.0 - step)[0]) / (2 * step) == pytest.approx(PEAK_SPEED / 2)
-    assert resting((1.0, 2.0, 3.0)).at(-1e9) == (1.0, 2.0, 3.0)
+    assert (motion.at(11.0 + step)[0][0] - motion.at(11.0 - step)[0][0]) / (2 * step) == pytest.approx(PEAK_SPEED / 2)
+    assert resting((1.0, 2.0, 3.0)).at(-1e9)[0] == (1.0, 2.0, 3.0)
 
 
 def test_drones_of_crazyflies_yaml(tmp_path: Path) -> None:

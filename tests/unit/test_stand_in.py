@@ -7,8 +7,7 @@ import struct
 import pytest
 
 from llm_flock.robots.point_mass import BUSY, REFUSED, PointMass
-from llm_flock.testing.crtp.firmware import VERSION, Firmware, packet
-from llm_flock.testing.crtp.tables import LOGGED
+from llm_flock.testing.crtp.firmware import LOGGED, VERSION, Firmware, packet
 
 HIGH_LEVEL, SUPERVISOR, PARAM, LOGGING = 8, 9, 2, 5
 ARMED, FLYING, LOCKED = 0x02, 0x10, 0x40

@@ -97,12 +97,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
 
     line = LiveLine(settings.mission.shape, enabled=live)
     with ExitStack() as stack:
-        flight = Flight(
-            settings,
-            build_fleet(settings),
-            on_round=line.update,
-            on_stage=on_stage,
-        )
+        flight = Flight(settings, build_fleet(settings), on_round=line.update, on_stage=on_stage)
         with Keyboard(flight) as keyboard:
             try:
                 result = await flight.run(confirm)
@@ -177,12 +172,11 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
     way = Table("round", "drone", "set-point [m]", "peak [m/s]", "nearest [m]", "check", title="set-points")
     way.title_justify = "left"
     for step in plan.steps:
-        for robot, (target, peak) in enumerate(zip(step.targets, step.peaks_m_s, strict=True)):
-            x, y, z = target
-            nearest = f"{step.separation_m:.3f}" if robot == 0 else ""
-            check = ("[green]ok[/]" if not step.faults else "[bold red]FAULT[/]") if robot == 0 else ""
-            number = str(step.round) if robot == 0 else ""
-            way.add_row(number, escape(names[robot]), f"{x:.3f}, {y:.3f}, {z:.3f}", f"{peak:.2f}", nearest, check)
+        number, nearest = str(step.round), f"{step.separation_m:.3f}"
+        check = "[bold red]FAULT[/]" if step.faults else "[green]ok[/]"
+        for name, (x, y, z), peak in zip(names, step.targets, step.peaks_m_s, strict=True):
+            way.add_row(number, escape(name), f"{x:.3f}, {y:.3f}, {z:.3f}", f"{peak:.2f}", nearest, check)
+            number = nearest = check = ""
     down = Table("group", "drone", "spot x, y [m]", "by way of [m]", title="landing", title_justify="left")
     for number, descents in enumerate(plan.landing, start=1):
         for descent in descents:
@@ -198,14 +192,14 @@ def _plan(plan: DryRun) -> dict[str, Any]:
         "rounds": [
             {
                 "round": step.round,
-                "targets_m": [list(target) for target in step.targets],
-                "peaks_m_s": list(step.peaks_m_s),
+                "targets_m": step.targets,
+                "peaks_m_s": step.peaks_m_s,
                 "separation_m": step.separation_m if step.separation_m < float("inf") else None,
-                "faults": list(step.faults),
+                "faults": step.faults,
             }
             for step in plan.steps
         ],
-        "landing": [[{"robot": d.robot, "spot_m": list(d.spot)} for d in group] for group in plan.landing],
+        "landing": [[{"robot": d.robot, "spot_m": d.spot} for d in group] for group in plan.landing],
         "formed": plan.result.formed,
         "faults": plan.faults,
     }

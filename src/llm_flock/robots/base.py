@@ -19,12 +19,7 @@ derivatives vanish at both ends, s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: its d
 
 
 class RobotError(FlockError):
-    """A robot cannot follow a command, or did not confirm it.
-
-    Attributes:
-        name: the robot's name.
-        what: what went wrong, in words.
-    """
+    """The robot `name` cannot follow a command, or did not confirm it; `what` says it in words."""
 
     def __init__(self, name: str, what: str) -> None:
         self.name = name
@@ -59,12 +54,7 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Commanded:
-    """A set-point as really sent, within the driver's limits.
-
-    Attributes:
-        target: [m].
-        duration_s: time from rest to rest [s].
-    """
+    """A set-point as really sent, within the driver's limits [m], and the time from rest to rest [s]."""
 
     target: Position
     duration_s: float
@@ -165,8 +155,7 @@ class MotionLimits:
         if not duration_s > 0.0:
             raise InputError("duration_s", duration_s, "a positive time")
         if not self.contains(start):
-            clamped = (min(max(x, a), b) for a, x, b in zip(self.low, target, self.high, strict=True))
-            x, y, z = clamped
+            x, y, z = (min(max(x, a), b) for a, x, b in zip(self.low, target, self.high, strict=True))
             target = (x, y, z)
         step = tuple(b - a for a, b in zip(start, target, strict=True))
         length = sum(d * d for d in step) ** 0.5
@@ -181,7 +170,7 @@ class MotionLimits:
         if share >= 1.0:
             return Commanded(target=target, duration_s=duration_s)
         # Rounding may put the point outside by one last digit: the box is closed.
-        near = [start[k] + share * step[k] for k in range(3)]
+        x, y, z = (start[k] + share * step[k] for k in range(3))
         if self.contains(start):
-            near = [min(max(x, a), b) for a, x, b in zip(self.low, near, self.high, strict=True)]
-        return Commanded(target=(near[0], near[1], near[2]), duration_s=duration_s)
+            x, y, z = (min(max(v, a), b) for a, v, b in zip(self.low, (x, y, z), self.high, strict=True))
+        return Commanded(target=(x, y, z), duration_s=duration_s)

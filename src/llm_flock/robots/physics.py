@@ -20,7 +20,8 @@ import numpy as np
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.robots.base import MotionLimits, Position
-from llm_flock.robots.point_mass import FALL_HEIGHT, PointMass
+from llm_flock.robots.point_mass import FALL_HEIGHT, Mode, PointMass
+from llm_flock.robots.segment import Segment
 from llm_flock.robots.simulated_robot import SimulatedRobot
 
 STEP_S = 0.01
@@ -33,17 +34,12 @@ DRONE = "cf2x_L250"
 """crazyflow's Crazyflie 2.1; its Brushless, `cf21B_500`, flies 8 cm too high (docs/explanation/physics.md)."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class PhysicalBody(PointMass):
-    """A body whose position comes from the physics while its motors turn.
+    """A body whose position comes from the physics while its motors turn."""
 
-    Attributes:
-        world: the simulation.
-        index: of the body in it.
-    """
-
-    world: PhysicsWorld | None = None
-    index: int = 0
+    world: PhysicsWorld
+    index: int
 
     def position(self, now: float) -> Position:
         """Where the body is [m]; in flight as of the last step of the world."""
@@ -51,7 +47,6 @@ class PhysicalBody(PointMass):
         return self._place() if self.flying else PointMass.position(self, now)
 
     def _place(self) -> Position:
-        assert self.world is not None
         x, y, z = self.world.positions[self.index].tolist()
         return (x, y, z)
 
@@ -64,10 +59,10 @@ class PhysicalBody(PointMass):
         self.mode, self._segment = "idle", None
         self._rest, self._fell = (x, y, self.ground_m if low else z), None if low else now
 
-    def _fly(self, segment: Any, mode: Any, now: float) -> None:
-        if self.world is not None and not self.flying:
-            self.world.place(self.index, self.position(now))
-        PointMass._fly(self, segment, mode, now)  # noqa: SLF001  # its own
+    def _fly(self, segment: Segment, mode: Mode) -> None:
+        if not self.flying:
+            self.world.place(self.index, self.position(segment.began_s))
+        PointMass._fly(self, segment, mode)  # noqa: SLF001  # its own
 
 
 class PhysicsWorld:
@@ -81,7 +76,6 @@ class PhysicsWorld:
         clock: returns the time [s].
 
     Attributes:
-        bodies: one per drone, for `SimulatedRobot`.
         positions: true positions at the last step, shape (n, 3) [m].
         targets: set-points of the same moment, shape (n, 3) [m].
 
@@ -115,7 +109,7 @@ class PhysicsWorld:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self.time_s = clock()
-        self._write(self.positions)
+        self._write(slice(None))
         self._warm_up()
         self.time_s = clock()
 
@@ -134,7 +128,7 @@ class PhysicsWorld:
         """Put one drone somewhere, at rest [m]."""
         with self._lock:
             self.positions[index] = position
-            self._write(self.positions, only=index)
+            self._write(index)
 
     def start(self) -> None:
         """Let time pass at the pace of the clock from now on, for as long as the process lives."""
@@ -169,13 +163,12 @@ class PhysicsWorld:
         self.targets = commands[0, :, :3].astype(np.float64)
         self.time_s = now + STEP_S
 
-    def _write(self, positions: Points, only: int | None = None) -> None:
-        """Set positions in the simulation, of one drone or all, at rest."""
+    def _write(self, chosen: int | slice) -> None:
+        """Set positions in the simulation, at rest."""
         states = self._sim.data.states
-        chosen: Any = slice(None) if only is None else only
         self._sim.data = self._sim.data.replace(
             states=states.replace(
-                pos=states.pos.at[0, chosen].set(positions[chosen]),
+                pos=states.pos.at[0, chosen].set(self.positions[chosen]),
                 vel=states.vel.at[0, chosen].set(0.0),
                 ang_vel=states.ang_vel.at[0, chosen].set(0.0),
             )

@@ -42,9 +42,7 @@ class PointMass:
 
     Attributes:
         home: position before take-off [m].
-        ground_m: height of the ground [m].
         auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
-        battery_v: [V].
         drain_v_s: how fast the battery empties in flight [V/s].
     """
 
@@ -57,7 +55,6 @@ class PointMass:
     armed: bool = field(default=False, init=False)
     locked: bool = field(default=False, init=False)
     _segment: Segment | None = field(default=None, init=False)
-    _began: float = field(default=0.0, init=False)
     _rest: Position = field(init=False)
     _fell: float | None = field(default=None, init=False)
     _offset: Position = field(default=(0.0, 0.0, 0.0), init=False)
@@ -70,8 +67,6 @@ class PointMass:
         self._rest = self.home
         self.armed = self.auto_arm
 
-    # ------------------------------------------------------------ state
-
     @property
     def flying(self) -> bool:
         """Motors turn."""
@@ -83,7 +78,7 @@ class PointMass:
             self.battery_v = max(0.0, self.battery_v - self.drain_v_s * (now - self._drained))
         self._drained = now
         if self.mode == "landing" and self._segment is not None:
-            down = self._began + self._segment.duration_s
+            down = self._segment.began_s + self._segment.duration_s
             if now >= down:
                 self._motors_off(down)
         if self._fell is not None and self._height(now) <= self.ground_m:
@@ -95,7 +90,7 @@ class PointMass:
         self.advance(now)
         if self._segment is None:
             return (self._rest[0], self._rest[1], self._height(now))
-        believed, _, _ = self._segment.at(now - self._began)
+        believed, _, _ = self._segment.at(now)
         left = math.exp(-PULL * max(0.0, now - self._error_at))
         x, y, z = (b - o + left * e for b, o, e in zip(believed, self._offset, self._error, strict=True))
         return (x, y, max(z, self.ground_m))
@@ -116,8 +111,6 @@ class PointMass:
             return self._rest[2]
         return max(self.ground_m, self._rest[2] - GRAVITY * (now - self._fell) ** 2 / 2.0)
 
-    # ------------------------------------------------------------ commands
-
     def arm(self, wanted: bool) -> bool:
         """Arm or disarm; returns whether it is as wanted."""
         if self.locked or (wanted and self.flying):
@@ -133,7 +126,7 @@ class PointMass:
         if self.mode != "idle":
             return REFUSED
         x, y, z = self.estimate(now)
-        self._fly(Segment(start=(x, y, z), target=(x, y, height_m), duration_s=duration_s), "flying", now)
+        self._fly(Segment(start=(x, y, z), target=(x, y, height_m), duration_s=duration_s, began_s=now), "flying")
         return 0
 
     def go_to(self, target: Position, duration_s: float, now: float) -> int:
@@ -141,7 +134,11 @@ class PointMass:
         self.advance(now)
         if not self.armed:
             return BUSY
-        self._fly(self._from_here(target, duration_s, now), "flying", now)
+        at, velocity, acceleration = self.set_point(now)
+        segment = Segment(
+            start=at, target=target, duration_s=duration_s, began_s=now, velocity=velocity, acceleration=acceleration
+        )
+        self._fly(segment, "flying")
         return 0
 
     def land(self, height_m: float, duration_s: float, now: float) -> int:
@@ -152,7 +149,7 @@ class PointMass:
         if self.mode == "landing":
             return REFUSED
         start, _, _ = self.set_point(now)
-        self._fly(Segment(start=start, target=(*start[:2], height_m), duration_s=duration_s), "landing", now)
+        self._fly(Segment(start=start, target=(*start[:2], height_m), duration_s=duration_s, began_s=now), "landing")
         return 0
 
     def stop(self, now: float) -> int:
@@ -170,15 +167,12 @@ class PointMass:
         """Set-point of the high-level commander: position [m], velocity [m/s], acceleration [m/s^2]."""
         if self._segment is None:
             return self.estimate(now), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        return self._segment.at(now - self._began)
+        return self._segment.at(now)
 
-    def _from_here(self, target: Position, duration_s: float, now: float) -> Segment:
-        at, velocity, acceleration = self.set_point(now)
-        return Segment(start=at, target=target, duration_s=duration_s, velocity=velocity, acceleration=acceleration)
-
-    def _fly(self, segment: Segment, mode: Mode, now: float) -> None:
+    def _fly(self, segment: Segment, mode: Mode) -> None:
+        now = segment.began_s
         here = self.position(now)
-        self._segment, self._began, self.mode, self._fell = segment, now, mode, None
+        self._segment, self.mode, self._fell = segment, mode, None
         self._set_error(here, now)
 
     def _set_error(self, here: Position, now: float) -> None:
@@ -196,8 +190,6 @@ class PointMass:
             self._rest = (self._rest[0], self._rest[1], self.ground_m)
         self._segment = None
         self._fell = now if self._rest[2] > self.ground_m else None
-
-    # ------------------------------------------------------------ failures
 
     def jump(self, offset: Position, now: float) -> None:
         """Shift the estimate from now on [m]; in flight the body then follows its wrong estimate."""

@@ -13,6 +13,9 @@ from typing import TypeAlias
 
 from llm_flock.robots.base import Position
 
+HOLD_S = 1.0
+"""Time in which a robot comes to rest on `hold` [s]."""
+
 _Coefficients: TypeAlias = tuple[float, float, float, float, float, float, float]
 _REST: Position = (0.0, 0.0, 0.0)
 
@@ -37,12 +40,13 @@ def _coefficients(start: float, velocity: float, acceleration: float, end: float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segment:
-    """One trajectory to a target.
+    """One trajectory to a target, where it ends at rest.
 
     Attributes:
         start: where it begins [m].
-        target: where it ends, at rest [m].
+        target: where it ends [m].
         duration_s: [s]; nothing moves any more after it.
+        began_s: when it begins, on the clock of `at` [s].
         velocity: at the start [m/s].
         acceleration: at the start [m/s^2].
     """
@@ -50,6 +54,7 @@ class Segment:
     start: Position
     target: Position
     duration_s: float
+    began_s: float = 0.0
     velocity: Position = _REST
     acceleration: Position = _REST
     _axes: tuple[_Coefficients, ...] = field(init=False, repr=False)
@@ -62,8 +67,9 @@ class Segment:
         )
         object.__setattr__(self, "_axes", axes)
 
-    def at(self, time_s: float) -> tuple[Position, Position, Position]:
-        """Position [m], velocity [m/s] and acceleration [m/s^2] after `time_s`."""
+    def at(self, now_s: float) -> tuple[Position, Position, Position]:
+        """Position [m], velocity [m/s] and acceleration [m/s^2] at a time."""
+        time_s = now_s - self.began_s
         if time_s >= self.duration_s:
             return self.target, _REST, _REST
         time, u = self.duration_s, max(0.0, time_s / self.duration_s)
@@ -77,14 +83,14 @@ class Segment:
         return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
 
 
-def stopping_point(segment: Segment, time_s: float, within_s: float) -> Position | None:
+def stopping_point(segment: Segment, now_s: float, within_s: float) -> Position | None:
     """Where a robot on the segment can come to rest `within_s` later without turning back [m].
 
     None if it comes to rest at the target about as soon: the target is then the nearest stop.
     """
-    if time_s + within_s >= segment.duration_s:
+    if now_s - segment.began_s + within_s >= segment.duration_s:
         return None
-    at, velocity, _ = segment.at(time_s)
+    at, velocity, _ = segment.at(now_s)
     way = [v * within_s / 2.0 for v in velocity]
     if math.hypot(*way) >= math.dist(at, segment.target):
         return None

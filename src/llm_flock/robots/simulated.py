@@ -34,9 +34,27 @@ def start_positions(
     """Start positions, given or else drawn, shape (n, d) [units].
 
     Raises:
-        InputError: the given positions cannot be used, or no room was found.
+        InputError: no room was found; or positions given have a wrong shape, a number that is not finite, or a robot
+            outside the arena.
     """
-    return draw_start(mission, rule, rng) if given is None else check_start(mission, given)
+    if given is None:
+        return draw_start(mission, rule, rng)
+    try:
+        array = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("start_positions", given, "rows of numbers") from None
+    if array.shape != (mission.n_robots, mission.dim) or not bool(np.isfinite(array).all()):
+        raise InputError("start_positions", given, f"{mission.n_robots} finite positions of {mission.dim} coordinates")
+    low, high = (np.array(corner) for corner in mission.arena)
+    outside = np.flatnonzero(((array < low) | (array > high)).any(axis=1))
+    if outside.size:
+        robot = int(outside[0])
+        raise InputError(
+            "start_positions",
+            array[robot].tolist(),
+            f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not",
+        )
+    return array
 
 
 def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> Points:
@@ -79,53 +97,23 @@ def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
             return about + offset
 
 
-def check_start(mission: Mission, positions: Sequence[Sequence[float]]) -> Points:
-    """Start positions that a user gave, as an array of shape (n, d).
-
-    Raises:
-        InputError: wrong shape, a number that is not finite, or a robot outside the arena.
-    """
-    try:
-        array = np.array(positions, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("start_positions", positions, "rows of numbers") from None
-    if array.shape != (mission.n_robots, mission.dim) or not bool(np.isfinite(array).all()):
-        raise InputError(
-            "start_positions", positions, f"{mission.n_robots} finite positions of {mission.dim} coordinates"
-        )
-    low, high = (np.array(corner) for corner in mission.arena)
-    outside = np.flatnonzero(((array < low) | (array > high)).any(axis=1))
-    if outside.size:
-        robot = int(outside[0])
-        raise InputError(
-            "start_positions",
-            array[robot].tolist(),
-            f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not",
-        )
-    return array
-
-
 class SimulatedTeam:
-    """True positions of all bodies, and every robot's sensor readings of them.
+    """True positions of all bodies (`places`, shape (n, d) [units; world frame]), and their readings by every robot.
 
-    Args:
-        mission: gives the ranges.
-        positions: true start positions, shape (n, d) [units; world frame].
-        noise: largest localisation error [units]: each reading adds a uniform vector in the ball of that radius.
-        rng: source of the noise.
+    Each reading adds a uniform vector in the ball of radius `noise` [units].
     """
 
     def __init__(self, mission: Mission, positions: Points, noise: float, rng: np.random.Generator) -> None:
         self._mission = mission
         self._noise = noise
         self._rng = rng
-        self.positions = positions.copy()
-        self._measure()
+        self.place(positions.copy())
 
-    def _measure(self) -> None:
-        """Compute the ranges, once per round."""
-        self._distances: Pairwise = graph.distances(self.positions)
-        self._rows: list[Point] = [tuple(row) for row in self.positions.tolist()]
+    def place(self, places: Points) -> None:
+        """Put all bodies somewhere, and compute the ranges, once per round."""
+        self.places = places
+        self._distances: Pairwise = graph.distances(places)
+        self._rows: list[Point] = [tuple(row) for row in places.tolist()]
         self.in_radio_range = self._within(self._mission.comm_range)
         sensing = self._mission.sensing
         same = sensing == self._mission.comm_range
@@ -160,9 +148,8 @@ class SimulatedTeam:
         direction = self._rng.normal(size=dim)
         direction /= np.linalg.norm(direction)
         radius = self._noise * float(self._rng.random()) ** (1.0 / dim)
-        return tuple((self.positions[robot] + radius * direction).tolist())
+        return tuple((self.places[robot] + radius * direction).tolist())
 
     def move(self, displacements: Points) -> None:
         """Fly every robot by its displacement, shape (n, d) [units], all at once."""
-        self.positions = self.positions + displacements
-        self._measure()
+        self.place(self.places + displacements)

@@ -9,21 +9,13 @@ from dataclasses import replace
 
 from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.point_mass import PointMass
-from llm_flock.robots.segment import Segment, stopping_point
-
-HOLD_S = 1.0
-"""Time in which a robot comes to rest on `hold` [s]."""
+from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 
 class SimulatedRobot:
-    """One point mass in this process.
+    """One point mass in this process, before take-off at `home` [m].
 
-    Args:
-        name: for reports and errors.
-        home: position before take-off [m].
-        limits: what the driver never exceeds.
-        clock: returns the time [s]; `time.monotonic` if not given.
-        body: the point mass, for tests that make it fail; made from `home` if not given.
+    `clock` returns the time [s], `time.monotonic` if not given. Tests that make the robot fail give its `body`.
     """
 
     def __init__(
@@ -36,25 +28,19 @@ class SimulatedRobot:
         body: PointMass | None = None,
     ) -> None:
         self.body = body or PointMass(home=home)
-        self._name = name
+        self.name = name
         self._limits = limits or MotionLimits()
         self._clock = clock or time.monotonic
         self._set_point = home
-        self._segment: tuple[Segment, float] | None = None
+        self._segment: Segment | None = None
         self._seen: RobotState | None = None
-        self._open = False
-        self._lost = False
-
-    @property
-    def name(self) -> str:
-        """The name in reports and errors."""
-        return self._name
+        self._open = self._lost = False
 
     async def connect(self, timeout_s: float) -> None:
         """Open the link: at once, unless `lose_link` was called."""
         if self._lost:
             await asyncio.sleep(timeout_s)
-            raise RobotError(self._name, f"no answer within {timeout_s:g} s")
+            raise RobotError(self.name, f"no answer within {timeout_s:g} s")
         self._open = True
         self._set_point = self.body.estimate(self._clock())
         self._look()
@@ -62,7 +48,7 @@ class SimulatedRobot:
     def state(self) -> RobotState:
         """The newest state; with a lost link, the last one that arrived."""
         if self._seen is None:
-            raise RobotError(self._name, "was never connected")
+            raise RobotError(self.name, "was never connected")
         if self._open and not self._lost:
             return self._look()
         return self._seen
@@ -84,7 +70,7 @@ class SimulatedRobot:
         """Allow the motors to turn."""
         self._need_link()
         if not self.body.arm(True):
-            raise RobotError(self._name, "cannot be armed: it is locked, or flies")
+            raise RobotError(self.name, "cannot be armed: it is locked, or flies")
 
     async def take_off(self, height_m: float, duration_s: float) -> Commanded:
         """Rise straight up to `height_m`."""
@@ -99,7 +85,7 @@ class SimulatedRobot:
         """Fly the straight segment from the last set-point."""
         self._need_link()
         if not self.body.flying:
-            raise RobotError(self._name, "is not in the air")
+            raise RobotError(self.name, "is not in the air")
         now = self._clock()
         sent = self._limits.clip(self._set_point, target, duration_s)
         self._need_success(self.body.go_to(sent.target, duration_s, now), "a way-point")
@@ -110,9 +96,8 @@ class SimulatedRobot:
         self._need_link()
         if self._segment is None or not self.body.flying:
             return
-        segment, began = self._segment
         now = self._clock()
-        stop = stopping_point(segment, now - began, HOLD_S)
+        stop = stopping_point(self._segment, now, HOLD_S)
         if stop is not None:
             self._need_success(self.body.go_to(stop, HOLD_S, now), "a stop")
             self._segment, self._set_point = None, stop
@@ -142,16 +127,16 @@ class SimulatedRobot:
         self._lost = True
 
     def _fly(self, start: Position, sent: Commanded, now: float) -> Commanded:
-        self._segment = (Segment(start=start, target=sent.target, duration_s=sent.duration_s), now)
+        self._segment = Segment(start=start, target=sent.target, duration_s=sent.duration_s, began_s=now)
         self._set_point = sent.target
         return sent
 
     def _need_link(self) -> None:
         if not self._open:
-            raise RobotError(self._name, "is not connected")
+            raise RobotError(self.name, "is not connected")
         if self._lost:
-            raise RobotError(self._name, "the link is lost")
+            raise RobotError(self.name, "the link is lost")
 
     def _need_success(self, answer: int, what: str) -> None:
         if answer:
-            raise RobotError(self._name, f"refused {what} (answer {answer})")
+            raise RobotError(self.name, f"refused {what} (answer {answer})")

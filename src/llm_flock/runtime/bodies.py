@@ -42,6 +42,11 @@ class Bodies(Protocol):
 class InstantBodies(SimulatedTeam):
     """Simulated bodies whose motions take no time."""
 
+    @property
+    def positions(self) -> Points:
+        """True positions, shape (n, d) [units]."""
+        return self.places
+
     async def fly(self, displacements: Points) -> None:
         """Move at once."""
         self.move(displacements)

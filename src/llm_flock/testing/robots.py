@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 
@@ -25,7 +26,7 @@ async def wait_until(condition: Callable[[], bool], timeout_s: float, what: str)
 
 def distance(a: Position, b: Position) -> float:
     """[m]."""
-    return sum((x - y) ** 2 for x, y in zip(a, b, strict=True)) ** 0.5
+    return math.dist(a, b)
 
 
 async def check_robot(
@@ -150,10 +151,8 @@ def _check_state(state: RobotState) -> None:
 
 
 async def _arrives(robot: Robot, target: Position, timeout_s: float, tolerance_m: float) -> None:
-    def there() -> bool:
-        return distance(robot.state().position, target) <= tolerance_m
-
-    await wait_until(there, timeout_s, f"{robot.name} arrives at {target}")
+    near = f"{robot.name} arrives at {target}"
+    await wait_until(lambda: distance(robot.state().position, target) <= tolerance_m, timeout_s, near)
 
 
 async def _check_hold(robot: Robot, target: Position, step_m: float, patience_s: float) -> None:

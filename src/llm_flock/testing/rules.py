@@ -20,20 +20,17 @@ def random_plan(n: int, rng: np.random.Generator, dim: int = 2) -> Plan:
 
 def random_message(sender: int, n: int, plan: Plan | None, rng: np.random.Generator) -> Message:
     """A legal message of one robot, with a random influence and provenance."""
-    origin = None
-    if plan is not None:
-        origin = Provenance(
-            mission=0,
-            mission_digest=DIGEST,
-            epoch=0,
-            neighbors=int(rng.integers(0, n)),
-            proposer=int(rng.integers(0, n)),
-            sequence=0,
-        )
-    slot = None if plan is None or rng.random() < 0.2 else int(rng.integers(0, n))
-    return Message(
-        sender=sender, sequence=0, neighbors=int(rng.integers(0, n)), plan=plan, provenance=origin, slot=slot
-    )
+
+    def draw() -> int:
+        return int(rng.integers(0, n))
+
+    origin = None if plan is None else _origin(neighbors=draw(), proposer=draw())
+    slot = None if plan is None or rng.random() < 0.2 else draw()
+    return Message(sender=sender, sequence=0, neighbors=draw(), plan=plan, provenance=origin, slot=slot)
+
+
+def _origin(neighbors: int, proposer: int) -> Provenance:
+    return Provenance(mission=0, mission_digest=DIGEST, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0)
 
 
 def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 0) -> None:
@@ -118,15 +115,8 @@ def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
 
 def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     """The claim as others hear it, through the wire format."""
-    origin = Provenance(mission=0, mission_digest=DIGEST, epoch=0, neighbors=0, proposer=0, sequence=0)
+    origin, slot, table, offer = _origin(neighbors=0, proposer=0), claim.slot, claim.table, claim.offer
     message = Message(
-        sender=robot,
-        sequence=0,
-        neighbors=0,
-        plan=plan,
-        provenance=origin,
-        slot=claim.slot,
-        table=claim.table,
-        offer=claim.offer,
+        sender=robot, sequence=0, neighbors=0, plan=plan, provenance=origin, slot=slot, table=table, offer=offer
     )
     return decode(encode(message), n, 2)

@@ -24,7 +24,7 @@ class YamlDrone(BaseModel):
         name: its key under `robots`.
         uri: `radio://0/80/2M/E7E7E7E701` and so on.
         home: position before take-off [m].
-        firmware_params: firmware parameters, by group and name.
+        firmware_params: by group and name.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")

@@ -11,14 +11,16 @@
 from __future__ import annotations
 
 import asyncio
+import queue
+import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import RobotError
-from llm_flock.robots.crazyflie.threads import Worker, in_thread, new_thread
 
 SILENCE_S = 1.0
 """An attempt to open a link is given up after this silence [s]."""
@@ -32,13 +34,53 @@ SEND_S = 2.5
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
 
+T = TypeVar("T")
 
-def library() -> Any:
-    """`cflib.crazyflie`, with its link drivers ready.
+
+def new_thread(work: Callable[[], None]) -> None:
+    """Run something in a new thread, without waiting for it."""
+    threading.Thread(target=work, name="crazyflie", daemon=True).start()
+
+
+class Worker:
+    """A thread that runs one job after another: starting a thread takes longer than sending a command."""
+
+    def __init__(self) -> None:
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        new_thread(self._run)
+
+    def do(self, job: Callable[[], None] | None) -> None:
+        """Queue a job; None ends the thread."""
+        self._jobs.put(job)
+
+    def _run(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            job()
+
+
+async def in_thread(
+    call: Callable[[], T], timeout_s: float, start: Callable[[Callable[[], None]], None] = new_thread
+) -> T:
+    """Run a blocking call in a thread that `start` provides, and wait for it with a time limit.
 
     Raises:
-        InputError: it is not installed.
+        TimeoutError: not done in time; the thread is abandoned.
     """
+    future: Future[T] = Future()
+    future.set_running_or_notify_cancel()  # so that giving up the wait leaves the call as it is
+
+    def work() -> None:
+        try:
+            future.set_result(call())
+        except Exception as error:  # noqa: BLE001  # raised where the result is awaited
+            future.set_exception(error)
+
+    start(work)
+    return await asyncio.wait_for(asyncio.wrap_future(future), timeout_s)
+
+
+def library() -> Any:
+    """`cflib.crazyflie`, with its link drivers ready; raises InputError if it is not installed."""
     try:
         from cflib import crazyflie, crtp  # pyright: ignore[reportMissingTypeStubs]
     except ImportError as error:
@@ -51,13 +93,7 @@ def library() -> Any:
 
 
 class CrazyflieLink:
-    """One link, opened and closed once.
-
-    Args:
-        name: of the robot, for errors.
-        uri: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850` and so on.
-        cache: folder for the drone's tables; without it every connect fetches them.
-    """
+    """One link, opened and closed once. Arguments as those of `CrazyflieRobot`."""
 
     def __init__(self, name: str, uri: str, cache: Path | None) -> None:
         self.lost: str | None = None
@@ -96,8 +132,6 @@ class CrazyflieLink:
         """Time since the last packet [s]."""
         return now - self._heard_s
 
-    # ------------------------------------------------------------ opening
-
     async def connect(self, timeout_s: float, parameters: Mapping[str, float]) -> None:
         """Open the link, fetch the tables, set the parameters; retry as long as time allows.
 
@@ -130,12 +164,7 @@ class CrazyflieLink:
                 return
 
     async def _attempt(self, end: float, with_values: bool) -> None:
-        """Try once to open the link, until `end`.
-
-        Raises:
-            RobotError: it failed.
-            TimeoutError: not done in time.
-        """
+        """Try once to open the link, until `end`; raises RobotError or TimeoutError."""
         self.lost, self._heard_s = None, time.monotonic()
         cf = self._cf = library().Crazyflie(rw_cache=str(self._cache) if self._cache else None)
         cf.commander.send_setpoint = _nothing
@@ -165,12 +194,7 @@ class CrazyflieLink:
                 continue
 
     async def _set(self, parameters: Mapping[str, float], end: float) -> None:
-        """Set parameters, until `end`.
-
-        Raises:
-            InputError: the firmware has no such parameter, or it cannot be written.
-            TimeoutError: not done in time.
-        """
+        """Set parameters, until `end`; raises InputError or TimeoutError."""
         cf = self.cf
         for name, value in parameters.items():
             try:
@@ -179,22 +203,22 @@ class CrazyflieLink:
                 raise InputError("parameters", name, f"those that {self._name} has and lets be set ({error})") from None
 
     async def log(
-        self, name: str, period_ms: int, variables: Mapping[str, str], take: Callable[[Mapping[str, float]], None]
+        self,
+        name: str,
+        period_ms: int,
+        variables: Mapping[str, str],
+        take: Callable[[Mapping[str, float], float], None],
     ) -> None:
-        """Start a log block.
+        """Start a log block of variables, given by name with their types in packets.
 
-        Args:
-            name: of the block.
-            period_ms: of the packets, a multiple of 10.
-            variables: their types in packets, by name.
-            take: called in cflib's thread with the values by name.
+        Its period is a multiple of 10 ms. `take` gets the values by name and their arrival [s], in cflib's thread.
 
         Raises:
             RobotError: the firmware does not know one of them.
         """
 
         def came(_stamp: int, data: dict[str, float], _block: object) -> None:
-            take(data)
+            take(data, time.monotonic())
 
         block = library().log.LogConfig(name, period_ms)
         for variable, kind in variables.items():
@@ -205,8 +229,6 @@ class CrazyflieLink:
         except KeyError as error:
             raise RobotError(self._name, f"the firmware does not log {error}: update it") from None
         await in_thread(block.start, SEND_S)
-
-    # ------------------------------------------------------------ sending
 
     async def send(self, call: Callable[[Any], None], *, urgent: bool = False) -> None:
         """Send something with cflib's `Crazyflie`, in order; something urgent overtakes the queue.
@@ -253,7 +275,7 @@ class CrazyflieLink:
 
         await in_thread(shut, 10.0)
 
-    # ------------------------------------------------------------ called in cflib's threads
+    # The rest is called in cflib's threads.
 
     def _call(self, call: Callable[..., object], *arguments: object) -> None:
         if self._loop is not None and not self._loop.is_closed():

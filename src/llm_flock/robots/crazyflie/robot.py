@@ -5,25 +5,16 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink
-from llm_flock.robots.crazyflie.telemetry import (
-    ARMED,
-    FLYING,
-    LOCKED,
-    POSITION_LOG,
-    POSITION_PERIOD_MS,
-    VARIANCE_LOG,
-    VARIANCE_PERIOD_MS,
-    Telemetry,
-    says,
-)
-from llm_flock.robots.segment import Segment, stopping_point
+from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
 """Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
@@ -44,11 +35,83 @@ ARM_S = 2.0
 STOP_S = 1.0
 """Longest time to try arming, and an emergency stop [s]."""
 
-HOLD_S = 1.0
-"""Time in which a robot comes to rest on `hold` [s]."""
-
 REFUSED = 1
 """The firmware's answer to a take-off in flight, and to a second landing."""
+
+POSITION_LOG: Mapping[str, str] = MappingProxyType(
+    {
+        "stateEstimate.x": "float",
+        "stateEstimate.y": "float",
+        "stateEstimate.z": "float",
+        "stateEstimate.yaw": "FP16",
+        "pm.vbat": "FP16",
+        "supervisor.info": "uint16_t",
+    }
+)
+"""Variables of the frequent log block, and their types in packets: 18 of the 26 bytes that a packet holds."""
+
+VARIANCE_LOG: Mapping[str, str] = MappingProxyType(
+    {"kalman.varPX": "float", "kalman.varPY": "float", "kalman.varPZ": "float"}
+)
+"""Variables of the log block for `settled`."""
+
+POSITION_PERIOD_MS = 50
+VARIANCE_PERIOD_MS = 100
+
+SETTLED_SAMPLES = 10
+SETTLED_RANGE = 0.001
+"""The estimator has converged when the variance of no axis changed by more than this [m^2] over the last
+`SETTLED_SAMPLES` samples (the measure of cflib's `Swarm.reset_estimators`, over one second instead of five)."""
+
+CAN_ARM, ARMED, FLYING, TUMBLED, LOCKED, CRASHED = 0x01, 0x02, 0x10, 0x20, 0x40, 0x80
+"""Bits of `supervisor.info` (firmware: `src/modules/src/supervisor.c`)."""
+
+_NAMES = {
+    CAN_ARM: "can be armed",
+    ARMED: "armed",
+    FLYING: "flying",
+    TUMBLED: "tumbled",
+    LOCKED: "locked: restart it",
+    CRASHED: "crashed: recover it",
+}
+
+
+def says(info: int) -> str:
+    """The supervisor's state, in words."""
+    return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
+
+
+class Telemetry:
+    """The newest values that were logged. Written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self.position: Position | None = None
+        self.stamp_s = 0.0
+        self.yaw_deg = 0.0
+        self.battery_v: float | None = None
+        self.info = 0
+        self._variances: deque[tuple[float, float, float]] = deque(maxlen=SETTLED_SAMPLES)
+        self._variance_stamp_s = 0.0
+
+    def take_position(self, data: Mapping[str, float], now: float) -> None:
+        """Take a packet of `POSITION_LOG` that arrived at `now`."""
+        self.battery_v = float(data["pm.vbat"])
+        self.info = int(data["supervisor.info"])
+        self.yaw_deg = float(data["stateEstimate.yaw"])
+        self.position = (float(data["stateEstimate.x"]), float(data["stateEstimate.y"]), float(data["stateEstimate.z"]))
+        self.stamp_s = now
+
+    def take_variance(self, data: Mapping[str, float], now: float) -> None:
+        """Take a packet of `VARIANCE_LOG` that arrived at `now`."""
+        self._variances.append((data["kalman.varPX"], data["kalman.varPY"], data["kalman.varPZ"]))
+        self._variance_stamp_s = now
+
+    def settled(self, now: float) -> bool:
+        """Whether the estimator has converged, by recent samples."""
+        samples = list(self._variances)
+        if len(samples) < SETTLED_SAMPLES or now - self._variance_stamp_s > SETTLED_SAMPLES * VARIANCE_PERIOD_MS / 1e3:
+            return False
+        return all(max(axis) - min(axis) < SETTLED_RANGE for axis in zip(*samples, strict=True))
 
 
 class _Refused(RobotError):
@@ -80,7 +143,7 @@ class CrazyflieRobot:
         if not uri.startswith(SCHEMES):
             raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
         self.uri = uri
-        self._name = name
+        self.name = name
         self._limits = limits or MotionLimits()
         self._link_timeout_s = link_timeout_s
         self._parameters = dict(parameters or {})
@@ -89,15 +152,8 @@ class CrazyflieRobot:
         self._log = Telemetry()
         self._connected = self._lost = self._aloft = False
         self._set_point: Position | None = None
-        self._segment: tuple[Segment, float] | None = None
+        self._segment: Segment | None = None
         self._yaw = 0.0
-
-    @property
-    def name(self) -> str:
-        """The name in reports and errors."""
-        return self._name
-
-    # ------------------------------------------------------------ link and state
 
     async def connect(self, timeout_s: float) -> None:
         """Open the link and wait for the first estimate; reopens a lost link, also in flight.
@@ -108,19 +164,15 @@ class CrazyflieRobot:
         """
         end = time.monotonic() + timeout_s
         await self._link.close()
-        self._link, log = CrazyflieLink(self._name, self.uri, self._cache), Telemetry()
+        self._link, log = CrazyflieLink(self.name, self.uri, self._cache), Telemetry()
         self._set_point, self._segment = None, None
         await self._link.connect(timeout_s, self._parameters)
         try:
-            await self._link.log(
-                "position", POSITION_PERIOD_MS, POSITION_LOG, lambda data: log.take_position(data, time.monotonic())
-            )
-            await self._link.log(
-                "variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, lambda data: log.take_variance(data, time.monotonic())
-            )
+            await self._link.log("position", POSITION_PERIOD_MS, POSITION_LOG, log.take_position)
+            await self._link.log("variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, log.take_variance)
             while log.position is None:
                 if time.monotonic() >= end:
-                    raise RobotError(self._name, f"no position within {timeout_s:g} s")
+                    raise RobotError(self.name, f"no position within {timeout_s:g} s")
                 await asyncio.sleep(0.005)
         except BaseException:
             await self._link.close()
@@ -131,7 +183,7 @@ class CrazyflieRobot:
         """The newest state that was logged."""
         log, now = self._log, time.monotonic()
         if not self._connected or log.position is None:
-            raise RobotError(self._name, "was never connected")
+            raise RobotError(self.name, "was never connected")
         if self._link.lost is not None or self._link.silent_s(now) > self._link_timeout_s:
             self._lost = True
         return RobotState(
@@ -150,26 +202,20 @@ class CrazyflieRobot:
         await self._link.close()
 
     def _ready(self) -> RobotState:
-        """The state, if the link works.
-
-        Raises:
-            RobotError: not connected, or the link is lost.
-        """
+        """The state; raises RobotError if the link does not work."""
         if not self._connected or not self._link.open:
-            raise RobotError(self._name, self._link.why_closed)
+            raise RobotError(self.name, self._link.why_closed)
         state = self.state()
         if state.link_lost:
-            raise RobotError(self._name, f"the link is lost: {self._link.lost or 'nothing comes any more'}")
+            raise RobotError(self.name, f"the link is lost: {self._link.lost or 'nothing comes any more'}")
         return state
-
-    # ------------------------------------------------------------ flying
 
     async def arm(self) -> None:
         """Arm the drone, and repeat until the supervisor confirms it."""
         end = time.monotonic() + ARM_S
         while not self._ready().armed:
             if time.monotonic() >= end:
-                raise RobotError(self._name, f"does not arm; its supervisor says: {says(self._log.info)}")
+                raise RobotError(self.name, f"does not arm; its supervisor says: {says(self._log.info)}")
             await self._link.send(lambda cf: cf.supervisor.send_arming_request(True))
             await self._until(lambda: self.state().armed, min(0.2, max(0.0, end - time.monotonic())))
 
@@ -191,7 +237,7 @@ class CrazyflieRobot:
         """Fly the straight segment from the last set-point, keeping the yaw."""
         state = self._ready()
         if not self._aloft and not state.flying:
-            raise RobotError(self._name, "is not in the air")
+            raise RobotError(self.name, "is not in the air")
         start = self._set_point or state.position
         sent = self._limits.clip(start, target, duration_s)
         await self._go(sent.target, duration_s)
@@ -204,8 +250,7 @@ class CrazyflieRobot:
             return
         stop: Position | None = state.position
         if self._segment is not None:
-            segment, began = self._segment
-            stop = stopping_point(segment, time.monotonic() - began, HOLD_S)
+            stop = stopping_point(self._segment, time.monotonic(), HOLD_S)
         if stop is not None:
             await self._go(stop, HOLD_S)
             self._segment, self._set_point = None, stop
@@ -234,8 +279,9 @@ class CrazyflieRobot:
         return False
 
     def _flies(self, start: Position, sent: Commanded) -> Commanded:
-        segment = Segment(start=start, target=sent.target, duration_s=sent.duration_s)
-        self._segment, self._set_point = (segment, time.monotonic()), sent.target
+        now = time.monotonic()
+        self._segment = Segment(start=start, target=sent.target, duration_s=sent.duration_s, began_s=now)
+        self._set_point = sent.target
         return sent
 
     async def _go(self, target: Position, duration_s: float) -> None:
@@ -245,11 +291,7 @@ class CrazyflieRobot:
         await self._command(number, lambda cf, left: cf.go_to(x, y, z, self._yaw, left), duration_s, "a way-point")
 
     async def _command(self, number: int, send: Callable[[Any, float], None], duration_s: float, what: str) -> None:
-        """Send until the firmware answers, each time with the rest of the duration.
-
-        Raises:
-            RobotError: refused, or never answered.
-        """
+        """Send until the firmware answers, each time with the rest of the duration; raises RobotError."""
         began = time.monotonic()
         for attempt in range(ATTEMPTS):
             left = max(SHORTEST_S, duration_s - (time.monotonic() - began))
@@ -261,8 +303,8 @@ class CrazyflieRobot:
                 return
             if answer is not None:
                 said = says(self._log.info)
-                raise _Refused(self._name, f"refused {what} (answer {answer}); its supervisor says: {said}")
-        raise RobotError(self._name, f"did not confirm {what}, sent {ATTEMPTS} times")
+                raise _Refused(self.name, f"refused {what} (answer {answer}); its supervisor says: {said}")
+        raise RobotError(self.name, f"did not confirm {what}, sent {ATTEMPTS} times")
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         end = time.monotonic() + timeout_s

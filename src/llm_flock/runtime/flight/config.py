@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import product
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
-from llm_flock.runtime.flight.frame import MissionFrame, middle
 
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 
@@ -34,17 +36,10 @@ class WorldConfig(ConfigSection):
 
     scale_m: float = _length(0.1, "Length of one mission unit")
     stretch: float = Field(
-        default=1.0,
-        ge=1,
-        le=100,
-        allow_inf_nan=False,
-        description="Missions in space: extra scale of z over x and y",
+        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
     )
     yaw_deg: float = Field(
-        default=0.0,
-        ge=-360,
-        le=360,
-        description="The mission's x axis in the world, counterclockwise [degrees]",
+        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
     )
     origin_m: tuple[Metres, Metres] = Field(
         default=(0.0, 0.0), description="Middle of the arena in the world, x and y [m]"
@@ -119,14 +114,54 @@ class SafetyConfig(ConfigSection):
     off_course_s: float = _seconds(0.5, "Longest time that a drone may be farther than tracking_m from its set-point")
     cut_outside_m: float = _length(1.0, "Cut the motors of a drone that is this far outside the geofence")
     silent_rounds: int = Field(
-        default=3,
-        ge=1,
-        le=1000,
-        description="Land after this many rounds in a row without an answer of a model",
+        default=3, ge=1, le=1000, description="Land after this many rounds in a row without an answer of a model"
     )
     think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
     max_flight_s: float = _seconds(240.0, "Land after this time in the air")
     reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionFrame:
+    """Position, orientation and scale of a mission in the world.
+
+    A mission in the plane is flown at one altitude. In space, z is scaled by `stretch` more than x and y, so that the
+    sphere of the safe distance becomes an ellipsoid that is higher by as much: downwash reaches far down.
+
+    Attributes:
+        anchor: point of the mission that lies at the origin, d coordinates [units].
+        scale_m: one unit in the plane [m].
+        stretch: one unit of height over one unit in the plane, in metres.
+        yaw: from the mission's x axis to the world's, counterclockwise [rad].
+        origin: of the plane [m; world frame].
+        altitude_m: z of the anchor, and of every point of a mission in the plane [m; world frame].
+    """
+
+    anchor: Point
+    scale_m: float
+    stretch: float
+    yaw: float
+    origin: tuple[float, float]
+    altitude_m: float
+
+    def to_world(self, point: Point) -> Position:
+        """A point of the mission in the world [m]."""
+        dx, dy = ((x - a) * self.scale_m for x, a in zip(point[:2], self.anchor[:2], strict=True))
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        rise = (point[2] - self.anchor[2]) * self.scale_m * self.stretch if len(point) > 2 else 0.0
+        return (self.origin[0] + cos * dx - sin * dy, self.origin[1] + sin * dx + cos * dy, self.altitude_m + rise)
+
+    def to_mission(self, position: Position) -> Point:
+        """A position of the world in the mission [units]; a mission in the plane drops the altitude."""
+        east, north = position[0] - self.origin[0], position[1] - self.origin[1]
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        plane = (
+            self.anchor[0] + (cos * east + sin * north) / self.scale_m,
+            self.anchor[1] + (-sin * east + cos * north) / self.scale_m,
+        )
+        if len(self.anchor) == 2:
+            return plane
+        return (*plane, self.anchor[2] + (position[2] - self.altitude_m) / (self.scale_m * self.stretch))
 
 
 class FlightConfig(RunConfig):
@@ -164,11 +199,10 @@ class FlightConfig(RunConfig):
             twice = next((value for value in given if given.count(value) > 1), None)
             if twice is not None:
                 raise InputError("drones", twice, f"a {field} for each drone; this one is there twice")
-        starts = {drone.name: (drone.start[0], drone.start[1]) for drone in drones if drone.start is not None}
-        names = list(starts)
-        for k, one in enumerate(names):
-            for two in names[:k]:
-                apart = math.dist(starts[one], starts[two])
+        starts = [(drone.name, drone.start[:2]) for drone in drones if drone.start is not None]
+        for k, (one, here) in enumerate(starts):
+            for two, there in starts[:k]:
+                apart = math.dist(here, there)
                 if apart < self.safe_distance_m - ROUNDING_M:
                     raise InputError(
                         "drones",
@@ -224,12 +258,10 @@ class FlightConfig(RunConfig):
         low, high = self.world.geofence
         if any(a >= b for a, b in zip(low, high, strict=True)):
             raise InputError("geofence", self.world.geofence, "two corners, each number of the first one lower")
-        inner_low, inner_high = self.inner_fence
-        for corner in self.frame.corners(self.mission):
-            if not all(
-                a - ROUNDING_M <= x <= b + ROUNDING_M for a, x, b in zip(inner_low, corner, inner_high, strict=True)
-            ):
-                x, y, z = corner
+        bounds, frame = list(zip(*self.inner_fence, strict=True)), self.frame
+        for corner in product(*zip(*self.mission.arena, strict=True)):
+            x, y, z = frame.to_world(corner)
+            if not all(a - ROUNDING_M <= v <= b + ROUNDING_M for v, (a, b) in zip((x, y, z), bounds, strict=True)):
                 raise InputError(
                     "geofence",
                     self.world.geofence,
@@ -256,7 +288,7 @@ class FlightConfig(RunConfig):
         """The mission in the world."""
         world = self.world
         return MissionFrame(
-            anchor=middle(self.mission),
+            anchor=tuple((a + b) / 2 for a, b in zip(*self.mission.arena, strict=True)),
             scale_m=world.scale_m,
             stretch=world.stretch if self.mission.dim == 3 else 1.0,
             yaw=math.radians(world.yaw_deg),

@@ -36,11 +36,7 @@ LOOK_S = 0.02
 
 
 class HeartbeatListener:
-    """Reads heartbeats in a thread, one a line. The pipe closes when the flight process dies.
-
-    Args:
-        source: the pipe.
-    """
+    """Reads heartbeats from a pipe in a thread, one a line. The pipe closes when the flight process dies."""
 
     def __init__(self, source: TextIO) -> None:
         self.last = Heartbeat()
@@ -67,33 +63,29 @@ class HeartbeatListener:
 
 
 async def land_all(config: FlightConfig, robots: Sequence[Robot], say: Callable[[str], None]) -> dict[str, str]:
-    """Connect to drones and land them; returns how each ended, by name.
+    """Connect to drones in the air and land them; returns how each ended, by name.
 
-    Args:
-        config: times and distances.
-        robots: those in the air.
-        say: called with a line of text at each step.
+    Calls `say` with a line of text at each step.
     """
     until = time.monotonic() + config.safety.reach_s
-    reached: list[Robot] = []
     missing = list(robots)
-    ends: dict[str, str] = {}
     landings: list[asyncio.Task[dict[str, str]]] = []
     while missing and time.monotonic() < until:
         checks, _ = await connect(config, missing)
         up = [robot for robot, check in zip(missing, checks, strict=True) if check.passed]
         missing = [robot for robot in missing if robot not in up]
-        reached += up
         if up:
             say(f"reached {', '.join(robot.name for robot in up)}; landing")
             landings.append(asyncio.create_task(_land(config, up)))
         if missing:
             await asyncio.sleep(CALL_S)
+    ends: dict[str, str] = {}
     for landing in landings:
         ends |= await landing
-    for robot in missing:
-        ends[robot.name] = LOST
-    for robot in reached:
+    for robot in robots:
+        if robot in missing:
+            ends[robot.name] = LOST
+            continue
         with contextlib.suppress(TimeoutError, RobotError):
             await robot.close()
     return ends

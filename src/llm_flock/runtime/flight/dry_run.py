@@ -24,12 +24,9 @@ from llm_flock.runtime.trial import Trial
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannedMotion:
-    """One joint motion.
+    """One joint motion: set-points at its end, and the highest speeds on the way, by robot.
 
     Attributes:
-        round: number of the motion round.
-        targets: set-points at its end, by robot [m].
-        peaks_m_s: highest speed on the way, by robot [m/s].
         separation_m: smallest distance of two set-points during it, heights scaled by the vertical rule [m].
         faults: limits that it breaks, in words.
     """
@@ -43,14 +40,7 @@ class PlannedMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """The plan of a whole flight.
-
-    Attributes:
-        drones: the drones, each with a start.
-        steps: every motion.
-        landing: groups that land at once.
-        result: of the trial.
-    """
+    """The plan of a whole flight: drones with starts, every motion, groups that land at once, and the trial."""
 
     drones: tuple[DroneConfig, ...]
     steps: tuple[PlannedMotion, ...]
@@ -64,12 +54,7 @@ class DryRun:
 
 
 class DryRunTeam(InstantBodies):
-    """Simulated bodies that keep the commands that real ones would get.
-
-    Args:
-        config: the flight.
-        aims: where they hover first, shape (n, d) [units].
-    """
+    """Simulated bodies that keep the commands that real ones would get."""
 
     def __init__(self, config: FlightConfig, aims: Points) -> None:
         super().__init__(config.mission, aims, 0.0, np.random.default_rng(0))

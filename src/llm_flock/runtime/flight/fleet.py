@@ -71,12 +71,9 @@ def _simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[
     from llm_flock.robots.point_mass import PointMass
     from llm_flock.robots.simulated_robot import SimulatedRobot
 
-    robots: list[Robot] = []
-    for drone in wanted:
-        home = start_of(config, drone)
-        body = PointMass(home=home, ground_m=config.world.floor_m)
-        robots.append(SimulatedRobot(drone.name, home, limits=config.driver_limits, body=body))
-    return robots
+    bodies = [PointMass(home=start_of(config, drone), ground_m=config.world.floor_m) for drone in wanted]
+    limits = config.driver_limits
+    return [SimulatedRobot(d.name, body.home, limits=limits, body=body) for d, body in zip(wanted, bodies, strict=True)]
 
 
 def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:

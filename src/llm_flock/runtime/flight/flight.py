@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from llm_flock.protocol.planning import Planner
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.flight.config import FlightConfig
@@ -36,12 +37,7 @@ SAFE_ENDS = frozenset({LANDED, STOPPED, NEVER_UP, CUT})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """The result of a flight, or of a preflight that was not passed.
-
-    Attributes:
-        report: the preflight.
-        result: the trial that was flown, with the flight in its summary; None if nothing took off.
-    """
+    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off)."""
 
     report: PreflightReport
     result: RunResult | None = None
@@ -51,7 +47,7 @@ class Flight:
     """Flies one mission. Call `run` once; `abort` and `emergency` at any time meanwhile.
 
     Args:
-        config: the flight file.
+        config: of the flight.
         robots: one for each robot of the mission, not connected yet.
         on_round: called after each round, for a live display.
         on_stage: called with the name of each stage as it begins.
@@ -63,33 +59,31 @@ class Flight:
         robots: Sequence[Robot],
         *,
         on_round: Callable[[TrialProgress], None] | None = None,
-        on_stage: Callable[[str], None] | None = None,
+        on_stage: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._config = config
         self._robots = robots
         self._on_round = on_round
-        self._on_stage = on_stage or _ignore
+        self._on_stage = on_stage
         self._supervisor: FlightSupervisor | None = None
 
     def abort(self) -> bool:
         """Land all drones; returns False if the flight has not begun."""
-        if self._supervisor is None:
-            return False
-        self._supervisor.abort()
-        return True
+        return self._trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
 
     def emergency(self) -> bool:
-        """Cut all motors; returns False if the flight has not begun."""
+        """Cut all motors, wherever the drones are; returns False if the flight has not begun."""
+        everybody = frozenset(range(len(self._robots)))
+        return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+
+    def _trip(self, trouble: Trouble) -> bool:
         if self._supervisor is None:
             return False
-        self._supervisor.emergency()
+        self._supervisor.trip(trouble)
         return True
 
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
-        """Fly.
-
-        Args:
-            confirm: called with a preflight that was passed; nothing takes off unless it returns True.
+        """Fly. Nothing takes off unless `confirm` returns True; it gets a preflight that was passed.
 
         Raises:
             InputError: the file, or a path to write to, cannot be used; nothing has moved.
@@ -113,12 +107,18 @@ class Flight:
     async def _fly(
         self, planners: TeamPlanners, journal: Journal, record: str | None, report: PreflightReport
     ) -> RunResult:
-        config = self._config
+        config, safety = self._config, self._config.safety
         log = FlightLog(config, journal.writer)
         team = FlyingTeam(config, self._robots, log)
         supervisor = self._supervisor = FlightSupervisor(config, team, log)
-        self._limit_waits(planners, supervisor)
-        rules, start = config.protocol.rules(), team.set_point_rows
+
+        def timed(robot: int, planner: Planner) -> Planner:
+            detail = f"{team.names[robot]}: no answer in {safety.silent_rounds} rounds in a row"
+            trouble = Trouble(TroubleKind.MODEL_SILENT, robot, detail)
+            return TimedPlanner(planner, safety.think_s, safety.silent_rounds, lambda: supervisor.trip(trouble))
+
+        planners.wrap(timed)
+        rules, start = config.protocol.rules(), team.places
         trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
         landing = Landing(config, team, log)
@@ -154,17 +154,6 @@ class Flight:
         if supervisor.trouble is not None:
             trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
 
-    def _limit_waits(self, planners: TeamPlanners, supervisor: FlightSupervisor) -> None:
-        safety = self._config.safety
-
-        def on_silence(robot: int) -> Callable[[int], None]:
-            name = self._robots[robot].name
-            return lambda rounds: supervisor.trip(
-                Trouble(TroubleKind.MODEL_SILENT, robot, f"{name}: no answer in {rounds} rounds in a row")
-            )
-
-        planners.wrap(lambda robot, inner: TimedPlanner(inner, safety.think_s, safety.silent_rounds, on_silence(robot)))
-
     def _result(self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog) -> FlightFigures:
         ends: dict[str, str] = {}
         for robot, body in enumerate(self._robots):
@@ -172,22 +161,18 @@ class Flight:
                 ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
-        found, trouble = log.measurements, supervisor.trouble
+        trouble = supervisor.trouble
         return FlightFigures(
             ended="mission" if trouble is None else trouble.kind.value,
             reason=None if trouble is None else trouble.detail,
             ends=ends,
             safe=set(ends.values()) <= SAFE_ENDS,
             air_s=round(supervisor.aloft_s, 3),
-            min_separation_m=found.nearest_m if found.nearest_m < float("inf") else None,
-            tracking_rms_m=(found.squares / found.counted) ** 0.5 if found.counted else None,
-            tracking_max_m=found.worst_m if found.counted else None,
-            fan_out_ms=1000 * max(found.fan_outs_s) if found.fan_outs_s else None,
+            min_separation_m=log.nearest_m if log.nearest_m < float("inf") else None,
+            tracking_rms_m=(log.squares / log.counted) ** 0.5 if log.counted else None,
+            tracking_max_m=log.worst_m if log.counted else None,
+            fan_out_ms=1000 * max(log.fan_outs_s) if log.fan_outs_s else None,
         )
-
-
-def _ignore(_: str) -> None:
-    pass
 
 
 def _end_unwatched(task: asyncio.Task[None], supervisor: FlightSupervisor) -> None:

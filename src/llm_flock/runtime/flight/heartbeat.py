@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection
-from types import TracebackType
 from typing import Self
 
 from pydantic import BaseModel, ConfigDict
@@ -32,11 +31,9 @@ class NoDeadman(FlockError):
 
 
 class Heartbeat(BaseModel):
-    """A sign of life of the flight process: one line of JSON.
+    """A sign of life of the flight process, one line of JSON: ids of the drones in the air, for the deadman to land.
 
-    Attributes:
-        aloft: ids of the drones in the air, which the deadman has to land.
-        farewell: the flight is over; the deadman is to end.
+    With a farewell the flight is over, and the deadman ends.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -48,9 +45,7 @@ class Heartbeat(BaseModel):
 class HeartbeatSender:
     """Runs a deadman as long as its context lasts; its heartbeats stop when this process's event loop does.
 
-    Args:
-        config: the flight; no process is started where it needs no deadman.
-        aloft: returns the drones in the air.
+    No process is started for a flight that needs none. `aloft` returns the drones in the air.
     """
 
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]]) -> None:
@@ -58,11 +53,6 @@ class HeartbeatSender:
         self._aloft = aloft
         self._process: subprocess.Popen[bytes] | None = None
         self._beating: asyncio.Task[None] | None = None
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the deadman; None without one."""
-        return None if self._process is None else self._process.pid
 
     async def __aenter__(self) -> Self:
         if self._config.fleet.watched:
@@ -112,9 +102,7 @@ class HeartbeatSender:
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Send the farewell; if this process fails with drones in the air, let the deadman take over instead."""
         process = self._process
         if process is None:

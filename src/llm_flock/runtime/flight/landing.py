@@ -7,11 +7,13 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from llm_flock.robots.base import PEAK_SPEED, Position, RobotError
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import SetPointCheck, moving
+from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
 
 MARGIN_S = 3.0
@@ -48,13 +50,7 @@ RINGS, SPOTS = 12, 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Descent:
-    """How one drone lands: first aside to `via` if given, then straight down.
-
-    Attributes:
-        robot: id.
-        spot: where it lands, x and y [m].
-        via: set-point above that spot at the drone's altitude; None if it hovers there already.
-    """
+    """How one drone lands: first aside to `via` if given, a set-point above its spot, then straight down [m]."""
 
     robot: int
     spot: tuple[float, float]
@@ -106,32 +102,28 @@ def _descent(
     apart: float,
 ) -> Descent:
     """The nearest free spot with a free path to it; straight down if there is none."""
+    straight = Descent(robot=robot, spot=_flat(place))
+    if _free(taken, [straight.spot], apart):
+        return straight
     check = SetPointCheck(config)
     low, high = config.inner_fence
-    if _free(taken, [_flat(place)], apart):
-        return Descent(robot=robot, spot=_flat(place))
-    for ring in range(1, RINGS + 1):
-        for k in range(SPOTS):
-            angle, reach = 2 * math.pi * k / SPOTS, ring * apart / 2
-            x, y = place[0] + reach * math.cos(angle), place[1] + reach * math.sin(angle)
-            via = (x, y, place[2])
-            inside = low[0] <= x <= high[0] and low[1] <= y <= high[1]
-            if not inside or not _free(taken, [(x, y)], apart):
-                continue
-            # Drones may be nearer than allowed already; the path must not bring them nearer.
-            allowed = min(apart, check.separation([place, *hovering], [place, *hovering]))
-            if check.separation([place, *hovering], [via, *hovering]) >= allowed - 1e-3:
-                return Descent(robot=robot, spot=(x, y), via=via)
-    return Descent(robot=robot, spot=_flat(place))
+    before = [place, *hovering]
+    # Drones may be nearer than allowed already; the path must not bring them nearer.
+    allowed = min(apart, check.separation(before, before))
+    for ring, k in product(range(1, RINGS + 1), range(SPOTS)):
+        angle, reach = 2 * math.pi * k / SPOTS, ring * apart / 2
+        x, y = place[0] + reach * math.cos(angle), place[1] + reach * math.sin(angle)
+        via = (x, y, place[2])
+        inside = low[0] <= x <= high[0] and low[1] <= y <= high[1]
+        if not inside or not _free(taken, [(x, y)], apart):
+            continue
+        if check.separation(before, [via, *hovering]) >= allowed - 1e-3:
+            return Descent(robot=robot, spot=(x, y), via=via)
+    return straight
 
 
 class Landing:
     """Lands drones, and keeps calling those out of reach until they answer or the time is up.
-
-    Args:
-        config: times and distances.
-        team: the drones.
-        log: records events.
 
     Attributes:
         ends: how each drone ended: LANDED, STOPPED, TOLD or LOST.
@@ -153,8 +145,8 @@ class Landing:
         standing = [state.position for robot, state in enumerate(team.states()) if robot not in places]
         async with asyncio.TaskGroup() as group:
             for batch in plan_landing(self._config, places, standing):
-                rescues = await asyncio.gather(*(self._land(descent) for descent in batch))
-                for descent, reached in zip(batch, rescues, strict=True):
+                results = await asyncio.gather(*map(self._land, batch))
+                for descent, reached in zip(batch, results, strict=True):
                     if not reached:
                         group.create_task(self._call_down(descent))
 
@@ -228,8 +220,9 @@ class Landing:
                 await asyncio.sleep(AGAIN_S)
             else:
                 return
-        self._log.note("given_up", robot, position=list(self._team.motions[robot].end))
+        self._log.note("given_up", robot, position=list(self._team.motions[robot].target))
         self.ends[robot] = TOLD if robot in self._told else LOST
 
     def _fly(self, robot: int, start: Position, end: Position, seconds: float) -> None:
-        self._team.motions[robot] = moving(start, end, time.monotonic(), seconds)
+        now = time.monotonic()
+        self._team.motions[robot] = Segment(start=start, target=end, duration_s=seconds, began_s=now)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from llm_flock import metrics
@@ -13,30 +12,16 @@ from llm_flock.errors import RecordError
 from llm_flock.record.schema import BodySample, Entry, FlightEvent
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import RobotState
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Motion, scale_heights
+from llm_flock.runtime.flight.setpoints import scale_heights
 
 SAMPLE_S = 0.1
 """Time between two samples in the record [s]."""
 
 
-@dataclass(slots=True, kw_only=True)
-class FlightMeasurements:
-    """Running measurements of a flight, over drones in the air only."""
-
-    nearest_m: float = math.inf
-    worst_m: float = 0.0
-    squares: float = 0.0
-    counted: int = 0
-    fan_outs_s: list[float] = field(default_factory=list[float])
-
-
 class FlightLog:
-    """Writes the entries of a record that only flights have.
-
-    Args:
-        config: the vertical rule, by which distances are measured.
-        sink: takes the record.
+    """Writes the entries of a record that only flights have, and keeps measurements over drones in the air.
 
     Attributes:
         failure: error after which the record is no longer written; measurements go on.
@@ -45,8 +30,9 @@ class FlightLog:
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
         self.round = 0
         self.failure: RecordError | None = None
-        self.measurements = FlightMeasurements()
-        self.events: list[FlightEvent] = []
+        self.nearest_m, self.worst_m = math.inf, 0.0
+        self.squares, self.counted = 0.0, 0
+        self.fan_outs_s: list[float] = []
         self._safety = config.safety
         self._sink = sink
         self._began = time.monotonic()
@@ -55,26 +41,23 @@ class FlightLog:
     def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
         """Record an event."""
         seconds = round(time.monotonic() - self._began, 3)
-        event = FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail)
-        self.events.append(event)
-        self._write(event)
+        self._write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Segment], airborne: frozenset[int]
     ) -> None:
         """Measure all drones; every `SAMPLE_S` also record them."""
-        commanded = [motion.at(state.stamp_s) for state, motion in zip(states, motions, strict=True)]
-        measured = self.measurements
+        commanded = [motion.at(state.stamp_s)[0] for state, motion in zip(states, motions, strict=True)]
         for robot in airborne:
             off = math.dist(states[robot].position, commanded[robot])
-            measured.worst_m = max(measured.worst_m, off)
-            measured.squares += off * off
-            measured.counted += 1
+            self.worst_m = max(self.worst_m, off)
+            self.squares += off * off
+            self.counted += 1
         safety = self._safety
         flying = [states[robot].position for robot in sorted(airborne)]
         if len(flying) > 1:
             nearest = metrics.min_separation(scale_heights(flying, safety.min_separation_m, safety.downwash_m))
-            measured.nearest_m = min(measured.nearest_m, nearest)
+            self.nearest_m = min(self.nearest_m, nearest)
         if now_s - self._sampled >= SAMPLE_S:
             self._sampled = now_s
             sample = BodySample(

@@ -10,12 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import combinations
 
 from scipy.spatial.distance import pdist
 
-from llm_flock.robots.base import Position, RobotState
+from llm_flock.robots.base import RobotState
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.setpoints import Motion, scale_heights
+from llm_flock.runtime.flight.setpoints import scale_heights
 
 PERIOD_S = 0.05
 """Time between two checks [s]."""
@@ -43,14 +45,7 @@ class TroubleKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """A reason to end the flight.
-
-    Attributes:
-        kind: of reason.
-        robot: the drone concerned; None for all.
-        detail: in words.
-        cut: drones whose motors must be cut at once.
-    """
+    """A reason to end the flight: the drone concerned (None for all), and drones whose motors must be cut at once."""
 
     kind: TroubleKind
     robot: int | None = None
@@ -59,12 +54,7 @@ class Trouble:
 
 
 class Monitors:
-    """Checks the states of all drones, again and again.
-
-    Args:
-        config: the limits.
-        names: of the drones.
-    """
+    """Checks the states of all drones, again and again."""
 
     def __init__(self, config: FlightConfig, names: Sequence[str]) -> None:
         self._safety = config.safety
@@ -75,23 +65,18 @@ class Monitors:
         self._off_since: dict[int, float] = {}
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Motion], airborne: frozenset[int]
+        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Segment], airborne: frozenset[int]
     ) -> list[Trouble]:
         """Every trouble at this moment; one that lasts is returned again by every call.
 
-        Args:
-            now_s: monotonic time [s].
-            states: of all drones.
-            motions: what each is flying.
-            airborne: drones that have taken off and were not told to land; only these are held to their set-points.
+        Only drones in `airborne`, that have taken off and were not told to land, are held to their set-points.
         """
         found: list[Trouble] = []
         for robot, (state, motion) in enumerate(zip(states, motions, strict=True)):
-            found.extend(self._one(now_s, robot, state, motion, robot in airborne))
-        found.extend(self._pairs(states, airborne))
-        return found
+            found += self._one(now_s, robot, state, motion, robot in airborne)
+        return found + self._pairs(states, airborne)
 
-    def _one(self, now: float, robot: int, state: RobotState, motion: Motion, airborne: bool) -> list[Trouble]:
+    def _one(self, now: float, robot: int, state: RobotState, motion: Segment, airborne: bool) -> list[Trouble]:
         safety = self._safety
         found: list[Trouble] = []
 
@@ -110,7 +95,9 @@ class Monitors:
             moved = math.dist(before.position, state.position)
             if moved > safety.jump_m + safety.max_speed_m_s * (state.stamp_s - before.stamp_s):
                 report(TroubleKind.ESTIMATE_JUMPED, f"its position estimate jumped by {moved:.2f} m")
-        outside = self._outside(state.position)
+        # Distance from the geofence, 0 inside.
+        bounds = zip(self._fence[0], state.position, self._fence[1], strict=True)
+        outside = math.hypot(*(max(low - x, 0.0, x - high) for low, x, high in bounds))
         if outside > safety.cut_outside_m:
             report(TroubleKind.FAR_OUTSIDE, f"it is {outside:.2f} m outside the geofence; its motors are cut", cut=True)
         elif outside > 0.0:
@@ -118,16 +105,10 @@ class Monitors:
         low = state.battery_v is not None and state.battery_v < safety.low_battery_v
         if self._lasts(self._low_since, robot, low, now, safety.low_battery_s):
             report(TroubleKind.BATTERY_LOW, f"its battery has {state.battery_v:.2f} V")
-        off = math.dist(state.position, motion.at(state.stamp_s))
+        off = math.dist(state.position, motion.at(state.stamp_s)[0])
         if self._lasts(self._off_since, robot, airborne and off > safety.tracking_m, now, safety.off_course_s):
             report(TroubleKind.OFF_COURSE, f"it is {off:.2f} m from its set-point")
         return found
-
-    def _outside(self, position: Position) -> float:
-        """Distance of a position from the geofence, 0 inside [m]."""
-        return math.hypot(
-            *(max(a - x, 0.0, x - b) for a, x, b in zip(self._fence[0], position, self._fence[1], strict=True))
-        )
 
     @staticmethod
     def _lasts(since: dict[int, float], robot: int, holds: bool, now: float, long_s: float) -> bool:
@@ -141,12 +122,9 @@ class Monitors:
         flying = sorted(airborne)
         if len(flying) < 2:
             return []
-        safety = self._safety
-        distances = pdist(
-            scale_heights([states[k].position for k in flying], safety.min_separation_m, safety.downwash_m)
-        ).tolist()
-        pairs = [(i, j) for k, i in enumerate(flying) for j in flying[k + 1 :]]
-        nearest, (one, two) = min(zip(distances, pairs, strict=True))
+        safety, places = self._safety, [states[k].position for k in flying]
+        distances = pdist(scale_heights(places, safety.min_separation_m, safety.downwash_m)).tolist()
+        nearest, (one, two) = min(zip(distances, combinations(flying, 2), strict=True))
         if nearest >= safety.min_separation_m:
             return []
         detail = f"{self._names[one]} and {self._names[two]} are {nearest:.3f} m apart"

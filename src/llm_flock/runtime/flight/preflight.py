@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Robot, RobotError, RobotState
@@ -20,18 +20,16 @@ LOOK_S = 0.05
 ON_FLOOR_M = 0.3
 """Largest distance of the estimate from the floor for a drone on it [m]."""
 
+CHECKS = ("link", "battery", "estimator", "on the floor", "start position", "in the arena")
+"""Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
+
+NAMES = ("connected", *CHECKS, "apart")
+"""Names of all checks, in order."""
+
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of one drone, or of the team.
-
-    Attributes:
-        name: of the check.
-        who: name of the drone, or "team".
-        passed: whether it may fly.
-        found: the finding.
-        asked: the requirement; empty where it is obvious.
-    """
+    """One check of one drone, or of the `team`: the finding, and the requirement (empty where it is obvious)."""
 
     name: str
     who: str
@@ -45,12 +43,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreflightReport:
-    """The results of a preflight.
-
-    Attributes:
-        checks: all checks, in order.
-        connect_s: time until all were connected, or had failed [s].
-    """
+    """All checks of a preflight, in order, and the time until all drones were connected, or had failed."""
 
     checks: tuple[Check, ...]
     connect_s: float
@@ -90,78 +83,52 @@ async def preflight(config: FlightConfig, robots: Sequence[Robot]) -> PreflightR
 
 
 def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState], now_s: float) -> list[Check]:
-    """Every check but the connection, by drone.
-
-    Args:
-        config: the limits.
-        names: of the drones.
-        states: of the drones.
-        now_s: monotonic time [s].
-    """
+    """Every check but the connection, by drone; `now_s` is on the clock of the states."""
     found = [
-        Check(title, name, *check(config, robot, state, now_s))
+        Check(title, name, *finding)
         for robot, (name, state) in enumerate(zip(names, states, strict=True))
-        for title, check in _CHECKS
+        for title, finding in zip(CHECKS, _findings(config, robot, state, now_s), strict=True)
     ]
     return [*found, _apart(config, names, states)]
 
 
-def _link(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
-    least = config.safety.ready_link
+def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -> Iterator[tuple[bool, str, str]]:
+    """For each of `CHECKS` whether it is passed, the finding, and the requirement."""
+    world, safety = config.world, config.safety
     if state.link_lost:
-        return False, "lost", "there"
-    if state.link is None:
-        return True, "not told", ""
-    return state.link >= least, f"{state.link:.0%}", f"at least {least:.0%} of packets acknowledged"
+        yield False, "lost", "there"
+    elif state.link is None:
+        yield True, "not told", ""
+    else:
+        least = safety.ready_link
+        yield state.link >= least, f"{state.link:.0%}", f"at least {least:.0%} of packets acknowledged"
 
-
-def _battery(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
-    least = config.safety.ready_battery_v
     if state.battery_v is None:
-        return True, "not told", ""
-    return state.battery_v >= least, f"{state.battery_v:.2f} V", f"at least {least:.2f} V"
+        yield True, "not told", ""
+    else:
+        least = safety.ready_battery_v
+        yield state.battery_v >= least, f"{state.battery_v:.2f} V", f"at least {least:.2f} V"
 
-
-def _estimator(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
     age = now - state.stamp_s
-    fresh = age <= config.safety.stall_s
+    fresh = age <= safety.stall_s
     said = f"{age:.1f} s old" if not fresh else "converged" if state.settled else "not converged"
-    return state.settled and fresh, said, "a fresh estimate of a converged estimator"
+    yield state.settled and fresh, said, "a fresh estimate of a converged estimator"
 
-
-def _on_floor(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
-    above = state.position[2] - config.world.floor_m
+    x, y, z = state.position
+    above = z - world.floor_m
     passed = not state.flying and abs(above) <= ON_FLOOR_M
-    return passed, f"{above:+.2f} m", f"at most {ON_FLOOR_M:g} m from the floor, motors off"
+    yield passed, f"{above:+.2f} m", f"at most {ON_FLOOR_M:g} m from the floor, motors off"
 
-
-def _start(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
-    drones = config.fleet.drones
-    start = drones[robot].start if drones else None
+    start = config.fleet.drones[robot].start if config.fleet.drones else None
     if start is None:
-        return True, "not given", ""
-    off = math.dist(start[:2], state.position[:2])
-    most = config.safety.start_tolerance_m
-    return off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
+        yield True, "not given", ""
+    else:
+        off, most = math.dist(start[:2], (x, y)), safety.start_tolerance_m
+        yield off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
 
-
-def _arena(config: FlightConfig, robot: int, state: RobotState, now: float) -> tuple[bool, str, str]:
-    x, y, _ = state.position
-    row = config.frame.to_mission((x, y, config.world.altitude_m))
-    low, high = config.mission.arena
-    inside = all(a <= value <= b for a, value, b in zip(low, row, high, strict=True))
-    return inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
-
-
-_CHECKS: tuple[tuple[str, Callable[[FlightConfig, int, RobotState, float], tuple[bool, str, str]]], ...] = (
-    ("link", _link),
-    ("battery", _battery),
-    ("estimator", _estimator),
-    ("on the floor", _on_floor),
-    ("start position", _start),
-    ("in the arena", _arena),
-)
-"""The arena is within the geofence, so a drone in the arena is as well."""
+    row = config.frame.to_mission((x, y, world.altitude_m))
+    inside = all(a <= value <= b for value, (a, b) in zip(row, zip(*config.mission.arena, strict=True), strict=True))
+    yield inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
 
 
 def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
@@ -174,9 +141,4 @@ def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotSta
     ]
     nearest, who = min(pairs, default=(math.inf, ""))
     said = f"{nearest:.2f} m" if pairs else "alone"
-    asked = f"at least {least:g} m between {who}"
-    return Check("apart", "team", nearest >= least, said, asked)
-
-
-NAMES = ("connected", *(name for name, _ in _CHECKS), "apart")
-"""Names of all checks, in order."""
+    return Check("apart", "team", nearest >= least, said, f"at least {least:g} m between {who}")

@@ -19,13 +19,7 @@ SEND_MARGIN_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ReactionTime:
-    """Reaction to one failure.
-
-    Attributes:
-        case: the failure.
-        does: the reaction of the flight.
-        stated_s: from the failure until every drone is safe, for drones side by side [s].
-    """
+    """A failure, what the flight does, and the time until every drone is safe, for drones side by side."""
 
     case: str
     does: str

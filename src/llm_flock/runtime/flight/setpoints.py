@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,36 +17,9 @@ SLACK_M = 1e-4
 """Set-points may be nearer than planned by this: a generous bound of the shield's rounding [m]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """One motion from rest to rest along a straight line, and when it began.
-
-    Attributes:
-        segment: the straight line.
-        began_s: monotonic time at which it was commanded [s].
-    """
-
-    segment: Segment
-    began_s: float
-
-    @property
-    def end(self) -> Position:
-        """Its target [m]."""
-        return self.segment.target
-
-    def at(self, now_s: float) -> Position:
-        """The set-point at a time [m]."""
-        return self.segment.at(now_s - self.began_s)[0]
-
-
-def moving(start: Position, end: Position, began_s: float, duration_s: float) -> Motion:
-    """A motion from rest to rest."""
-    return Motion(segment=Segment(start=start, target=end, duration_s=duration_s), began_s=began_s)
-
-
-def resting(position: Position) -> Motion:
+def resting(position: Position) -> Segment:
     """A set-point that does not move."""
-    return moving(position, position, -math.inf, 1.0)
+    return Segment(start=position, target=position, duration_s=1.0, began_s=-math.inf)
 
 
 def scale_heights(positions: Sequence[Position], beside: float, above: float) -> Points:
@@ -58,11 +30,7 @@ def scale_heights(positions: Sequence[Position], beside: float, above: float) ->
 
 
 class SetPointCheck:
-    """Checks the set-points of a round.
-
-    Args:
-        config: the limits.
-    """
+    """Checks the set-points of a round."""
 
     def __init__(self, config: FlightConfig) -> None:
         safety = config.safety
@@ -78,16 +46,10 @@ class SetPointCheck:
         )
 
     def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
-        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown.
-
-        Args:
-            before: set-points now, by robot [m].
-            after: set-points at the end [m].
-            duration_s: of the motion [s].
-        """
-        found = [
-            text for k, (x, y) in enumerate(zip(before, after, strict=True)) for text in self._one(k, x, y, duration_s)
-        ]
+        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown [m, s]."""
+        found: list[str] = []
+        for robot, (start, end) in enumerate(zip(before, after, strict=True)):
+            found += self._one(robot, start, end, duration_s)
         nearest = self.separation(before, after)
         if nearest < self._beside - SLACK_M:
             found.append(f"two set-points come as near as {nearest:.3f} m; at least {self._beside:g} m is asked for")

@@ -23,20 +23,11 @@ CUT_TRY_S = 1.5
 
 
 class FlightEnded(Exception):
-    """The flight was ended before its mission."""
-
-    def __init__(self, trouble: Trouble) -> None:
-        self.trouble = trouble
-        super().__init__(f"{trouble.kind.value}: {trouble.detail}")
+    """The flight was ended before its mission, by the `trouble` of its supervisor."""
 
 
 class FlightSupervisor:
     """The one place where a flight is ended before its mission.
-
-    Args:
-        config: the limits.
-        team: the drones.
-        log: records troubles.
 
     Attributes:
         trouble: the first one, which ended the flight; None as long as all is well.
@@ -66,15 +57,6 @@ class FlightSupervisor:
             self.trouble = trouble
             self._tripped.set()
 
-    def abort(self) -> None:
-        """Land all drones at the operator's command."""
-        self.trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
-
-    def emergency(self) -> None:
-        """Cut all motors at the operator's command, wherever the drones are."""
-        everybody = frozenset(range(len(self._team.robots)))
-        self.trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
-
     async def watch(self) -> None:
         """Monitor all drones until cancelled."""
         team = self._team
@@ -96,14 +78,10 @@ class FlightSupervisor:
             await asyncio.sleep(PERIOD_S)
 
     async def while_safe(self, work: Coroutine[Any, Any, T]) -> T:
-        """Do some work, but cancel it as soon as something is wrong.
-
-        Raises:
-            FlightEnded: something is wrong.
-        """
+        """Do some work, but cancel it and raise FlightEnded as soon as something is wrong."""
         if self.trouble is not None:
             work.close()
-            raise FlightEnded(self.trouble)
+            raise FlightEnded
         task = asyncio.ensure_future(work)
         tripped = asyncio.ensure_future(self._tripped.wait())
         try:
@@ -114,7 +92,7 @@ class FlightSupervisor:
                     waiting.cancel()
                     await asyncio.gather(waiting, return_exceptions=True)
         if self.trouble is not None:
-            raise FlightEnded(self.trouble)
+            raise FlightEnded
         return task.result()
 
     @property

@@ -7,9 +7,9 @@ import math
 import time
 
 from llm_flock.robots.base import Position
+from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import moving
 from llm_flock.runtime.flight.team import CLIPPED_M, FlyingTeam
 
 MARGIN_S = 3.0
@@ -34,9 +34,8 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
         RobotError: a drone refused.
         TimeoutError: a drone did not answer.
     """
-    robots = range(len(team.robots))
-    size = config.fleet.take_off_group
-    for first in range(0, len(robots), size):
+    robots, size = range(len(team.robots)), config.fleet.take_off_group
+    for first in robots[::size]:
         group = robots[first : first + size]
         results = await asyncio.gather(*(_lift(config, team, log, robot) for robot in group), return_exceptions=True)
         for result in results:  # the whole group has ended by now, so whoever is up can be landed
@@ -55,7 +54,7 @@ async def _lift(config: FlightConfig, team: FlyingTeam, log: FlightLog, robot: i
     order = await asyncio.wait_for(body.take_off(altitude, safety.take_off_s), ARM_S)
     top: Position = (here[0], here[1], order.target[2])
     team.airborne.add(robot)
-    team.motions[robot] = moving(here, top, began, order.duration_s)
+    team.motions[robot] = Segment(start=here, target=top, duration_s=order.duration_s, began_s=began)
     if abs(order.target[2] - altitude) > CLIPPED_M:
         raise TakeOffFailed(f"{body.name} was not sent to {altitude:g} m but to {order.target[2]:.2f} m by its driver")
     until = began + order.duration_s + MARGIN_S

@@ -9,12 +9,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Points
 from llm_flock.robots.base import Position, Robot, RobotState
-from llm_flock.robots.simulated import Sensing, SimulatedTeam
+from llm_flock.robots.segment import Segment
+from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.setpoints import Motion, SetPointCheck, moving, resting
+from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
 
 LOOK_S = 0.02
 """Time between two checks whether the drones have arrived [s]."""
@@ -30,17 +31,12 @@ class SetPointRefused(Exception):
     """A motion would break a limit; it was not sent."""
 
 
-class FlyingTeam:
-    """The bodies of a flight.
+class FlyingTeam(SimulatedTeam):
+    """The bodies of a flight: connected drones, by id of the mission's robots.
 
-    Agents get set-points, not measurements: a drone begins each motion at its last set-point, whatever its estimate, so
-    the shield's guarantee holds for set-points, and each drone stays within the tracking error of its own. The record
-    gets measurements.
-
-    Args:
-        config: frame and limits.
-        robots: the drones, connected; by id of the mission's robots.
-        log: records what the drivers changed.
+    Agents get set-points (`places`), not measurements: a drone begins each motion at its last set-point, whatever its
+    estimate, so the shield's guarantee holds for set-points, and each drone stays within the tracking error of its own.
+    The record gets measurements.
 
     Attributes:
         motions: the current motion of each drone.
@@ -60,12 +56,10 @@ class FlyingTeam:
         self._check = SetPointCheck(config)
         self._log = log
         places = [state.position for state in self.states()]
-        self.motions: list[Motion] = [resting(place) for place in places]
+        self.motions: list[Segment] = [resting(place) for place in places]
         above = [(x, y, config.world.altitude_m) for x, y, _ in places]  # where the mission begins
-        self._aims = self._sensors(np.array([self._frame.to_mission(place) for place in above]))
-
-    def _sensors(self, aims: Points) -> SimulatedTeam:
-        return SimulatedTeam(self._config.mission, aims, 0.0, np.random.default_rng(0))
+        aims = np.array([self._frame.to_mission(place) for place in above])
+        super().__init__(config.mission, aims, 0.0, np.random.default_rng(0))
 
     def states(self) -> list[RobotState]:
         """The newest state of every drone."""
@@ -74,7 +68,7 @@ class FlyingTeam:
     def set_points(self) -> list[Position]:
         """Set-points of all drones now [m]."""
         now = time.monotonic()
-        return [motion.at(now) for motion in self.motions]
+        return [motion.at(now)[0] for motion in self.motions]
 
     def take_off(self, robot: int) -> None:
         """Count a drone as in the air. Call before its command to take off, so that the deadman knows of it first."""
@@ -84,36 +78,14 @@ class FlyingTeam:
     def rest(self, robot: int, position: Position) -> None:
         """Keep a drone's set-point here. Call for every drone before the first motion."""
         self.motions[robot] = resting(position)
-        aims = self._aims.positions.copy()
+        aims = self.places.copy()
         aims[robot] = self._frame.to_mission(position)
-        self._aims = self._sensors(aims)
-
-    @property
-    def set_point_rows(self) -> Points:
-        """Set-points of all drones, shape (n, d) [units]."""
-        return self._aims.positions
+        self.place(aims)
 
     @property
     def positions(self) -> Points:
         """Estimated positions of all drones, shape (n, d) [units]."""
         return np.array([self._frame.to_mission(state.position) for state in self.states()])
-
-    @property
-    def in_radio_range(self) -> Sequence[tuple[int, ...]]:
-        """For each robot the others within radio range."""
-        return self._aims.in_radio_range
-
-    def connected(self, robots: Sequence[int]) -> bool:
-        """Whether the radio graph of these robots is connected."""
-        return self._aims.connected(robots)
-
-    def sense(self, robot: int) -> Sensing:
-        """The own set-point, and those within sensing range."""
-        return self._aims.sense(robot)
-
-    def others(self, robot: int) -> tuple[Point, ...]:
-        """Set-points of all others."""
-        return self._aims.others(robot)
 
     async def fly(self, displacements: Points) -> None:
         """Fly one joint motion, from rest to rest.
@@ -124,8 +96,8 @@ class FlyingTeam:
         """
         self._log.round += 1
         safety = self._config.safety
-        before = [motion.end for motion in self.motions]
-        aims = self._aims.positions + displacements
+        before = [motion.target for motion in self.motions]
+        aims = self.places + displacements
         after = [self._frame.to_world(tuple(row)) for row in aims.tolist()]
         faults = self._check.faults(before, after, safety.round_s)
         if faults:
@@ -135,7 +107,7 @@ class FlyingTeam:
             if math.dist(asked, end) > CLIPPED_M:
                 self._log.note("clipped", robot, asked=list(asked), sent=list(end))
                 aims[robot] = self._frame.to_mission(end)
-        self._aims = self._sensors(aims)
+        self.place(aims)
         await asyncio.sleep(max(0.0, self.motions[0].began_s + safety.round_s - time.monotonic()))
         await self._settle(safety.tracking_m / 2, safety.settle_s)
 
@@ -146,11 +118,11 @@ class FlyingTeam:
         async def one(robot: int) -> Position:
             order = await asyncio.wait_for(self.robots[robot].go_to(after[robot], duration_s), SEND_S)
             end = order.target if math.dist(order.target, after[robot]) > CLIPPED_M else after[robot]
-            self.motions[robot] = moving(before[robot], end, began, order.duration_s)
+            self.motions[robot] = Segment(start=before[robot], target=end, duration_s=order.duration_s, began_s=began)
             return end
 
         results = await asyncio.gather(*map(one, range(len(self.robots))), return_exceptions=True)
-        self._log.measurements.fan_outs_s.append(time.monotonic() - began)
+        self._log.fan_outs_s.append(time.monotonic() - began)
         for result in results:
             if isinstance(result, BaseException):
                 raise result
@@ -161,6 +133,6 @@ class FlyingTeam:
         until = time.monotonic() + longest_s
         while time.monotonic() < until:
             places = [state.position for state in self.states()]
-            if all(math.dist(x, motion.end) <= within_m for x, motion in zip(places, self.motions, strict=True)):
+            if all(math.dist(x, motion.target) <= within_m for x, motion in zip(places, self.motions, strict=True)):
                 return
             await asyncio.sleep(LOOK_S)

@@ -12,16 +12,12 @@ T = TypeVar("T")
 
 
 class TimedPlanner:
-    """A planner whose answers come within a time limit.
+    """A planner whose answers come within `longest_s`, retries included.
 
-    Args:
-        planner: answers the questions.
-        longest_s: longest wait for an answer, retries included [s].
-        most: rounds in a row without an answer before `on_silence` is called. An unusable answer counts as one.
-        on_silence: called with the number of rounds.
+    After `most` rounds in a row without an answer (an unusable one counts as an answer) it calls `on_silence`.
     """
 
-    def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[int], None]) -> None:
+    def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[], None]) -> None:
         self._planner = planner
         self._longest_s = longest_s
         self._most = most
@@ -46,5 +42,5 @@ class TimedPlanner:
             return found
         self._silent.add(number)
         if len(self._silent) >= self._most:
-            self._on_silence(len(self._silent))
+            self._on_silence()
         return found

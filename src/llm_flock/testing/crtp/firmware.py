@@ -8,11 +8,12 @@ Numbers of ports, channels and commands are the firmware's (`crtp.h`, `crtp_comm
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from llm_flock.robots.point_mass import PointMass
-from llm_flock.testing.crtp.tables import LOG_TYPES, LOGGED, contents, parameters
 
 PARAM, COMMANDER, MEM, LOGGING, LOCALIZATION = 2, 3, 4, 5, 6
 HIGH_LEVEL, SUPERVISOR, PLATFORM, LINK = 8, 9, 13, 15
@@ -30,6 +31,54 @@ STOP_WATCHDOG_S = 1.0
 
 NO_SUCH = 2
 EXISTS = 17
+
+NOISE_M = 1e-4
+"""Noise of the estimate. It need not be random: it only keeps two estimates from being equal."""
+
+LOG_TYPES: Mapping[int, str] = MappingProxyType(
+    {1: "<B", 2: "<H", 3: "<L", 4: "<b", 5: "<h", 6: "<i", 7: "<f", 8: "<e"}
+)
+"""How a log variable of a type is packed (firmware: `src/modules/interface/log.h`)."""
+
+PARAMETER_TYPES: Mapping[int, str] = MappingProxyType({0x08: "<B", 0x06: "<f"})
+"""How a parameter of a type is packed (firmware: `src/modules/interface/param_logic.h`)."""
+
+LOGGED: Mapping[str, int] = MappingProxyType(
+    {
+        "stateEstimate.x": 7,
+        "stateEstimate.y": 7,
+        "stateEstimate.z": 7,
+        "stateEstimate.yaw": 7,
+        "pm.vbat": 7,
+        "kalman.varPX": 7,
+        "kalman.varPY": 7,
+        "kalman.varPZ": 7,
+        "supervisor.info": 2,
+    }
+)
+"""Type of each log variable by name, in order."""
+
+
+@dataclass(slots=True)
+class Parameter:
+    """One parameter, of one of `PARAMETER_TYPES`."""
+
+    kind: int
+    value: float
+
+    def packed(self) -> bytes:
+        """The bytes of the value."""
+        code = PARAMETER_TYPES[self.kind]
+        return struct.pack(code, self.value if code == "<f" else int(self.value))
+
+
+def contents(names: Sequence[str], kinds: Sequence[int]) -> tuple[int, list[bytes]]:
+    """Checksum of a table, and the bytes of each entry."""
+    rows = [
+        bytes([kind]) + group.encode() + b"\0" + name.encode() + b"\0"
+        for (group, name), kind in zip((n.split(".") for n in names), kinds, strict=True)
+    ]
+    return zlib.crc32(b"".join(rows)), rows
 
 
 def packet(port: int, channel: int, data: bytes | Sequence[int]) -> bytes:
@@ -49,20 +98,21 @@ class _Block:
 class Firmware:
     """The firmware of one drone.
 
-    Args:
-        body: the drone.
-        noise_m: noise of the estimate [m].
-
     Attributes:
         commands: time [s] and number of each high-level command received, refused ones included.
-        parameters: values by name.
+        parameters: those that flights set, by name, in order.
     """
 
-    def __init__(self, body: PointMass, noise_m: float = 1e-4) -> None:
+    def __init__(self, body: PointMass) -> None:
         self.body = body
         self.commands: list[tuple[float, int]] = []
-        self.parameters = parameters()
-        self._noise_m = noise_m
+        self.parameters = {
+            "stabilizer.estimator": Parameter(0x08, 2),
+            "stabilizer.controller": Parameter(0x08, 1),
+            "kalman.resetEstimation": Parameter(0x08, 0),
+            "locSrv.extPosStdDev": Parameter(0x06, 0.01),
+            "commander.enHighLevel": Parameter(0x08, 1),
+        }
         self._names = list(self.parameters)
         self._tables = {
             PARAM: contents(self._names, [p.kind for p in self.parameters.values()]),
@@ -73,8 +123,6 @@ class Firmware:
         self._low_level: float | None = None
         self._watchdog: float | None = None
         self._tremble = 0
-
-    # ------------------------------------------------------------ packets in
 
     def handle(self, raw: bytes, now: float) -> list[bytes]:
         """Answers to one packet."""
@@ -102,10 +150,12 @@ class Firmware:
             return self._high_level(data, now)
         if port == SUPERVISOR:
             return self._supervisor(channel, data, now)
-        if port == LOCALIZATION and channel == 1 and data[0] in (3, 4):
+        if port == LOCALIZATION and channel == 1:
             self._emergency(data[0], now)
-        if port == COMMANDER:
-            self._set_point(now)
+        if port == COMMANDER and self.body.flying:
+            # A low-level set-point stops the high-level commander; here it never has thrust.
+            self._low_level = now
+            self.body.stop(now)
         return None
 
     def _table(self, port: int, data: bytes) -> bytes | None:
@@ -126,7 +176,7 @@ class Firmware:
         parameter = self.parameters[self._names[number]]
         if channel == 1:
             return data[:2] + b"\0" + parameter.packed()
-        parameter.take(data[2:])
+        parameter.value = float(struct.unpack(PARAMETER_TYPES[parameter.kind], data[2:])[0])
         return data[:2] + parameter.packed()
 
     def _settings(self, data: bytes, now: float) -> bytes:
@@ -175,23 +225,15 @@ class Firmware:
         if channel == 1 and command == 1:
             done = self.body.arm(bool(data[1]))
             return bytes([0x81, done, self.body.armed])
-        if channel == 1 and command in (3, 4):
+        if channel == 1:
             self._emergency(command, now)
         return None
 
     def _emergency(self, command: int, now: float) -> None:
         if command == 3:
             self.body.emergency_stop(now)
-        else:
+        elif command == 4:
             self._watchdog = now
-
-    def _set_point(self, now: float) -> None:
-        """A low-level set-point stops the high-level commander; here it never has thrust."""
-        if self.body.flying:
-            self._low_level = now
-            self.body.stop(now)
-
-    # ------------------------------------------------------------ log packets out
 
     def tick(self, now: float) -> list[bytes]:
         """Log packets that are due."""
@@ -210,18 +252,8 @@ class Firmware:
     def info(self, now: float) -> int:
         """`supervisor.info`: the supervisor's state, in bits."""
         body, flies = self.body, self._flies(now)
-        bits = (
-            not body.armed and not body.locked,
-            body.armed,
-            body.auto_arm,
-            body.armed,
-            flies,
-            False,
-            body.locked,
-            False,
-            body.flying,
-            not body.flying,
-        )
+        armed, locked, turn = body.armed, body.locked, body.flying
+        bits = (not armed and not locked, armed, body.auto_arm, armed, flies, False, locked, False, turn, not turn)
         return sum(1 << k for k, bit in enumerate(bits) if bit)
 
     def _flies(self, now: float) -> bool:
@@ -245,9 +277,8 @@ class Firmware:
             self.body.emergency_stop(now)
 
     def _logged(self, now: float) -> dict[str, float | int]:
-        # The noise need not be random: it only keeps two estimates from being equal.
         self._tremble = (self._tremble + 1) % 7
-        shake = self._noise_m * (self._tremble - 3) / 3.0
+        shake = NOISE_M * (self._tremble - 3) / 3.0
         x, y, z = self.body.estimate(now)
         variance = self.body.variance(now)
         return {

@@ -25,12 +25,9 @@ T = TypeVar("T")
 
 
 class StandIn:
-    """One drone behind one socket. Call anything here while it flies, from any thread.
+    """One drone behind one socket: its `uri` for cflib, and its `firmware`.
 
-    Attributes:
-        uri: address for cflib.
-        loss: share of packets lost, in each direction.
-        firmware: answers the packets.
+    Call anything here while it flies, from any thread, and set `loss`, the share of packets lost in each direction.
     """
 
     def __init__(self, host: str, port: int, body: PointMass, loss: float, rng: np.random.Generator) -> None:
@@ -96,7 +93,7 @@ class StandIn:
         """Freeze the position estimate, with growing variance; or let it work again."""
         self._at_once(lambda body, now: body.stall(now, stalled))
 
-    # ------------------------------------------------------------ for the thread that serves it
+    # The rest is for the thread that serves it.
 
     def receive(self) -> None:
         """Answer all packets that have arrived."""
