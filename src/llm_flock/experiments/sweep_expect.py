@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep_file import ExpectTable, Sweep
 from llm_flock.experiments.trial import TrialResult
-from llm_flock.llm.models import parse_base_urls, parse_models
+from llm_flock.llm.models import parse_models
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
-from llm_flock.llm.providers import parse_model
+from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.trial import TrialProgress

@@ -9,8 +9,8 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, Literal, TypeAlias, cast
 
@@ -65,8 +65,7 @@ class CallSettings:
 
     def plain(self) -> dict[str, Any]:
         """The settings without defaults, as they go into records."""
-        names = ("temperature", "seed", "reasoning", "max_tokens")
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
@@ -88,11 +87,10 @@ class PydanticModel:
     Args:
         model: the pydantic-ai model.
         name: `provider:model` as configured.
-        settings: sampling settings.
+        settings: how to sample.
         secrets: keys to remove from every text that leaves this object.
         price_id: id of the price list, None where none applies.
         cost: fixed price of every call [US dollars], for models that are free; overrides the price list.
-        clock: seconds, only differences matter.
     """
 
     def __init__(
@@ -104,7 +102,6 @@ class PydanticModel:
         secrets: tuple[str, ...] = (),
         price_id: str | None = None,
         cost: float | None = None,
-        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._model = model
         self.name = name
@@ -112,7 +109,6 @@ class PydanticModel:
         self._secrets = secrets
         self._price_id = price_id
         self._cost = cost
-        self._clock = clock
         settings = settings or CallSettings()
         self._asked = settings.plain()
         self._settings = _model_settings(settings, self._provider)
@@ -124,7 +120,7 @@ class PydanticModel:
         Raises:
             ModelError: of any kind; its text holds no key.
         """
-        started = self._clock()
+        started = time.perf_counter()
         try:
             response = await model_request(
                 self._model,
@@ -135,14 +131,15 @@ class PydanticModel:
         except ModelError:
             raise  # from a simulated model
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
-            raise self._model_error(error) from None
+            retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
+            raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
         except (ValueError, TypeError, AttributeError, LookupError, AssertionError) as error:
             # A malformed body that the SDK's parser trips over must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"
             logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
-        return self._reply(response, self._clock() - started)
+        return self._reply(response, time.perf_counter() - started)
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
         if schema is None:
@@ -171,10 +168,6 @@ class PydanticModel:
             latency_s=latency_s,
         )
 
-    def _model_error(self, error: Exception) -> ModelError:
-        retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
-        return ModelError(error_kind(error), self._clean(_story(error)), retry_after)
-
     def _clean(self, text: str) -> str:
         # Scrub before cutting: a key cut in half would not be recognised.
         text = " ".join(scrub(text, self._secrets).split())
@@ -194,18 +187,12 @@ def error_kind(error: Exception) -> str:
             return "connection"
         case pai.ModelQuotaExceededError() | pai.ModelRequestRejectedError() | pai.ContentFilterError():
             return "refused"
-        case pai.ModelHTTPError():
-            return _status_kind(error.status_code)
+        case pai.ModelHTTPError(status_code=status):
+            return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
         case pai.UserError():
             return "refused"  # a feature that the model lacks: a retry changes nothing
         case _:
             return "garbage"
-
-
-def _status_kind(status: int) -> str:
-    if status >= 500:
-        return "server"
-    return {408: "timeout", 429: "rate_limit"}.get(status, "refused")
 
 
 def _story(error: Exception) -> str:

@@ -9,15 +9,9 @@ from llm_flock.llm.port import Usage
 
 
 def cost_usd(price_id: str | None, model: str, usage: Usage) -> float | None:
-    """Price of one call by the list prices that are installed (package `genai-prices`; nothing is downloaded).
+    """Price of one call [US dollars] by the list prices that are installed (nothing is downloaded).
 
-    Args:
-        price_id: id of the price list (`openai`, `anthropic`, ...), None where none applies.
-        model: model name as the provider knows it.
-        usage: tokens of the call; the `cached` part of `input` has its own rate.
-
-    Returns:
-        US dollars, or None where no price is known.
+    None where no price is known, or without `price_id`, the id of a price list (`openai`, `anthropic`, ...).
     """
     if price_id is None:
         return None
@@ -28,8 +22,3 @@ def cost_usd(price_id: str | None, model: str, usage: Usage) -> float | None:
         return float(calc_price(tokens, model, provider_id=price_id).total_price)
     except LookupError:
         return None
-
-
-def price_known(price_id: str | None, model: str) -> bool:
-    """Whether `cost_usd` has an answer for this model."""
-    return cost_usd(price_id, model, Usage(input=1, output=1)) is not None

@@ -9,7 +9,6 @@ import difflib
 import json
 import logging
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -89,9 +88,7 @@ class _Cassette:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -143,7 +140,8 @@ class ReplayModel(_Cassette):
     def __init__(self, path: Path) -> None:
         self.name = f"replay:{path}"
         self._path = path
-        self._models: set[str] = set()
+        self.models: set[str] = set()
+        """Names of the models that answered when the cassette was recorded."""
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -153,15 +151,6 @@ class ReplayModel(_Cassette):
         except BaseException:
             self._file.close()
             raise
-
-    @property
-    def models(self) -> frozenset[str]:
-        """Names of the models that answered when the cassette was recorded."""
-        return frozenset(self._models)
-
-    def __len__(self) -> int:
-        """Number of recorded attempts."""
-        return len(self._offsets)
 
     async def ask(self, call: Call) -> Reply:
         """The recorded answer to this call.
@@ -226,12 +215,11 @@ class ReplayModel(_Cassette):
                     f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
                 )
             offsets[key] = offset
-            self._models.add(line.model)
+            self.models.add(line.model)
 
     def _check_header(self, raw: bytes) -> None:
         try:
-            header = json.loads(raw)
-            version = header[HEADER]
+            version = json.loads(raw)[HEADER]
         except (ValueError, TypeError, LookupError):
             raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
         if version != VERSION:

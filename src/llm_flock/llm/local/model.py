@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -71,26 +70,18 @@ class LocalModel:
         name: `local:...`, as configured.
         leases: provides the engine.
         settings: how to sample; temperature 0 by default.
-        clock: seconds, only differences matter.
 
     Raises:
         InputError: a file or the engine is missing or unfit, or a setting is of no use here.
     """
 
-    def __init__(
-        self,
-        name: str,
-        leases: EngineLeases,
-        settings: CallSettings | None = None,
-        clock: Callable[[], float] = time.perf_counter,
-    ) -> None:
+    def __init__(self, name: str, leases: EngineLeases, settings: CallSettings | None = None) -> None:
         settings = settings or CallSettings()
         if settings.reasoning is not None:
             raise InputError("reasoning_effort", settings.reasoning, f"nothing with {name}, which has no such setting")
         self.weights = find_weights(name.partition(":")[2])
         self.name = name
         self._leases = leases
-        self._clock = clock
         self._settings: dict[str, Any] = {"temperature": TEMPERATURE, **settings.plain()}
 
     async def ask(self, call: Call) -> Reply:
@@ -101,7 +92,7 @@ class LocalModel:
             ModelError: the engine refuses the question, or was stopped.
         """
         engine = await self._leases.engine(self.weights, call)
-        started = self._clock()
+        started = time.perf_counter()
         stop = threading.Event()
         try:
             answer = await asyncio.wrap_future(engine.submit(self._body(call), stop))
@@ -113,7 +104,7 @@ class LocalModel:
             settings=self._settings,
             usage=answer.usage,
             cost_usd=0.0,
-            latency_s=self._clock() - started,
+            latency_s=time.perf_counter() - started,
         )
 
     def _body(self, call: Call) -> dict[str, Any]:
