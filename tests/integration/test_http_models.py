@@ -185,7 +185,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
             planner = LanguagePlanner(
                 robot,
                 Limited(model, limits),
-                PromptSet.load(None, json=False),
+                PromptSet.load(),
                 max_retries=8,
                 on_attempt=attempts.append,
             )

@@ -32,7 +32,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import PlanClass, plan_class
 
-BRIEF = PromptSet.named("brief")
+BRIEF = PromptSet.load("brief")
 
 
 def test_examples_of_motion_hold_answers_that_can_be_read_and_keep_the_limit() -> None:

@@ -129,7 +129,7 @@ class Evaluator:
     ) -> None:
         own = trained_for(model)
         self._text = model
-        self._prompts = PromptSet.named(prompts or ("brief" if own else None))
+        self._prompts = PromptSet.load(prompts or ("brief" if own else "full"))
         self._frame: FrameName = frame or ("own" if own else "world")
         self._seed = seed
 

@@ -181,7 +181,7 @@ def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | 
 
 def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
     """Make `count` examples of steps and paths over random missions."""
-    rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.named("brief")
+    rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.load("brief")
     teams = TEAMS if split == "train" else HELD_OUT_TEAMS
     made = 0
     while made < count:
@@ -193,7 +193,7 @@ def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
 
 def plan_examples(seed: int, split: Split) -> Iterator[Example]:
     """Make an example of every robot's question for a plan, for every taught team, at random centres and spacings."""
-    rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.named("brief")
+    rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.load("brief")
     for shape, sizes in TEAMS:
         for n in sizes:
             mission = draw_mission(rng, split, ((shape, (n,)),))

@@ -88,14 +88,12 @@ class LanguagePlanner:
     in the conversation of their question only: later questions see the accepted exchange.
 
     Args:
-        robot: id of the robot.
+        robot: its id.
         model: answers the questions.
         prompts: renders the questions, which state the form of the answers.
         max_retries: number of rejected answers that are sent back before giving up.
         history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
         on_attempt: called after every call, with its outcome.
-        check_plan: returns a reason to reject a plan, or None.
-        check_step: returns a reason to reject a waypoint or path, or None.
         frame: coordinates of the prompts, see `frame`.
 
     Raises:
@@ -110,7 +108,7 @@ class LanguagePlanner:
         *,
         max_retries: int = 2,
         history: int | None = 0,
-        on_attempt: AttemptSink | None = None,
+        on_attempt: AttemptSink = lambda _: None,
         check_plan: CheckPlan | None = None,
         check_step: CheckStep | None = None,
         frame: FrameName = "world",
@@ -123,7 +121,7 @@ class LanguagePlanner:
         self._max_retries = max_retries
         self._kept = history
         self._frame: FrameName = frame
-        self._on_attempt = on_attempt
+        self._report = on_attempt
         self._check_plan = check_plan
         self._check_step = check_step
         self._history: list[ChatMessage] = []
@@ -240,10 +238,6 @@ class LanguagePlanner:
         )
         logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
         return NoAnswer(cause=error.kind, reason=str(error))
-
-    def _report(self, attempt: Attempt) -> None:
-        if self._on_attempt is not None:
-            self._on_attempt(attempt)
 
     def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
         """Add an accepted exchange to the history, and drop the oldest ones."""

@@ -96,7 +96,6 @@ class PromptSet:
     Attributes:
         json: whether they ask for a JSON object instead of the paper's text forms.
         reasons: whether they ask for a reason before the answer.
-        templates: template by file name.
     """
 
     json: bool
@@ -106,39 +105,23 @@ class PromptSet:
     _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
 
     @classmethod
-    def named(cls, prompts: str | None, *, json: bool = False) -> Self:
-        """A packaged set by its name, or the operator's folder; None is `full`.
+    def load(cls, prompts: str | Path = "full", *, json: bool = False) -> Self:
+        """A packaged set by its name, or the operator's folder, whose templates replace those of `full`.
 
         Raises:
-            InputError: as `load`.
-        """
-        prompts = prompts or "full"
-        return cls.load(packaged=prompts, json=json) if prompts in PACKAGED else cls.load(Path(prompts), json=json)
-
-    @classmethod
-    def load(cls, directory: Path | None = None, *, packaged: str = "full", json: bool = False) -> Self:
-        """Packaged templates, each replaced by the file of the same name in `directory` where there is one.
-
-        Args:
-            directory: the operator's templates; they may include one another.
-            packaged: the set that they replace, a name of `PACKAGED`.
-            json: ask for JSON objects.
-
-        Raises:
-            InputError: for field `prompts`: no such directory, none of the templates in it, or a template that cannot
+            InputError: for field `prompts`: no such folder, none of the templates in it, or a template that cannot
                 be used (syntax, unknown variable, or a failure on an example), naming the file.
         """
-        if directory is not None:
-            replaced = [name for name in VARIABLES if (directory / name).is_file()]
-            if not replaced:
-                raise InputError("prompts", str(directory), f"a folder with at least one of {', '.join(VARIABLES)}")
-            logger.info("prompt templates from %s: %s", directory, ", ".join(replaced))
-        reasons = packaged != "brief"
-        if directory is None:
-            return cls(json=json, reasons=reasons, templates=_packaged_templates(packaged))
-        prompts = cls(json=json, reasons=reasons, templates=_templates(packaged, directory))
-        prompts.try_out()
-        return prompts
+        if isinstance(prompts, str) and prompts in PACKAGED:
+            return cls(json=json, reasons=prompts != "brief", templates=_packaged_templates(prompts))
+        folder = Path(prompts)
+        replaced = [name for name in VARIABLES if (folder / name).is_file()]
+        if not replaced:
+            raise InputError("prompts", str(folder), f"a folder with at least one of {', '.join(VARIABLES)}")
+        logger.info("prompt templates from %s: %s", folder, ", ".join(replaced))
+        loaded = cls(json=json, templates=_templates("full", folder))
+        loaded.try_out()
+        return loaded
 
     def system(self, mission: Mission) -> str:
         """The system message: the same text for every robot of the team."""
@@ -187,14 +170,11 @@ class PromptSet:
             # As `template.render`, without its two copies of the variables: they hold the globals already.
             return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
         except RecursionError:
-            raise InputError(
-                "prompts", template.filename or name, "a template that ends: it includes itself without end"
-            ) from None
+            allowed = "a template that ends: it includes itself without end"
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
             # Any fault of an expression: the template is the operator's text, not our code.
-            raise InputError(
-                "prompts", template.filename or name, f"a template that can be rendered: {error}"
-            ) from None
+            allowed = f"a template that can be rendered: {error}"
+        raise InputError("prompts", template.filename or name, allowed)
 
     def try_out(self) -> None:
         """Render everything once, so that a faulty template fails before a run begins."""

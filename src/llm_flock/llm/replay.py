@@ -51,31 +51,6 @@ class CassetteLine(BaseModel):
     faults: tuple[str, ...]
 
 
-def to_line(attempt: Attempt) -> dict[str, Any]:
-    """An attempt as a `CassetteLine`, in plain values."""
-    call, reply = attempt.call, attempt.reply
-    usage = reply.usage if reply else Usage()
-    return {
-        "robot": call.robot,
-        "round": call.round,
-        "attempt": call.attempt,
-        "kind": call.kind,
-        "request_hash": call.request_hash,
-        "messages": [{"role": message.role, "text": message.text} for message in call.messages],
-        "answer_schema": call.schema,
-        "model": reply.model if reply else attempt.model,
-        "settings": dict(reply.settings) if reply else {},
-        "text": reply.text if reply else None,
-        "parsed": attempt.parsed,
-        "rejected": attempt.rejected,
-        "error": attempt.error,
-        "usage": {"input": usage.input, "output": usage.output, "cached": usage.cached},
-        "cost_usd": reply.cost_usd if reply else None,
-        "latency_s": reply.latency_s if reply else attempt.latency_s,
-        "faults": reply.faults if reply else attempt.faults,
-    }
-
-
 class _Cassette:
     """An open file; a context manager."""
 
@@ -114,8 +89,29 @@ class CassetteWriter(_Cassette):
         self._write({HEADER: VERSION})
 
     def __call__(self, attempt: Attempt) -> None:
-        """Write one line."""
-        self._write(to_line(attempt))
+        """Write one line, the fields of a `CassetteLine`."""
+        call, reply = attempt.call, attempt.reply
+        usage = reply.usage if reply else Usage()
+        line: dict[str, Any] = {
+            "robot": call.robot,
+            "round": call.round,
+            "attempt": call.attempt,
+            "kind": call.kind,
+            "request_hash": call.request_hash,
+            "messages": [{"role": message.role, "text": message.text} for message in call.messages],
+            "answer_schema": call.schema,
+            "model": reply.model if reply else attempt.model,
+            "settings": dict(reply.settings) if reply else {},
+            "text": reply.text if reply else None,
+            "parsed": attempt.parsed,
+            "rejected": attempt.rejected,
+            "error": attempt.error,
+            "usage": {"input": usage.input, "output": usage.output, "cached": usage.cached},
+            "cost_usd": reply.cost_usd if reply else None,
+            "latency_s": reply.latency_s if reply else attempt.latency_s,
+            "faults": reply.faults if reply else attempt.faults,
+        }
+        self._write(line)
 
     def _write(self, line: dict[str, Any]) -> None:
         # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.

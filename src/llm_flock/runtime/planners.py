@@ -70,8 +70,8 @@ class TeamPlanners:
         )
 
         def prompts_of(text: str) -> PromptSet:
-            words = model.prompts or ("brief" if trained_for(text) else None)
-            prompts = PromptSet.named(words, json=model.answers == "json")
+            words = model.prompts or ("brief" if trained_for(text) else "full")
+            prompts = PromptSet.load(words, json=model.answers == "json")
             if parse_model(text).kind == "simulated":
                 check_prompts(prompts, config.mission)
             return prompts

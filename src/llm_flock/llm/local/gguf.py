@@ -18,7 +18,7 @@ _SCALARS = {0: "B", 1: "b", 2: "H", 3: "h", 4: "I", 5: "i", 6: "f", 7: "?", 10: 
 _STRING, _ARRAY = 8, 9
 _MAX_DIMS = 4
 _ALIGNMENT = 32
-"""Tensors begin at multiples of this many bytes unless the file says otherwise."""
+"""Unless the file says otherwise."""
 
 _CACHE_BYTES = 2
 """Bytes of a number in the cache of keys and values (half precision)."""
@@ -49,16 +49,13 @@ class Header:
         metadata: values by name, lists left out.
         tensors: tensors by name, in the order of the file.
         data_begin: first byte of the tensor data.
+        alignment: tensors begin at multiples of this many bytes.
     """
 
     metadata: Mapping[str, Any]
     tensors: Mapping[str, Tensor]
     data_begin: int
-
-    @property
-    def alignment(self) -> int:
-        """Tensors begin at multiples of this many bytes."""
-        return self.metadata.get("general.alignment") or _ALIGNMENT
+    alignment: int
 
     @property
     def is_adapter(self) -> bool:
@@ -125,7 +122,8 @@ class _Reader:
             shape = tuple(self._scalar("Q") for _ in range(dims))
             tensors[name] = Tensor(shape, entry=self._at, format=self._scalar("I"), offset=self._scalar("Q"))
         alignment = metadata.get("general.alignment") or _ALIGNMENT
-        return Header(metadata=metadata, tensors=tensors, data_begin=self._at + -self._at % alignment)
+        begin = self._at + -self._at % alignment
+        return Header(metadata=metadata, tensors=tensors, data_begin=begin, alignment=alignment)
 
     def _value(self, kind: int) -> Any:
         """One value; a list is skipped and gives None."""

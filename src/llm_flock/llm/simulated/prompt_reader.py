@@ -38,9 +38,8 @@ class Task:
     """The content of the system message.
 
     Attributes:
-        shape: the shape in words.
-        n_places: number of places; one for each robot unless stated.
-        center: centre of the shape [units].
+        shape: in words.
+        center: of the shape [units].
         spacing: distance between neighbouring places [units].
         max_step: longest step [units].
     """
@@ -50,14 +49,6 @@ class Task:
     center: Point
     spacing: float
     max_step: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanPrompt:
-    """The content of the plan message: the robot's id, and whether the answer is to be JSON."""
-
-    robot: int
-    json: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,8 +103,8 @@ def read_task(system: str) -> Task:
     return Task(shape=lines["Shape"], n_places=int(team[1]), center=center, spacing=spacing[0], max_step=max_step[0])
 
 
-def read_plan(text: str) -> PlanPrompt:
-    """Read the plan message.
+def read_plan(text: str) -> tuple[int, bool]:
+    """Read the plan message: the robot's id, and whether the answer is to be JSON.
 
     Raises:
         InputError: for field `prompts`: it is not in the words of the packaged template.
@@ -121,7 +112,7 @@ def read_plan(text: str) -> PlanPrompt:
     robot = _ROBOT.search(text)
     if robot is None:
         raise _other_words("plan.j2", text)
-    return PlanPrompt(robot=int(robot[1]), json=_JSON_MARK in text)
+    return int(robot[1]), _JSON_MARK in text
 
 
 def read_step(text: str) -> StepPrompt:
