@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from llm_flock.distill.extra import need
+from llm_flock.distill import need
 from llm_flock.errors import InputError
 
 Matrix: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
@@ -23,7 +23,6 @@ class Adapter:
     """Low-rank factors of a llama-like model.
 
     Attributes:
-        rank: inner dimension.
         alpha: the product of the factors is scaled by `alpha / rank`.
         heads: attention heads of the base.
         kv_heads: heads of its keys and values.

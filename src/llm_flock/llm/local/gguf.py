@@ -9,6 +9,7 @@ import mmap
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -83,18 +84,27 @@ class Header:
 
 
 def read_header(path: Path) -> Header:
-    """Read the header of a GGUF file.
+    """Read the header of a GGUF file, again only after the file has changed.
 
     Raises:
         InputError: for field `model`: there is no such file, or it is no GGUF file.
     """
     try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return _Reader(data).header()
+        changed = path.stat().st_mtime_ns
+    except OSError as error:
+        raise InputError("model", str(path), f"a file that is there ({error.strerror})") from None
+    try:
+        return _header(path, changed)
     except OSError as error:
         raise InputError("model", str(path), f"a readable file ({error.strerror})") from None
     except (ValueError, KeyError, struct.error):
         raise InputError("model", str(path), "a GGUF file of version 2 or 3") from None
+
+
+@lru_cache(maxsize=16)
+def _header(path: Path, _changed: int) -> Header:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _Reader(data).header()
 
 
 class _Reader:

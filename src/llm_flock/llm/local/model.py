@@ -12,7 +12,8 @@ from llm_flock.errors import InputError
 from llm_flock.llm.answer_forms import answer_grammar, longest_answer, tokens_of
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local.engine import ENGINES, Engine, Engines
-from llm_flock.llm.local.weights import Weights, find_weights, header_of
+from llm_flock.llm.local.gguf import read_header
+from llm_flock.llm.local.weights import Weights, find_weights
 from llm_flock.llm.port import Call, Reply
 
 TEMPERATURE = 0.0
@@ -48,7 +49,7 @@ class EngineLeases:
             InputError: it cannot be loaded.
         """
         if weights not in self._leased:
-            trained = header_of(weights.model).trained_context
+            trained = read_header(weights.model).trained_context
             context = context_for(call) if trained is None else min(trained, context_for(call))
             load = asyncio.to_thread(self._engines.lease, weights, context)
             self._leased[weights] = asyncio.create_task(load)
@@ -64,12 +65,7 @@ class EngineLeases:
 
 
 class LocalModel:
-    """A `LanguageModel` on board. It costs nothing and needs no network.
-
-    Args:
-        name: `local:...`, as configured.
-        leases: provides the engine.
-        settings: how to sample; temperature 0 by default.
+    """A `LanguageModel` on board, named `local:...` as configured. It costs nothing and needs no network.
 
     Raises:
         InputError: a file or the engine is missing or unfit, or a setting is of no use here.
