@@ -71,7 +71,7 @@ def test_a_reply_has_text_usage_price_and_what_was_asked_for() -> None:
         return ModelResponse(parts=[ThinkingPart("hm"), TextPart("Position: [1, 2]")], usage=usage)
 
     settings = CallSettings(temperature=0.5, seed=3, reasoning="low")
-    reply = ask(model(answer, settings=settings, price_id="openai"))
+    reply = ask(model(answer, settings=settings, priced=True))
     assert reply.text == "Position: [1, 2]"
     assert reply.model == "openai:o3-mini"
     assert reply.usage == Usage(input=1000, output=100, cached=400)

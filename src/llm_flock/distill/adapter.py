@@ -46,11 +46,7 @@ class Adapter:
 
     @classmethod
     def load(cls, path: Path) -> Adapter:
-        """Read a file of `save`.
-
-        Raises:
-            InputError: for field `adapter`: the file cannot be read, or holds something else.
-        """
+        """Read a file of `save`; InputError if it cannot be read, or holds something else."""
         try:
             with np.load(path) as file:
                 rank, alpha, heads, kv_heads = file["about"].tolist()
@@ -71,11 +67,7 @@ def turned_rows(matrix: Matrix, heads: int) -> Matrix:
 
 
 def write_gguf(adapter: Adapter, path: Path, *, name: str) -> int:
-    """Write an adapter for llama.cpp, in half precision, and return its size [bytes].
-
-    Raises:
-        InputError: gguf is not installed.
-    """
+    """Write an adapter for llama.cpp, in half precision, and return its size [bytes]."""
     gguf = need("gguf")
     writer = gguf.GGUFWriter(path, "llama")
     writer.add_type("adapter")

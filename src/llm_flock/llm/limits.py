@@ -109,11 +109,7 @@ class BudgetMeter:
         return self.reason is not None
 
     def reserve(self) -> None:
-        """Count a call that is about to begin.
-
-        Raises:
-            BudgetExceeded: nothing is left for it; it is not counted.
-        """
+        """Count a call that is about to begin; BudgetExceeded, and no count, if nothing is left for it."""
         self.check(new_call=True)
         self.calls += 1
 

@@ -110,9 +110,7 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
     one = Usage(input=1, output=1)
     names = [name for name in map(parse_model, dict.fromkeys(models)) if name.kind == "provider"]
     unknown = [
-        name.text
-        for name in names
-        if name.provider in base_urls or cost_usd(name.info.price_id, name.model, one) is None
+        name.text for name in names if name.provider in base_urls or cost_usd(name.provider, name.model, one) is None
     ]
     if unknown:
         allowed = f"models with a known price, not {', '.join(unknown)}: use max_tokens or max_calls"
@@ -186,7 +184,7 @@ class ModelPool:
             name=name.text,
             settings=settings,
             secrets=self._secrets(),
-            price_id=name.info.price_id if name.provider not in self._base_urls else None,
+            priced=name.provider not in self._base_urls,
         )
 
     def _secrets(self) -> tuple[str, ...]:

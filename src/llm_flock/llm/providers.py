@@ -21,7 +21,6 @@ class ProviderInfo:
         base_url: default address; None where the operator must give one.
         example: a model string that works.
         key_required: whether the provider's own address refuses calls without a key.
-        price_id: id of its price list, which holds at its own address; None where none is known.
     """
 
     name: str
@@ -29,29 +28,16 @@ class ProviderInfo:
     base_url: str | None
     example: str
     key_required: bool = False
-    price_id: str | None = None
 
 
 _QWEN_URL = "https://dashscope-intl.aliyuncs.com/compatible-mode/v1"
 _TABLE = (
+    ProviderInfo("openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True),
     ProviderInfo(
-        "openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True, price_id="openai"
+        "anthropic", "ANTHROPIC_API_KEY", "https://api.anthropic.com", "anthropic:claude-sonnet-4-6", key_required=True
     ),
     ProviderInfo(
-        "anthropic",
-        "ANTHROPIC_API_KEY",
-        "https://api.anthropic.com",
-        "anthropic:claude-sonnet-4-6",
-        key_required=True,
-        price_id="anthropic",
-    ),
-    ProviderInfo(
-        "deepseek",
-        "DEEPSEEK_API_KEY",
-        "https://api.deepseek.com",
-        "deepseek:deepseek-reasoner",
-        key_required=True,
-        price_id="deepseek",
+        "deepseek", "DEEPSEEK_API_KEY", "https://api.deepseek.com", "deepseek:deepseek-reasoner", key_required=True
     ),
     ProviderInfo("qwen", "DASHSCOPE_API_KEY", _QWEN_URL, "qwen:qwen-plus", key_required=True),
     ProviderInfo("llama", "LLAMA_API_KEY", None, "llama:llama-3.3-70b-instruct"),

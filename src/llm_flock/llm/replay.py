@@ -70,10 +70,7 @@ class _Cassette:
 class CassetteWriter(_Cassette):
     """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
 
-    A run that is killed loses at most the line that was being written.
-
-    Args:
-        path: file to create; an existing one is never touched.
+    A run that is killed loses at most the line that was being written. An existing file is never touched.
 
     Raises:
         InputError: for field `record_llm`: the file exists or cannot be created.
@@ -124,9 +121,6 @@ class ReplayModel(_Cassette):
 
     Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
     failures are repeated. Ask it directly or through `limits.Metered`: `limits.Limited` would retry a second time.
-
-    Args:
-        path: the cassette.
 
     Raises:
         InputError: for field `model`: there is no such file.

@@ -16,7 +16,6 @@ from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
-from llm_flock.llm.providers import PROVIDERS
 
 CHARS_PER_TOKEN = 4
 FIRST_GUESS = 500
@@ -177,8 +176,7 @@ class SharedGate:
         provider, _, name = model.partition(":")
         if self.budget.max_cost_usd is None:
             return usage.total, 0.0
-        info = PROVIDERS.get(provider)
-        listed = None if info is None else cost_usd(info.price_id, name, usage)
+        listed = cost_usd(provider, name, usage)
         return usage.total, listed if listed is not None else paid / max(1, calls)
 
 

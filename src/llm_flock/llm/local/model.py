@@ -43,11 +43,7 @@ class EngineLeases:
         self._leased: dict[Weights, asyncio.Task[Engine]] = {}
 
     async def engine(self, weights: Weights, call: Call) -> Engine:
-        """The engine for these files, loaded if need be; the first question determines the context.
-
-        Raises:
-            InputError: it cannot be loaded.
-        """
+        """The engine for these files, loaded if need be; the first question determines the context."""
         if weights not in self._leased:
             trained = read_header(weights.model).trained_context
             context = context_for(call) if trained is None else min(trained, context_for(call))

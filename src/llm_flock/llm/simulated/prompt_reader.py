@@ -35,14 +35,7 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The content of the system message.
-
-    Attributes:
-        shape: in words.
-        center: of the shape [units].
-        spacing: distance between neighbouring places [units].
-        max_step: longest step [units].
-    """
+    """The content of the system message: the shape in words, and lengths [units]."""
 
     shape: str
     n_places: int
@@ -56,8 +49,6 @@ class StepPrompt:
     """The content of the position update.
 
     Attributes:
-        position: own position [units].
-        goal: own goal [units].
         goal_text: the goal as it was written.
         neighbors: positions of the other robots, as text.
         horizon: longest path; 1 asks for a single position.
@@ -90,11 +81,7 @@ def sensible_decimals(length: float) -> int:
 
 @lru_cache(maxsize=64)
 def read_task(system: str) -> Task:
-    """Read the system message.
-
-    Raises:
-        InputError: for field `prompts`: it is not in the words of the packaged template.
-    """
+    """Read the system message; InputError if it is not in the packaged words."""
     team, lines = _PLACES.search(system) or _TEAM.search(system), dict(_LINE.findall(system))
     center = numbers(lines.get("Centre of the shape", ""))
     spacing, max_step = numbers(lines.get("Spacing", "")), numbers(lines.get("Step limit", ""))
@@ -104,11 +91,7 @@ def read_task(system: str) -> Task:
 
 
 def read_plan(text: str) -> tuple[int, bool]:
-    """Read the plan message: the robot's id, and whether the answer is to be JSON.
-
-    Raises:
-        InputError: for field `prompts`: it is not in the words of the packaged template.
-    """
+    """Read the robot's id in the plan message, and whether the answer is to be JSON; InputError as in `read_task`."""
     robot = _ROBOT.search(text)
     if robot is None:
         raise _other_words("plan.j2", text)
@@ -116,11 +99,7 @@ def read_plan(text: str) -> tuple[int, bool]:
 
 
 def read_step(text: str) -> StepPrompt:
-    """Read the position update, without the plan in it.
-
-    Raises:
-        InputError: for field `prompts`: it is not in the words of the packaged template.
-    """
+    """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
     position = numbers(_line_after(text, STEP_MARK))
     goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
     goal = numbers(goal_text)
@@ -138,11 +117,7 @@ def read_step(text: str) -> StepPrompt:
 
 
 def check_prompts(prompts: PromptSet, mission: Mission) -> None:
-    """Read the prompts of sample questions. Call before a run with simulated models.
-
-    Raises:
-        InputError: for field `prompts`: a template is not in the packaged words.
-    """
+    """Read the prompts of sample questions. Call before a run with simulated models; InputError as in `read_task`."""
     read_task(prompts.system(mission))
     here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
     read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))
