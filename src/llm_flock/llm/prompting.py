@@ -42,7 +42,7 @@ PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
 """Packaged sets of templates, and their folders."""
 
 MISSIONS_KEPT = 64
-"""Missions whose variables are kept."""
+"""Missions whose variables and system message are kept."""
 
 COMMON = frozenset({"json", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
@@ -101,8 +101,9 @@ class PromptSet:
     json: bool
     reasons: bool = True
     templates: Mapping[str, CompiledTemplate]
-    _missions: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]], init=False, repr=False)
-    _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
+    _missions: dict[str, tuple[dict[str, Any], str]] = field(
+        default_factory=dict[str, tuple[dict[str, Any], str]], init=False, repr=False
+    )
 
     @classmethod
     def load(cls, prompts: str | Path = "full", *, json: bool = False) -> Self:
@@ -125,44 +126,41 @@ class PromptSet:
 
     def system(self, mission: Mission) -> str:
         """The system message: the same text for every robot of the team."""
-        known = self._systems.get(mission.digest)
-        if known is None:
-            known = self._systems[mission.digest] = self._render("system.j2", self._common(mission))
-        return known
+        return self._mission(mission)[1]
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
-        return self._render("plan.j2", {**self._common(question.mission), **self._variables("plan.j2", PLAN, question)})
+        return self._question("plan.j2", PLAN, question)
 
     def step(self, question: StepQuestion) -> str:
         """The position update message."""
-        return self._render("step.j2", {**self._common(question.mission), **self._variables("step.j2", STEP, question)})
+        return self._question("step.j2", STEP, question)
 
     def retry(self, reason: str, kind: Kind) -> str:
         """The message after an answer that cannot be used; `reason` is a sentence."""
         return self._render("retry.j2", {**self._globals(), "reason": reason, "kind": kind, "json": self.json})
 
-    def _common(self, mission: Mission) -> dict[str, Any]:
-        """Variables of every message, made once for each mission."""
+    def _mission(self, mission: Mission) -> tuple[dict[str, Any], str]:
+        """Variables of every message, and the system message, made once for each mission."""
         known = self._missions.get(mission.digest)
         if known is None:
             if len(self._missions) >= MISSIONS_KEPT:
                 # A moving centre gives another mission in every round.
                 self._missions.clear()
-                self._systems.clear()
-            known = {**self._globals(), "json": self.json}
-            known |= {name: write(mission) for name, write in MISSION.items()}
-            self._missions[mission.digest] = known
+            common = {**self._globals(), "json": self.json}
+            common |= {name: write(mission) for name, write in MISSION.items()}
+            known = self._missions[mission.digest] = common, self._render("system.j2", common)
         return known
 
     def _globals(self) -> Mapping[str, Any]:
         """Jinja's own globals."""
         return self.templates["system.j2"].template.globals
 
-    def _variables(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> dict[str, Any]:
-        """The variables of a question that the template uses; others need not be written for every robot."""
+    def _question(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> str:
+        """Write only the variables that the template uses, for every robot asks."""
         uses = self.templates[name].uses
-        return {variable: write(question) for variable, write in known.items() if variable in uses}
+        own = {variable: write(question) for variable, write in known.items() if variable in uses}
+        return self._render(name, {**self._mission(question.mission)[0], **own})
 
     def _render(self, name: str, variables: dict[str, Any]) -> str:
         template = self.templates[name].template
