@@ -24,8 +24,7 @@ class Adapter:
 
     Attributes:
         alpha: the product of the factors is scaled by `alpha / rank`.
-        heads: attention heads of the base.
-        kv_heads: heads of its keys and values.
+        heads: attention heads of the base; `kv_heads` are those of its keys and values.
         factors: A (rank, inputs) and B (outputs, rank) by layer, `blk.0.attn_q`.
     """
 

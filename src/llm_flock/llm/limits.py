@@ -20,13 +20,11 @@ FINAL = frozenset({"refused", "budget"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
-    """When to try again after a fault.
+    """When to try again after a fault, up to `max_tries` tries with the first.
 
-    The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
-    most longest_wait_s: robots that were turned away together do not return together. A wait that the
-    provider asks for by Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
-
-    `max_tries` counts the first try too.
+    The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at most
+    longest_wait_s: robots that were turned away together do not return together. A wait that the provider asks for by
+    Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
     """
 
     max_tries: int = 8

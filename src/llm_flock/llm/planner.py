@@ -9,21 +9,18 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm.answer_forms import answer_schema
 from llm_flock.llm.answers import read_plan, read_waypoints
-from llm_flock.llm.frame import FramedQuestion, FrameName, frame_plan, frame_step
+from llm_flock.llm.frame import A, FramedQuestion, FrameName, Q, frame_plan, frame_step
 from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 logger = logging.getLogger(__name__)
-
-A = TypeVar("A", PlanAnswer, StepAnswer)
-Q = TypeVar("Q", PlanQuestion, StepQuestion)
 
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], str | None]
@@ -88,8 +85,6 @@ class LanguagePlanner:
     in the conversation of their question only: later questions see the accepted exchange.
 
     Args:
-        robot: its id.
-        model: answers the questions.
         prompts: renders the questions, which state the form of the answers.
         max_retries: number of rejected answers that are sent back before giving up.
         history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.

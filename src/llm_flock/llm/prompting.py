@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import jinja2
 import jinja2.meta
 from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
+from llm_flock.llm.frame import Q
 from llm_flock.llm.port import Kind
 from llm_flock.llm.prompt_values import (
     MISSION,
@@ -35,8 +36,6 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
-
-Q = TypeVar("Q", PlanQuestion, StepQuestion)
 
 PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
 """Packaged sets of templates, and their folders."""
