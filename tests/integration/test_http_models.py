@@ -22,7 +22,7 @@ from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.providers import known_providers
+from llm_flock.llm.providers import PROVIDERS
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
@@ -185,7 +185,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
             planner = LanguagePlanner(
                 robot,
                 Limited(model, limits),
-                PromptSet.load(None, json=False),
+                PromptSet.load(),
                 max_retries=8,
                 on_attempt=attempts.append,
             )
@@ -255,7 +255,7 @@ def talk(name: str, status: int, body: str, settings: CallSettings) -> tuple[Rep
         server = await asyncio.start_server(handle, "127.0.0.1", 0)
         provider = name.partition(":")[0]
         urls = {provider: f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1"}
-        environ = {info.key_env: KEY for info in known_providers()}
+        environ = {info.key_env: KEY for info in PROVIDERS.values()}
         async with server, ModelPool(base_urls=urls, timeout_s=5, environ=environ) as pool:
             model = pool.model(name, robot=0, rng=np.random.default_rng(0), settings=settings)
             messages = (ChatMessage("system", "You are a robot."), ChatMessage("user", "Where to?"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import httpx2
@@ -14,6 +15,7 @@ from pydantic_ai.models.function import AgentInfo, FunctionModel
 from pydantic_ai.usage import RequestUsage
 
 from llm_flock.errors import ModelError
+from llm_flock.llm import client
 from llm_flock.llm.client import DETAIL_LENGTH, CallSettings, PydanticModel, error_kind, scrub, to_model_messages
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 
@@ -69,7 +71,7 @@ def test_a_reply_has_text_usage_price_and_what_was_asked_for() -> None:
         return ModelResponse(parts=[ThinkingPart("hm"), TextPart("Position: [1, 2]")], usage=usage)
 
     settings = CallSettings(temperature=0.5, seed=3, reasoning="low")
-    reply = ask(model(answer, settings=settings, price_id="openai"))
+    reply = ask(model(answer, settings=settings, priced=True))
     assert reply.text == "Position: [1, 2]"
     assert reply.model == "openai:o3-mini"
     assert reply.usage == Usage(input=1000, output=100, cached=400)
@@ -85,10 +87,15 @@ def test_anthropic_takes_the_unified_reasoning_setting() -> None:
     ask(model(answer, name="anthropic:claude", settings=CallSettings(reasoning="none")))
 
 
-def test_latency_is_measured_by_the_given_clock() -> None:
-    times = iter([10.0, 12.5])
-    reply = ask(model(lambda *_: ModelResponse(parts=[TextPart("x")]), clock=lambda: next(times)))
-    assert reply.latency_s == 2.5
+def test_latency_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [10.0]
+
+    def slow(*_: Any) -> ModelResponse:
+        now[0] += 2.5
+        return ModelResponse(parts=[TextPart("x")])
+
+    monkeypatch.setattr(client, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    assert ask(model(slow)).latency_s == 2.5
 
 
 @pytest.mark.parametrize("text", ["", "  \n "])

@@ -90,6 +90,13 @@ def test_a_missing_file_and_an_unknown_field_are_refused(tmp_path: Path) -> None
         ({"noise": 1.0}, "noise"),
         ({"noise": float("nan")}, "noise"),
         ({"timeout_s": 0.0}, "timeout_s"),
+        ({"max_concurrent": 0}, "max_concurrent"),
+        ({"max_retries": -1}, "max_retries"),
+        ({"max_tries": 0}, "max_tries"),
+        ({"max_calls": 0}, "max_calls"),
+        ({"max_tokens": 0}, "max_tokens"),
+        ({"max_cost": 0.0}, "max_cost"),
+        ({"max_cost": float("nan")}, "max_cost"),
         ({"answers": "xml"}, "answers"),
     ],
 )

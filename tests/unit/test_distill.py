@@ -12,7 +12,6 @@ from answer_readers import parse_path, parse_plan, parse_step
 from llm_flock.distill.adapter import Adapter, turned_rows, write_gguf
 from llm_flock.distill.batches import Lesson, make_batch, plan_epoch, shared_prefix
 from llm_flock.distill.evaluation import Evaluator, best_waypoint, motion_figures, score
-from llm_flock.distill.example_files import read_examples, write_examples
 from llm_flock.distill.examples import (
     HELD_OUT_TEAMS,
     REACH,
@@ -22,7 +21,9 @@ from llm_flock.distill.examples import (
     draw_step,
     motion_examples,
     plan_examples,
+    read_examples,
     step_example,
+    write_examples,
 )
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import frame_step
@@ -32,7 +33,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import PlanClass, plan_class
 
-BRIEF = PromptSet.named("brief")
+BRIEF = PromptSet.load("brief")
 
 
 def test_examples_of_motion_hold_answers_that_can_be_read_and_keep_the_limit() -> None:

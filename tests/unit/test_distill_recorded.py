@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import llm_flock
-from llm_flock.distill.example_files import RECORDED, recorded_examples
+from llm_flock.distill.examples import RECORDED, recorded_examples
 from llm_flock.errors import InputError
 from llm_flock.mission import build_mission
 

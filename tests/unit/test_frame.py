@@ -50,7 +50,7 @@ def planner(*texts: str, heard: list[Attempt] | None = None, **options: object) 
     made = LanguagePlanner(
         1,
         model,
-        PromptSet.named("brief"),
+        PromptSet.load("brief"),
         frame="own",
         on_attempt=sink.append,
         check_plan=lambda question, answer: check_plan(question.mission, answer.plan),
@@ -94,7 +94,7 @@ def test_a_step_is_asked_for_from_the_origin_in_step_limits() -> None:
     assert told.goal == (round((goal[0] - 31.237) / 6, 2), round((goal[1] - 60.018) / 6, 2))
     away = replace(STEP, target=(1.0, 2.0), slot=None)
     assert frame_step(away, "own").framed.goal == (round((1 - 31.237) / 6, 2), round((2 - 60.018) / 6, 2))
-    prompts = PromptSet.named("brief")
+    prompts = PromptSet.load("brief")
     told = frame_step(replace(STEP, mission=build_mission(shape="circle", n_robots=5)), "own").framed
     assert prompts.step(told).endswith(f"1 a step from [0, 0].\nKeep 0.5 from [0.29, 0.16].\nGoal: {list(told.goal)}")
 
@@ -156,7 +156,7 @@ def test_a_reason_that_only_the_world_has_says_so() -> None:
     objections = iter(["the world objects.", None, None])
     model = Scripted("Position: [0.1, 0]", "Position: [0.1, 0]")
     made = LanguagePlanner(
-        1, model, PromptSet.named("brief"), frame="own", check_step=lambda question, answer: next(objections)
+        1, model, PromptSet.load("brief"), frame="own", check_step=lambda question, answer: next(objections)
     )
     assert isinstance(asyncio.run(made.step(STEP)), StepAnswer)
     assert "in the team's coordinates, which are not yours, the world objects." in model.asked[1].messages[-1].text

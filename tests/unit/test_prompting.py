@@ -290,14 +290,14 @@ def test_a_spare_is_told_where_it_waits() -> None:
 
 
 def test_brief_prompts_are_brief_and_say_what_a_robot_must_know() -> None:
-    brief = PromptSet.named("brief")
-    assert PromptSet.named("brief") is not PromptSet.named(None)
+    brief = PromptSet.load("brief")
+    assert PromptSet.load("brief") is not PromptSet.load()
     plan, step = brief.plan(plan_question()), brief.step(step_question())
     assert max(map(len, (brief.system(MISSION), plan, step))) <= 240
     assert plan.startswith("Plan: [[x, y], [x, y], ...]\nmy plan: a\n")
     assert step.startswith("Position: [x, y]\n")
     assert brief.step(step_question(horizon=4)).startswith("Path of at most 4: [[x, y], ...]\n")
-    json = PromptSet.named("brief", json=True)
+    json = PromptSet.load("brief", json=True)
     assert json.plan(plan_question()).startswith('{"plan": [[x, y], [x, y], ...], "my_plan": a}\n')
     assert json.step(step_question()).startswith('{"position": [x, y]}\n')
     assert json.step(step_question(horizon=4)).startswith('{"path": [[x, y], ...]}, at most 4\n')
@@ -310,7 +310,7 @@ def test_brief_prompts_are_brief_and_say_what_a_robot_must_know() -> None:
 def test_brief_prompts_tell_the_three_nearest_robots_that_a_step_could_meet() -> None:
     here = (50.0, 50.0)
     around = ((58.0, 50.0), (50.0, 54.5), (47.0, 46.0), (50.0, 42.25), (59.5, 50.0))
-    told = PromptSet.named("brief").step(step_question(position=here, neighbors=around, mission=build_mission()))
+    told = PromptSet.load("brief").step(step_question(position=here, neighbors=around, mission=build_mission()))
     assert "Keep 3 from [50, 54.5], [47, 46], [50, 42.25]." in told
-    told = PromptSet.named("brief").step(step_question(position=here, neighbors=around[4:], mission=build_mission()))
+    told = PromptSet.load("brief").step(step_question(position=here, neighbors=around[4:], mission=build_mission()))
     assert "Keep" not in told

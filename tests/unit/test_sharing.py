@@ -5,21 +5,23 @@ import time
 
 import pytest
 
-from llm_flock.errors import BudgetExceeded, InputError
+from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, CallLimits, Limited, Spent
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
 from llm_flock.runtime.seeds import Stream, stream
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=(ChatMessage("user", "x" * 400),))
-REPLY = Reply(text="", model="simulated:ideal", usage=Usage(input=60, output=40), cost_usd=1.0)
+CHARS = 400
+USED = Usage(input=60, output=40)
+REPLY = Reply(text="", model="simulated:ideal", usage=USED, cost_usd=1.0)
 
 
 async def once(gate: SharedGate, model: str = "simulated:ideal", hold_s: float = 0.0) -> float:
-    ticket = await gate.enter(model, CALL, again=False)
+    ticket = await gate.enter(model, CHARS, again=False)
     sent = time.monotonic()
     await asyncio.sleep(hold_s)
-    gate.leave(ticket, REPLY)
+    gate.leave(ticket, USED, 1.0)
     return sent
 
 
@@ -51,12 +53,12 @@ def test_calls_under_way_are_limited_for_each_provider_by_itself() -> None:
         most = dict(now)
 
         async def call(model: str) -> None:
-            ticket = await gate.enter(model, CALL, again=False)
+            ticket = await gate.enter(model, CHARS, again=False)
             now[model] += 1
             most[model] = max(most[model], now[model])
             await asyncio.sleep(0.01)
             now[model] -= 1
-            gate.leave(ticket, None)
+            gate.leave(ticket, None, None)
 
         await asyncio.gather(*(call(model) for model in now for _ in range(10)))
         return most["openai:x"], most["simulated:ideal"]
@@ -85,11 +87,9 @@ def test_a_list_price_holds_calls_back_from_the_first_one_on() -> None:
         gate = SharedGate(Budget(max_cost_usd=0.02))
 
         async def call() -> None:
-            ticket = await gate.enter("openai:gpt-4o", CALL, again=False)
+            ticket = await gate.enter("openai:gpt-4o", CHARS, again=False)
             await asyncio.sleep(0.001)
-            gate.leave(
-                ticket, Reply(text="", model="openai:gpt-4o", usage=Usage(input=100, output=500), cost_usd=0.006)
-            )
+            gate.leave(ticket, Usage(input=100, output=500), 0.006)
 
         await asyncio.gather(*(call() for _ in range(50)), return_exceptions=True)
         return gate.spent.cost_usd
@@ -100,15 +100,15 @@ def test_a_list_price_holds_calls_back_from_the_first_one_on() -> None:
 def test_what_others_have_spent_counts() -> None:
     gate = SharedGate(Budget(max_tokens=100))
     assert not gate.exhausted
-    gate.set_elsewhere(Spent(tokens=100))
+    gate.elsewhere = Spent(tokens=100)
     assert gate.exhausted and gate.reason is not None and "of the sweep" in gate.reason
 
 
 def test_a_call_that_is_made_again_is_no_new_one_for_the_budget() -> None:
     async def go() -> Spent:
         gate = SharedGate(Budget(max_calls=1))
-        gate.leave(await gate.enter("simulated:ideal", CALL, again=False), None)
-        gate.leave(await gate.enter("simulated:ideal", CALL, again=True), REPLY)
+        gate.leave(await gate.enter("simulated:ideal", CHARS, again=False), None, None)
+        gate.leave(await gate.enter("simulated:ideal", CHARS, again=True), USED, 1.0)
         return gate.spent
 
     assert asyncio.run(go()) == Spent(calls=1, tokens=100, cost_usd=1.0)
@@ -137,7 +137,7 @@ def test_a_lane_knows_that_it_was_cut() -> None:
         await once(gate)
         lane = CallLane(gate)
         with pytest.raises(BudgetExceeded, match="of the sweep"):
-            await lane.enter("simulated:ideal", CALL, again=False)
+            await lane.enter("simulated:ideal", CHARS, again=False)
         return lane
 
     assert asyncio.run(go()).cut
@@ -151,8 +151,3 @@ def test_connections_are_shared_by_those_who_go_to_the_same_place() -> None:
     assert pools.pool({"openai": "http://b"}, 1.0) is not one
     asyncio.run(pools.aclose())
     assert pools.pool({"openai": "http://a"}, 1.0) is not one
-
-
-def test_rates_are_checked() -> None:
-    with pytest.raises(InputError, match="calls_per_minute"):
-        Rate(calls_per_minute=0)

@@ -14,7 +14,7 @@ from gguf_files import LORA, LORA_TENSORS, MODEL, TENSORS, gguf, write_adapter, 
 from llm_flock.errors import InputError
 from llm_flock.llm.local import weights
 from llm_flock.llm.local.gguf import read_header
-from llm_flock.llm.local.weights import Weights, find_weights, header_of, is_packaged, split_name
+from llm_flock.llm.local.weights import Weights, find_weights, is_packaged, split_name
 
 
 @pytest.fixture(autouse=True)
@@ -98,7 +98,7 @@ def test_digests_follow_the_file(tmp_path):
     write_model(model, {**MODEL, "general.name": "another"})
     os.utime(model, ns=(1, 1))
     assert find_weights(str(model)).digests() != before
-    assert header_of(model).metadata["general.name"] == "another"
+    assert read_header(model).metadata["general.name"] == "another"
 
 
 @pytest.mark.parametrize(

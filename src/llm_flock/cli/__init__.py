@@ -181,10 +181,10 @@ def shapes() -> None:
 @app.command()
 def models() -> None:
     """List the model providers, their environment variables and examples."""
-    from llm_flock.llm.models import known_providers
+    from llm_flock.llm.providers import PROVIDERS
 
     table = Table("provider", "key in", "default address", "example")
-    for provider in known_providers():
+    for provider in PROVIDERS.values():
         table.add_row(provider.name, provider.key_env, provider.base_url or "-", provider.example)
     table.add_row("local", "-", "this process", "local:smollm2")
     Console().print(table)

@@ -35,8 +35,7 @@ def data(
     held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, centres and spacings")] = False,
 ) -> None:
     """Write examples from our own planner over random missions, and from recorded runs."""
-    from llm_flock.distill.example_files import recorded_examples, write_examples
-    from llm_flock.distill.examples import Split, motion_examples, plan_examples
+    from llm_flock.distill.examples import Split, motion_examples, plan_examples, recorded_examples, write_examples
 
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
@@ -58,8 +57,8 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
 ) -> None:
     """Train low-rank factors beside a base model, on a GPU if there is one."""
-    from llm_flock.distill.example_files import read_examples
-    from llm_flock.distill.extra import need
+    from llm_flock.distill import need
+    from llm_flock.distill.examples import read_examples
     from llm_flock.distill.student import Student, base_weights
     from llm_flock.distill.training import TrainingOptions, TrainingProgress
     from llm_flock.distill.training import train as teach

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from llm_flock.distill.extra import need
+from llm_flock.distill import need
 from llm_flock.errors import InputError
 
 Matrix: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
@@ -23,10 +23,8 @@ class Adapter:
     """Low-rank factors of a llama-like model.
 
     Attributes:
-        rank: inner dimension.
         alpha: the product of the factors is scaled by `alpha / rank`.
-        heads: attention heads of the base.
-        kv_heads: heads of its keys and values.
+        heads: attention heads of the base; `kv_heads` are those of its keys and values.
         factors: A (rank, inputs) and B (outputs, rank) by layer, `blk.0.attn_q`.
     """
 
@@ -47,11 +45,7 @@ class Adapter:
 
     @classmethod
     def load(cls, path: Path) -> Adapter:
-        """Read a file of `save`.
-
-        Raises:
-            InputError: for field `adapter`: the file cannot be read, or holds something else.
-        """
+        """Read a file of `save`; InputError if it cannot be read, or holds something else."""
         try:
             with np.load(path) as file:
                 rank, alpha, heads, kv_heads = file["about"].tolist()
@@ -72,11 +66,7 @@ def turned_rows(matrix: Matrix, heads: int) -> Matrix:
 
 
 def write_gguf(adapter: Adapter, path: Path, *, name: str) -> int:
-    """Write an adapter for llama.cpp, in half precision, and return its size [bytes].
-
-    Raises:
-        InputError: gguf is not installed.
-    """
+    """Write an adapter for llama.cpp, in half precision, and return its size [bytes]."""
     gguf = need("gguf")
     writer = gguf.GGUFWriter(path, "llama")
     writer.add_type("adapter")

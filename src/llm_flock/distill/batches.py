@@ -68,13 +68,8 @@ def plan_epoch(
 ) -> list[list[list[int]]]:
     """Order all lessons of an epoch: steps of batches of indices.
 
-    A batch holds similar lessons; the batches of a step hold different ones.
-
-    Args:
-        lessons: all of them.
-        budget: size of a batch, about, its shared prefix counted once [tokens].
-        rng: the order.
-        together: batches of a step, at most.
+    A batch holds similar lessons, about `budget` tokens with its shared prefix counted once; the batches of a step, at
+    most `together`, hold different ones.
     """
     order: list[int] = rng.permutation(len(lessons)).tolist()
     typical = max(1, int(np.mean([len(lesson) for lesson in lessons])))

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from typing import TypeVar
 
 import numpy as np
 
@@ -21,12 +20,9 @@ from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.planning import Answer, PlanAnswer, PlanQuestion, Question, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
 from llm_flock.protocol.verification.steps import check_answer, clip_waypoint
-
-Q = TypeVar("Q", PlanQuestion, StepQuestion)
-T = TypeVar("T")
 
 PLAN_TEAMS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
 """Shapes and sizes of the questions for a plan."""
@@ -65,17 +61,6 @@ class PlanFigures:
     passed: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WaypointScore:
-    """One answer, in the terms of `MotionFigures`."""
-
-    parsed: bool
-    within: bool
-    passed: bool
-    error: float
-    shielded_error: float
-
-
 def best_waypoint(question: StepQuestion) -> Point:
     """Straight towards the goal, as far as the step limit allows [units]."""
     here, goal, limit = question.position, question.goal, question.mission.max_step
@@ -83,17 +68,18 @@ def best_waypoint(question: StepQuestion) -> Point:
     return tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
 
 
-def score(question: StepQuestion, answer: StepAnswer | NoAnswer) -> WaypointScore:
-    """Compare an answer with the best one. Other robots are left out: the shield takes care of them."""
+def score(question: StepQuestion, answer: Answer) -> MotionFigures:
+    """Compare one answer with the best one. Other robots are left out: the shield takes care of them."""
     alone = replace(question, neighbors=())
     here, best = question.position, best_waypoint(question)
-    if isinstance(answer, NoAnswer):
+    if not isinstance(answer, StepAnswer):
         standing = math.dist(here, best)
-        return WaypointScore(parsed=False, within=False, passed=False, error=standing, shielded_error=standing)
+        return MotionFigures(asked=1, parsed=0, within=0, passed=0, error=standing, shielded_error=standing)
     said = answer.waypoint
     flown = clip_waypoint(question.mission, alone, said, shield_on=True)
-    return WaypointScore(
-        parsed=True,
+    return MotionFigures(
+        asked=1,
+        parsed=1,
         within=math.dist(here, said) <= question.mission.max_step * (1 + LENGTH_TOLERANCE),
         passed=check_answer(question.mission, alone, answer, shield_on=True) is None,
         error=math.dist(said, best),
@@ -101,8 +87,8 @@ def score(question: StepQuestion, answer: StepAnswer | NoAnswer) -> WaypointScor
     )
 
 
-def motion_figures(scores: Sequence[WaypointScore]) -> MotionFigures:
-    """Shares and medians over at least one answer."""
+def motion_figures(scores: Sequence[MotionFigures]) -> MotionFigures:
+    """Shares and medians over at least one answer, each by itself in `scores`."""
     n = len(scores)
     return MotionFigures(
         asked=n,
@@ -117,11 +103,7 @@ def motion_figures(scores: Sequence[WaypointScore]) -> MotionFigures:
 class Evaluator:
     """Asks one model held-out questions.
 
-    Args:
-        model: the model as `--model` names it.
-        prompts: a packaged set or a folder; None is the model's default.
-        frame: coordinates; None is the model's default.
-        seed: of the questions.
+    The model is named as in `--model`; prompts (a packaged set or a folder) and frame default to the model's own.
     """
 
     def __init__(
@@ -129,7 +111,7 @@ class Evaluator:
     ) -> None:
         own = trained_for(model)
         self._text = model
-        self._prompts = PromptSet.named(prompts or ("brief" if own else None))
+        self._prompts = PromptSet.load(prompts or ("brief" if own else "full"))
         self._frame: FrameName = frame or ("own" if own else "world")
         self._seed = seed
 
@@ -142,36 +124,32 @@ class Evaluator:
             if (question.horizon > 1) == (horizon > 1):
                 questions.append(question)
 
-        async def ask(planner: LanguagePlanner, question: StepQuestion) -> WaypointScore:
-            return score(question, await planner.step(question))
-
-        return motion_figures(asyncio.run(self._all(questions, ask)))
+        return motion_figures(list(map(score, questions, asyncio.run(self._ask(questions)))))
 
     def plans(self, count: int) -> list[PlanFigures]:
         """Ask for `count` plans of each of `PLAN_TEAMS`, by robots in turn, at held-out centres and spacings."""
         out: list[PlanFigures] = []
         for shape, n in PLAN_TEAMS:
             rng = np.random.default_rng([self._seed, n])
+            missions = [draw_mission(rng, "held-out", ((shape, (n,)),)) for _ in range(count)]
             questions = [
                 PlanQuestion(mission=mission, robot=k % n, round=1, position=mission.center, neighbors=())
-                for k, mission in enumerate(draw_mission(rng, "held-out", ((shape, (n,)),)) for _ in range(count))
+                for k, mission in enumerate(missions)
             ]
-
-            async def ask(planner: LanguagePlanner, question: PlanQuestion) -> bool:
-                answer = await planner.plan(question)
-                return isinstance(answer, PlanAnswer) and check_plan(question.mission, answer.plan) is None
-
-            passed = asyncio.run(self._all(questions, ask))
-            out.append(PlanFigures(team=f"{shape} {n}", asked=count, passed=sum(passed) / count))
+            passed = sum(
+                isinstance(answer, PlanAnswer) and check_plan(mission, answer.plan) is None
+                for mission, answer in zip(missions, asyncio.run(self._ask(questions)), strict=True)
+            )
+            out.append(PlanFigures(team=f"{shape} {n}", asked=count, passed=passed / count))
         return out
 
-    async def _all(self, questions: Sequence[Q], ask: Callable[[LanguagePlanner, Q], Awaitable[T]]) -> list[T]:
+    async def _ask(self, questions: Sequence[Question]) -> list[Answer]:
         gate = asyncio.Semaphore(AT_ONCE)
 
-        async def one(model: LanguageModel, question: Q) -> T:
+        async def one(model: LanguageModel, question: Question) -> Answer:
             planner = LanguagePlanner(question.robot, model, self._prompts, max_retries=0, frame=self._frame)
             async with gate:
-                return await ask(planner, question)
+                return await (planner.plan(question) if isinstance(question, PlanQuestion) else planner.step(question))
 
         async with ModelPool() as pool:
             model = pool.model(self._text, robot=0, rng=np.random.default_rng(self._seed))

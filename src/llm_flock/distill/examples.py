@@ -1,4 +1,4 @@
-"""Make examples: questions with the answers of our own planner, in the prompts and the frame of a small model.
+"""Make, write and read examples: questions with the answers of our own planner, for a small model, or of recorded runs.
 
 Missions, positions and goals are random, the question goes through the frame and the prompts of a run, and the answer
 is the straight step of `GeometryPlanner`. Answers that our own checks would reject are not taught.
@@ -7,18 +7,24 @@ is the straight step of `GeometryPlanner`. Answers that our own checks would rej
 from __future__ import annotations
 
 import asyncio
+import itertools
+import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
+from pydantic import ValidationError
 
 from llm_flock.arrays import Point
+from llm_flock.errors import InputError
 from llm_flock.llm.frame import FramedQuestion, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.replay import CassetteLine
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan
@@ -51,18 +57,13 @@ TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
 HELD_OUT_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (("star", (10,)), ("wedge", (3, 5, 7, 8)))
 """Held-out teams, whose motion is never taught; held-out centres and spacings differ too."""
 
+RECORDED = "recorded"
+"""The team of a recorded example: shape and size stand only in its prompt."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """One question as the model sees it, and the answer to learn.
-
-    Attributes:
-        kind: kind of question.
-        system: the system message.
-        user: the question.
-        answer: the answer, nothing else.
-        team: shape and number of places, `circle 5`.
-    """
+    """One question as the model sees it (two messages), and the answer to learn; `team` is as in `circle 5`."""
 
     kind: Literal["plan", "step", "path"]
     system: str
@@ -181,19 +182,15 @@ def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | 
 
 def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
     """Make `count` examples of steps and paths over random missions."""
-    rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.named("brief")
+    rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.load("brief")
     teams = TEAMS if split == "train" else HELD_OUT_TEAMS
-    made = 0
-    while made < count:
-        example = step_example(prompts, draw_step(rng, draw_mission(rng, split, teams)))
-        if example is not None:
-            made += 1
-            yield example
+    drawn = (step_example(prompts, draw_step(rng, draw_mission(rng, split, teams))) for _ in itertools.count())
+    return itertools.islice(filter(None, drawn), count)
 
 
 def plan_examples(seed: int, split: Split) -> Iterator[Example]:
     """Make an example of every robot's question for a plan, for every taught team, at random centres and spacings."""
-    rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.named("brief")
+    rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.load("brief")
     for shape, sizes in TEAMS:
         for n in sizes:
             mission = draw_mission(rng, split, ((shape, (n,)),))
@@ -201,6 +198,59 @@ def plan_examples(seed: int, split: Split) -> Iterator[Example]:
                 example = plan_example(prompts, mission, robot)
                 if example is not None:
                     yield example
+
+
+def write_examples(path: Path, examples: Iterable[Example]) -> int:
+    """Write examples as JSON lines and return their number."""
+    lines = [json.dumps(asdict(example)) + "\n" for example in examples]
+    path.write_text("".join(lines), encoding="utf-8")
+    return len(lines)
+
+
+def read_examples(path: Path) -> list[Example]:
+    """Read what `write_examples` wrote.
+
+    Raises:
+        InputError: for field `data`: the file cannot be read, or a line is not an example.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("data", str(path), f"a file of examples that can be read ({error})") from None
+    examples: list[Example] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            examples.append(Example(**json.loads(line)))
+        except (TypeError, ValueError) as error:
+            allowed = f"an example as `distill data` writes it ({error})"
+            raise InputError("data", f"{path}, line {number}", allowed) from None
+    if not examples:
+        raise InputError("data", str(path), "a file with at least one example")
+    return examples
+
+
+def recorded_examples(path: Path) -> Iterator[Example]:
+    """Questions of a run with their accepted answers, as they were asked.
+
+    Questions that were asked again or follow earlier exchanges are left out: an example is one question and one answer.
+
+    Raises:
+        InputError: for field `cassette`: it cannot be read, or a line is not of a cassette.
+    """
+    try:
+        _, *lines = path.read_text(encoding="ascii").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError("cassette", str(path), f"a recording of --record-llm ({error})") from None
+    for number, text in enumerate(lines, start=2):
+        try:
+            line = CassetteLine.model_validate_json(text)
+        except ValidationError:
+            raise InputError("cassette", f"{path}, line {number}", "a line of a recording of --record-llm") from None
+        if line.parsed is None or line.text is None or [m.role for m in line.messages] != ["system", "user"]:
+            continue
+        system, user = (message.text for message in line.messages)
+        kind = "plan" if line.kind == "plan" else "path" if "path" in line.parsed else "step"
+        yield Example(kind=kind, system=system, user=user, answer=line.text.strip(), team=RECORDED)
 
 
 def _away(point: Point, distance: float, angle_rad: float) -> Point:

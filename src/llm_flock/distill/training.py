@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from llm_flock.distill import need
 from llm_flock.distill.batches import Lesson, make_batch, plan_epoch
-from llm_flock.distill.extra import need
 from llm_flock.distill.student import Student
 from llm_flock.errors import InputError
 
@@ -34,7 +34,6 @@ class TrainingOptions:
         tokens: size of all batches of a step, about.
         together: batches of a step, of different kinds of questions; all have the same weight.
         keep_s: time between two checkpoints [s].
-        seed: of the order of the examples and the initial factors.
     """
 
     steps: int = 3000
@@ -57,11 +56,9 @@ class TrainingProgress:
     """The state of a training.
 
     Attributes:
-        step: steps done.
-        steps: steps in all.
-        loss: mean over the last 50 steps, per token of an answer [nats].
+        step: steps done, of `steps` in all.
         examples: examples seen in all.
-        rate: learning rate.
+        loss: mean over the last 50 steps, per token of an answer [nats].
         left_s: remaining time at the present speed [s].
     """
 
@@ -80,17 +77,11 @@ def train(
     folder: Path,
     *,
     resume: bool = False,
-    on_progress: Callable[[TrainingProgress], None] | None = None,
+    on_progress: Callable[[TrainingProgress], None] = lambda _: None,
 ) -> TrainingProgress:
     """Train a student in place, with checkpoints in a folder.
 
-    Args:
-        student: the model.
-        lessons: repeated in another order each epoch.
-        options: how to train.
-        folder: for the checkpoints; created if missing.
-        resume: continue from the checkpoint in the folder.
-        on_progress: called after every step.
+    Lessons are repeated in another order each epoch; `on_progress` is called after every step.
 
     Raises:
         InputError: there is no checkpoint to resume from, or one of another student.
@@ -135,8 +126,7 @@ def train(
             rate=rate,
             left_s=(now - began) / (step - first) * (options.steps - step),
         )
-        if on_progress is not None:
-            on_progress(progress)
+        on_progress(progress)
         if now - kept > options.keep_s or step == options.steps:
             _save_checkpoint(torch, student, optimizer, folder, step, examples)
             kept = now

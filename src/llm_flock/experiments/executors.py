@@ -153,7 +153,7 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
         )
 
     async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        gate.set_elsewhere(elsewhere)
+        gate.elsewhere = elsewhere
         return gate.spent, gate.reason, gate.exhausted
 
     try:

@@ -21,7 +21,7 @@ from llm_flock.experiments.executors import Session, drive
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, code_version, fly
 from llm_flock.llm.limits import Budget, Spent
-from llm_flock.llm.port import Call, Reply, Usage
+from llm_flock.llm.port import Usage
 from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
 
 TRIES = 3
@@ -135,7 +135,7 @@ class _GateActor:
     async def enter(self, worker: int, model: str, chars: int, again: bool) -> int | str:
         """Let a call in; returns a ticket, or the reason why there is none."""
         try:
-            ticket = await self._gate.enter_sized(model, chars, again=again)
+            ticket = await self._gate.enter(model, chars, again=again)
         except BudgetExceeded as error:
             return error.detail
         self._tickets[ticket] = worker
@@ -144,7 +144,7 @@ class _GateActor:
     async def leave(self, ticket: int, usage: Usage | None, cost: float | None) -> None:
         """End a call."""
         if self._tickets.pop(ticket, None) is not None:
-            self._gate.leave_with(ticket, usage, cost)
+            self._gate.leave(ticket, usage, cost)
 
     async def forget(self, worker: int) -> None:
         """End all calls of a worker that was lost."""
@@ -153,7 +153,7 @@ class _GateActor:
 
     async def state(self, elsewhere: Spent) -> tuple[Spent, str | None, bool]:
         """See `executors.State`."""
-        self._gate.set_elsewhere(elsewhere)
+        self._gate.elsewhere = elsewhere
         return self._gate.spent, self._gate.reason, self._gate.exhausted
 
 
@@ -164,15 +164,13 @@ class _RemoteGate:
         self._actor = actor
         self._worker = worker
 
-    async def enter(self, model: str, call: Call, *, again: bool) -> int:
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
         """See `Gate`."""
-        found = await self._actor.enter.remote(self._worker, model, sum(len(m.text) for m in call.messages), again)
+        found = await self._actor.enter.remote(self._worker, model, chars, again)
         if isinstance(found, str):
             raise BudgetExceeded(found)
         return found
 
-    def leave(self, ticket: int, reply: Reply | None) -> None:
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
         """See `Gate`."""
-        self._actor.leave.remote(
-            ticket, None if reply is None else reply.usage, None if reply is None else reply.cost_usd
-        )
+        self._actor.leave.remote(ticket, usage, cost_usd)

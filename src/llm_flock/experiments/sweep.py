@@ -20,7 +20,8 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.store import Store, read_trial, trial_files, write_whole
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.trial import KeepRecords, TrialResult, code_version
-from llm_flock.llm.models import check_priced, parse_base_urls
+from llm_flock.llm.models import check_priced
+from llm_flock.llm.providers import parse_base_urls
 from llm_flock.runtime.planners import TeamPlanners
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep_file import ExpectTable, Sweep
 from llm_flock.experiments.trial import TrialResult
-from llm_flock.llm.models import parse_base_urls, parse_models
+from llm_flock.llm.models import parse_models
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
-from llm_flock.llm.providers import parse_model
+from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.trial import TrialProgress
@@ -164,8 +164,8 @@ def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
     cost: float | None = 0.0
     for name, count, tokens in zip(names, calls, answers, strict=True):
         if name.kind == "provider" and cost is not None:
-            price_id = name.info.price_id if name.provider not in addresses else None
-            price = cost_usd(price_id, name.model, Usage(input=round(share), output=round(tokens)))
+            provider = name.provider if name.provider not in addresses else None
+            price = cost_usd(provider, name.model, Usage(input=round(share), output=round(tokens)))
             cost = None if price is None else cost + count * price
     return replace(
         found,

@@ -16,7 +16,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, parse_teams
 from llm_flock.experiments.trial import KeepRecords
 from llm_flock.llm.limits import Budget
-from llm_flock.llm.providers import known_providers
+from llm_flock.llm.providers import PROVIDERS
 from llm_flock.llm.sharing import Rate
 from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, input_error
@@ -145,7 +145,7 @@ def load_sweep(
     except ValidationError as error:
         raise input_error(error) from None
     for name in file.providers:
-        if name not in {info.name for info in known_providers()} | {"local", "simulated"}:
+        if name not in {*PROVIDERS, "local", "simulated"}:
             raise InputError("providers", name, "a provider; `llm-flock models` lists them")
     parse_profile(file.expect.profile)
     return Sweep(file=file, text=text, trials=tuple(_trials(file, variables or {}, overrides)))

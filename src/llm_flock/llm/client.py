@@ -9,8 +9,8 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, Literal, TypeAlias, cast
 
@@ -54,7 +54,6 @@ class CallSettings:
     Attributes:
         temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
         seed: for repeatable sampling, where the provider supports it.
-        reasoning: effort of reasoning models.
         max_tokens: longest answer, reasoning included.
     """
 
@@ -65,8 +64,7 @@ class CallSettings:
 
     def plain(self) -> dict[str, Any]:
         """The settings without defaults, as they go into records."""
-        names = ("temperature", "seed", "reasoning", "max_tokens")
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
@@ -77,22 +75,16 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
 
 
-def _writable(text: str) -> str:
-    """The text with lone surrogates replaced: UTF-8 and so the records cannot hold them."""
-    return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
-
-
 class PydanticModel:
     """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
 
     Args:
         model: the pydantic-ai model.
         name: `provider:model` as configured.
-        settings: sampling settings.
+        settings: how to sample.
         secrets: keys to remove from every text that leaves this object.
-        price_id: id of the price list, None where none applies.
+        priced: whether the provider's price list applies.
         cost: fixed price of every call [US dollars], for models that are free; overrides the price list.
-        clock: seconds, only differences matter.
     """
 
     def __init__(
@@ -102,29 +94,23 @@ class PydanticModel:
         name: str,
         settings: CallSettings | None = None,
         secrets: tuple[str, ...] = (),
-        price_id: str | None = None,
+        priced: bool = False,
         cost: float | None = None,
-        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._model = model
         self.name = name
         self._provider = name.partition(":")[0]
         self._secrets = secrets
-        self._price_id = price_id
+        self._price_list = self._provider if priced else None
         self._cost = cost
-        self._clock = clock
         settings = settings or CallSettings()
         self._asked = settings.plain()
         self._settings = _model_settings(settings, self._provider)
         self._words = ModelRequestParameters()
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call: one try, without retries.
-
-        Raises:
-            ModelError: of any kind; its text holds no key.
-        """
-        started = self._clock()
+        """Answer one call: one try, without retries. Every failure is a ModelError, whose text holds no key."""
+        started = time.perf_counter()
         try:
             response = await model_request(
                 self._model,
@@ -135,14 +121,15 @@ class PydanticModel:
         except ModelError:
             raise  # from a simulated model
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
-            raise self._model_error(error) from None
+            retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
+            raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
         except (ValueError, TypeError, AttributeError, LookupError, AssertionError) as error:
             # A malformed body that the SDK's parser trips over must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"
             logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
-        return self._reply(response, self._clock() - started)
+        return self._reply(response, time.perf_counter() - started)
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
         if schema is None:
@@ -158,22 +145,21 @@ class PydanticModel:
             output=response.usage.output_tokens,
             cached=response.usage.cache_read_tokens,
         )
+        text = scrub(response.text or "", self._secrets)
+        if not text.isascii():  # UTF-8 and so the records cannot hold lone surrogates
+            text = text.encode("utf-8", "replace").decode("utf-8")
         # A server may return anything as its model's name, even the key.
         answered_by = scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH]
         answered_by = answered_by or self.name.partition(":")[2]
-        cost = self._cost if self._cost is not None else cost_usd(self._price_id, answered_by, usage)
+        cost = self._cost if self._cost is not None else cost_usd(self._price_list, answered_by, usage)
         return Reply(
-            text=_writable(scrub(response.text or "", self._secrets)),
+            text=text,
             model=self.name if self.name.startswith("simulated:") else f"{self._provider}:{answered_by}",
             settings=self._asked,
             usage=usage,
             cost_usd=cost,
             latency_s=latency_s,
         )
-
-    def _model_error(self, error: Exception) -> ModelError:
-        retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
-        return ModelError(error_kind(error), self._clean(_story(error)), retry_after)
 
     def _clean(self, text: str) -> str:
         # Scrub before cutting: a key cut in half would not be recognised.
@@ -194,18 +180,12 @@ def error_kind(error: Exception) -> str:
             return "connection"
         case pai.ModelQuotaExceededError() | pai.ModelRequestRejectedError() | pai.ContentFilterError():
             return "refused"
-        case pai.ModelHTTPError():
-            return _status_kind(error.status_code)
+        case pai.ModelHTTPError(status_code=status):
+            return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
         case pai.UserError():
             return "refused"  # a feature that the model lacks: a retry changes nothing
         case _:
             return "garbage"
-
-
-def _status_kind(status: int) -> str:
-    if status >= 500:
-        return "server"
-    return {408: "timeout", 429: "rate_limit"}.get(status, "refused")
 
 
 def _story(error: Exception) -> str:

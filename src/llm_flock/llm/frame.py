@@ -87,14 +87,13 @@ class FramedQuestion(Generic[Q]):
     """A question in the world and in the frame of its prompt.
 
     Attributes:
-        question: in the world.
         framed: in the frame of the prompt; the same one where that is the world.
         frame: between the two; None where they are the same.
     """
 
     question: Q
     framed: Q
-    frame: PromptFrame | None
+    frame: PromptFrame | None = None
 
     def to_world(self, answer: A) -> A:
         """An answer in the world; a goal that the model repeats is exactly the goal."""
@@ -117,7 +116,7 @@ def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQu
     """
     mission = question.mission
     if name == "world" or shape_name(mission.shape) == "text":
-        return FramedQuestion(question=question, framed=question, frame=None)
+        return FramedQuestion(question=question, framed=question)
     frame = _frame(mission.center, mission.spacing, mission)
     still = tuple(map(frame.rounded, question.still))
     return FramedQuestion(question=question, framed=replace(_moved(question, frame), still=still), frame=frame)
@@ -126,7 +125,7 @@ def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQu
 def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQuestion]:
     """Frame a question for a step: from the origin, in step limits."""
     if name == "world":
-        return FramedQuestion(question=question, framed=question, frame=None)
+        return FramedQuestion(question=question, framed=question)
     frame = _frame(question.position, question.mission.max_step, question.mission)
     framed = replace(
         _moved(question, frame),

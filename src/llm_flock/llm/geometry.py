@@ -29,9 +29,7 @@ TURNS = 72
 class GeometryPlanner:
     """A `Planner` that knows the shape: the ideal points in some orientation, and straight steps to the goal.
 
-    Args:
-        robot: id of the robot.
-        rng: draws the orientation, as independent models choose different ones; None is the reference orientation.
+    `rng` draws the orientation, as independent models choose different ones; None is the reference orientation.
     """
 
     def __init__(self, robot: int, rng: np.random.Generator | None = None) -> None:
@@ -76,10 +74,6 @@ class FallbackPlanner:
 
     A rejected waypoint that the shield can mend takes precedence: it is closer to what the model wanted.
 
-    Args:
-        first: asked first.
-        second: asked where `first` gives no answer.
-        shield_on: whether the robot has a safety shield.
     """
 
     def __init__(self, first: Planner, second: Planner, *, shield_on: bool) -> None:

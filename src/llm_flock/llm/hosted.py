@@ -13,7 +13,6 @@ from pydantic_ai.models import Model
 from pydantic_ai.models.ollama import OllamaModel
 from pydantic_ai.models.openai import OpenAIChatModel
 from pydantic_ai.profiles.openai import OpenAIModelProfile
-from pydantic_ai.providers import Provider
 from pydantic_ai.providers.alibaba import AlibabaProvider
 from pydantic_ai.providers.deepseek import DeepSeekProvider
 from pydantic_ai.providers.ollama import OllamaProvider
@@ -27,6 +26,14 @@ PER_POOL = 8
 
 NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
+
+_OPENAI_LIKE = {
+    "openai": OpenAIProvider,
+    "deepseek": DeepSeekProvider,
+    "qwen": AlibabaProvider,
+    "vllm": VLLMProvider,
+}
+"""pydantic-ai providers that know the peculiarities of a service."""
 
 
 class ManyPools(httpx2.AsyncBaseTransport):
@@ -73,7 +80,7 @@ def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
     )
 
 
-def build_model(provider: str, model: str, *, base_url: str, key: str | None, http: httpx2.AsyncClient) -> Model[Any]:
+def build_model(provider: str, model: str, *, base_url: str, key: str, http: httpx2.AsyncClient) -> Model[Any]:
     """The pydantic-ai model for a provider of the table in `providers`.
 
     The SDKs' own retries (2 by default) are switched off: they would hide faults from the record, and give up earlier
@@ -96,21 +103,9 @@ def build_model(provider: str, model: str, *, base_url: str, key: str | None, ht
     openai = AsyncOpenAI(**options)
     if provider == "ollama":
         return OllamaModel(model, provider=OllamaProvider(openai_client=openai))
-    return OpenAIChatModel(model, provider=_openai_like(provider, openai))
-
-
-def _openai_like(provider: str, client: AsyncOpenAI) -> Provider[AsyncOpenAI]:
-    """The pydantic-ai provider that knows the peculiarities of a service."""
-    match provider:
-        case "openai":
-            return OpenAIProvider(openai_client=client)
-        case "deepseek":
-            return DeepSeekProvider(openai_client=client)
-        case "qwen":
-            return AlibabaProvider(openai_client=client)
-        case "vllm":
-            return VLLMProvider(openai_client=client)
-        case _:
-            # Any server: `max_tokens` is the older name of the setting, and known to more of them.
-            profile = OpenAIModelProfile(openai_chat_supports_max_completion_tokens=False)
-            return OpenAICompatibleProvider(provider, openai_client=client, profile=profile)
+    known = _OPENAI_LIKE.get(provider)
+    if known is not None:
+        return OpenAIChatModel(model, provider=known(openai_client=openai))
+    # Any server: `max_tokens` is the older name of the setting, and known to more of them.
+    profile = OpenAIModelProfile(openai_chat_supports_max_completion_tokens=False)
+    return OpenAIChatModel(model, provider=OpenAICompatibleProvider(provider, openai_client=openai, profile=profile))

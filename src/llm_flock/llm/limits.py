@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from llm_flock.errors import BudgetExceeded, InputError, ModelError
+from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm.port import Call, LanguageModel, Reply, Usage
 
 FINAL = frozenset({"refused", "budget"})
@@ -20,17 +20,11 @@ FINAL = frozenset({"refused", "budget"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
-    """When to try again after a fault.
+    """When to try again after a fault, up to `max_tries` tries with the first.
 
-    The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
-    most longest_wait_s: robots that were turned away together do not return together. A wait that the
-    provider asks for by Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
-
-    Attributes:
-        max_tries: tries for one call, the first included.
-        first_wait_s: scale of the first wait [s].
-        longest_wait_s: longest wait without Retry-After [s].
-        longest_retry_after_s: longest wait with Retry-After [s].
+    The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at most
+    longest_wait_s: robots that were turned away together do not return together. A wait that the provider asks for by
+    Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
     """
 
     max_tries: int = 8
@@ -38,21 +32,8 @@ class RetryPolicy:
     longest_wait_s: float = 30.0
     longest_retry_after_s: float = 60.0
 
-    def __post_init__(self) -> None:
-        if self.max_tries < 1:
-            raise InputError("max_tries", self.max_tries, "at least 1")
-        for name in ("first_wait_s", "longest_wait_s", "longest_retry_after_s"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise InputError(name, getattr(self, name), "a number of seconds, at least 0")
-
     def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
-        """Draw the wait before the next try [s].
-
-        Args:
-            failed: failed tries so far, at least 1.
-            retry_after_s: what the provider asked for, None where it did not [s].
-            rng: chance.
-        """
+        """Draw the wait before the next try, after `failed` >= 1 failed ones [s]."""
         if retry_after_s is not None:
             return min(retry_after_s, self.longest_retry_after_s) * rng.uniform(1.0, 1.1)
         # 2.0 ** 40 is longer than any longest_wait_s that makes sense, and never overflows.
@@ -76,7 +57,7 @@ class Spent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """CallLimits of one run or one sweep; None is without limit.
+    """Limits of one run or one sweep, checked where they are read; None is without limit.
 
     Attributes:
         max_calls: questions to models; a retried call counts once.
@@ -88,21 +69,8 @@ class Budget:
     max_tokens: int | None = None
     max_cost_usd: float | None = None
 
-    def __post_init__(self) -> None:
-        for name, value in (("max_calls", self.max_calls), ("max_tokens", self.max_tokens)):
-            if value is not None and value < 1:
-                raise InputError(name, value, "at least 1, or not given")
-        if self.max_cost_usd is not None and not 0 < self.max_cost_usd < float("inf"):
-            raise InputError("max_cost", self.max_cost_usd, "more than 0, or not given")
-
     def exhausted(self, spent: Spent, *, new_call: bool, owner: str = "") -> str | None:
-        """Say which limit is reached, None while none is.
-
-        Args:
-            spent: what was spent so far.
-            new_call: whether `max_calls` counts: a retry is no new call.
-            owner: goes into the reason, ` of the sweep`.
-        """
+        """Say which limit is reached (and whose: ` of the sweep`), None while none is; a retry is no new call."""
         if self.max_tokens is not None and spent.tokens >= self.max_tokens:
             return f"max_tokens = {self.max_tokens}{owner} is used up ({spent.tokens} tokens)"
         if self.max_cost_usd is not None and spent.cost_usd >= self.max_cost_usd:
@@ -119,9 +87,6 @@ class BudgetMeter:
     only with the answer: calls under way at that moment may overrun those two.
 
     Attributes:
-        calls: calls begun.
-        answered: calls that got a reply.
-        usage: tokens of all replies.
         known_cost_usd: sum of the known prices [US dollars].
         faults: number of faults of each kind, retried or not.
         reason: which limit turned a call away, None while none has.
@@ -142,11 +107,7 @@ class BudgetMeter:
         return self.reason is not None
 
     def reserve(self) -> None:
-        """Count a call that is about to begin.
-
-        Raises:
-            BudgetExceeded: nothing is left for it; it is not counted.
-        """
+        """Count a call that is about to begin; BudgetExceeded, and no count, if nothing is left for it."""
         self.check(new_call=True)
         self.calls += 1
 
@@ -157,10 +118,6 @@ class BudgetMeter:
         if reason is not None:
             self.reason = reason
             raise BudgetExceeded(reason)
-
-    def release(self) -> None:
-        """Take back a reserved call that was never sent."""
-        self.calls -= 1
 
     def settle(self, reply: Reply) -> None:
         """Count a reply."""
@@ -173,38 +130,30 @@ class BudgetMeter:
 class Gate(Protocol):
     """Admits calls of many runs one by one; see `sharing.SharedGate`."""
 
-    async def enter(self, model: str, call: Call, *, again: bool) -> int:
-        """Wait for a turn; returns a ticket for `leave`.
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
+        """Wait for a turn to ask `provider:model` a question of `chars` characters; returns a ticket for `leave`.
 
-        Args:
-            model: `provider:model` that is about to be asked.
-            call: the question.
-            again: the call failed before; it is no new one for the budget.
+        A call that failed before (`again`) is no new one for the budget.
 
         Raises:
             BudgetExceeded: nothing is left for it.
         """
         ...
 
-    def leave(self, ticket: int, reply: Reply | None) -> None:
-        """End the call; without reply, it failed."""
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
+        """End the call; without usage, it failed."""
         ...
 
 
 @dataclass(slots=True, kw_only=True)
 class CallLimits:
-    """CallLimits that all models of one run share. Build one for each run, in the thread of its event loop.
+    """Limits that all models of one run share. Build one for each run, in the thread of its event loop.
 
     Attributes:
         rng: chance for the jitter of waits.
-        max_concurrent: calls under way at once.
+        max_concurrent: calls under way at once; `slots` holds as many.
         timeout_s: longest try, the queue not counted [s].
-        retry: when to try again.
-        meter: the run's budget and counters.
         gate: admits calls of this run and others; None admits all.
-        clock: seconds, only differences matter.
-        sleep: waits that many seconds.
-        slots: one for each call under way.
     """
 
     rng: np.random.Generator
@@ -218,10 +167,6 @@ class CallLimits:
     slots: asyncio.Semaphore = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.max_concurrent < 1:
-            raise InputError("max_concurrent", self.max_concurrent, "at least 1")
-        if not 0 < self.timeout_s < float("inf"):
-            raise InputError("timeout_s", self.timeout_s, "a number of seconds, more than 0")
         self.slots = asyncio.Semaphore(self.max_concurrent)
 
 
@@ -254,10 +199,11 @@ class Limited:
                     # Other calls may have used up the budget while this one was in the queue.
                     limits.meter.check()
                     if limits.gate is not None:
-                        ticket = await limits.gate.enter(self.name, call, again=bool(faults))
+                        chars = sum(len(message.text) for message in call.messages)
+                        ticket = await limits.gate.enter(self.name, chars, again=bool(faults))
                 except BudgetExceeded as error:
                     if not faults:
-                        limits.meter.release()
+                        limits.meter.calls -= 1  # it was never sent
                     error.faults = faults
                     raise
                 if started is None:
@@ -267,7 +213,8 @@ class Limited:
                     outcome = await self._try(call)
                 finally:
                     if limits.gate is not None and ticket is not None:
-                        limits.gate.leave(ticket, outcome if isinstance(outcome, Reply) else None)
+                        used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
+                        limits.gate.leave(ticket, *used)
             if isinstance(outcome, Reply):
                 limits.meter.settle(outcome)
                 if not faults and outcome.latency_s:
@@ -301,11 +248,7 @@ class Metered:
         self._meter = meter
 
     async def ask(self, call: Call) -> Reply:
-        """Pass the call on, and count the outcome as the recorded run did.
-
-        Raises:
-            ModelError: of the inner model.
-        """
+        """Pass the call on, and count the outcome as the recorded run did."""
         try:
             reply = await self._model.ask(call)
         except ModelError as error:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterable, Mapping
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, get_args
 
 import numpy as np
@@ -13,28 +13,15 @@ import numpy as np
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, Effort, PydanticModel
 from llm_flock.llm.local.model import EngineLeases, LocalModel
-from llm_flock.llm.prices import price_known
-from llm_flock.llm.providers import ModelName, known_providers, parse_base_urls, parse_model
+from llm_flock.llm.port import Usage
+from llm_flock.llm.prices import cost_usd
+from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
 from llm_flock.llm.simulated.model import SimulatedModel
 from llm_flock.llm.simulated.profiles import parse_profile
 
 if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
-
-__all__ = [
-    "CallSettings",
-    "ModelName",
-    "ModelPool",
-    "PydanticModel",
-    "check_priced",
-    "known_providers",
-    "parse_base_urls",
-    "parse_model",
-    "parse_models",
-    "parse_settings",
-    "per_robot",
-]
 
 _RANGE = r"\s*\d+(?:\s*-\s*\d+)?\s*="
 _STARTS_WITH_RANGE = re.compile(_RANGE)
@@ -46,13 +33,8 @@ def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
 
     Values may contain commas: only a comma before another range separates.
 
-    Args:
-        field: name for error messages.
-        text: the operator's text.
-        n: number of robots.
-
     Raises:
-        InputError: for an empty or reversed range, or a robot that is outside 0..n-1, named twice, or missing.
+        InputError: for `field`: an empty or reversed range, or a robot outside 0..n-1, named twice, or missing.
     """
     if not _STARTS_WITH_RANGE.match(text):
         return (text.strip(),) * n
@@ -101,22 +83,17 @@ def parse_settings(
 
 def _setting(field: str, text: str) -> Any:
     """Read one sampling setting."""
-    allowed = {
-        "temperature": "a number from 0 to 2",
-        "seed": "a whole number of at least 0",
-        "reasoning": f"one of {', '.join(get_args(Effort))}",
-    }[field]
     if field == "reasoning":
         if text not in get_args(Effort):
-            raise InputError(field, text, allowed)
+            raise InputError(field, text, f"one of {', '.join(get_args(Effort))}")
         return text
+    warm = field == "temperature"
     try:
-        value = float(text) if field == "temperature" else int(text)
+        value = float(text) if warm else int(text)
     except ValueError:
-        raise InputError(field, text, allowed) from None
-    low, high = {"temperature": (0, 2), "seed": (0, 2**63 - 1)}[field]
-    if not low <= value <= high:
-        raise InputError(field, text, allowed)
+        value = math.nan
+    if not 0 <= value <= (2 if warm else 2**63 - 1):
+        raise InputError(field, text, "a number from 0 to 2" if warm else "a whole number of at least 0")
     return value
 
 
@@ -130,18 +107,14 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
     """
     if max_cost_usd is None:
         return
-    names = [parse_model(text) for text in dict.fromkeys(models)]
+    one = Usage(input=1, output=1)
+    names = [name for name in map(parse_model, dict.fromkeys(models)) if name.kind == "provider"]
     unknown = [
-        name.text
-        for name in names
-        if name.kind == "provider" and (name.provider in base_urls or not price_known(name.info.price_id, name.model))
+        name.text for name in names if name.provider in base_urls or cost_usd(name.provider, name.model, one) is None
     ]
     if unknown:
-        raise InputError(
-            "max_cost",
-            max_cost_usd,
-            f"models with a known price, not {', '.join(unknown)}: use max_tokens or max_calls",
-        )
+        allowed = f"models with a known price, not {', '.join(unknown)}: use max_tokens or max_calls"
+        raise InputError("max_cost", max_cost_usd, allowed)
 
 
 class ModelPool:
@@ -172,9 +145,7 @@ class ModelPool:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *error: object) -> None:
         await self.aclose()
 
     async def aclose(self) -> None:
@@ -192,9 +163,9 @@ class ModelPool:
 
         Args:
             text: `provider:model`, `local:MODEL` or `simulated:PROFILE`.
-            robot: id of the robot.
+            robot: its id.
             rng: chance of a simulated model; others do not use it.
-            settings: sampling settings.
+            settings: how to sample.
 
         Raises:
             InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
@@ -213,24 +184,22 @@ class ModelPool:
             name=name.text,
             settings=settings,
             secrets=self._secrets(),
-            price_id=name.info.price_id if name.provider not in self._base_urls else None,
+            priced=name.provider not in self._base_urls,
         )
 
-    def _key(self, name: ModelName) -> str | None:
+    def _secrets(self) -> tuple[str, ...]:
+        """Every key that is set: an error of one provider may quote the key of another."""
+        values = (self._environ.get(info.key_env, "").strip() for info in PROVIDERS.values())
+        return tuple(value for value in values if value)
+
+    def _hosted(self, name: ModelName) -> Model[Any]:
         info = name.info
         key = self._environ.get(info.key_env, "").strip()
         if not key and info.key_required and name.provider not in self._base_urls:
             raise InputError("model", name.text, f"usable only with the key in environment variable {info.key_env}")
-        return key or None
-
-    def _secrets(self) -> tuple[str, ...]:
-        """Every key that is set: an error of one provider may quote the key of another."""
-        values = (self._environ.get(info.key_env, "").strip() for info in known_providers())
-        return tuple(value for value in values if value)
-
-    def _hosted(self, name: ModelName) -> Model[Any]:
-        key = self._key(name)
-        address = self._base_urls.get(name.provider, name.info.base_url)
+        address = self._base_urls.get(name.provider, info.base_url)
+        if address is None:
+            raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
         # The SDKs take most of a second to import: a run with simulated models needs none of them.
         from llm_flock.llm import hosted
 
@@ -238,9 +207,6 @@ class ModelPool:
             self._http = hosted.new_http_client(self._timeout_s)
         known = self._models.get((name.provider, name.model))
         if known is None:
-            if address is None:
-                example = f"an address for '{name.provider}', such as http://localhost:8000/v1"
-                raise InputError("base_url", None, example)
             known = hosted.build_model(name.provider, name.model, base_url=address, key=key, http=self._http)
             self._models[name.provider, name.model] = known
         return known

@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm.answer_forms import answer_schema
 from llm_flock.llm.answers import read_plan, read_waypoints
-from llm_flock.llm.frame import FramedQuestion, FrameName, frame_plan, frame_step
+from llm_flock.llm.frame import A, FramedQuestion, FrameName, Q, frame_plan, frame_step
 from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
@@ -22,10 +22,6 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 
 logger = logging.getLogger(__name__)
 
-A = TypeVar("A", PlanAnswer, StepAnswer)
-Q = TypeVar("Q", PlanQuestion, StepQuestion)
-
-Answers: TypeAlias = Literal["text", "json"]
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], str | None]
 """A reason to reject an answer, as a sentence for the model, or None."""
@@ -89,21 +85,14 @@ class LanguagePlanner:
     in the conversation of their question only: later questions see the accepted exchange.
 
     Args:
-        robot: id of the robot.
-        model: answers the questions.
-        prompts: renders the questions; loaded for the same form of answers.
+        prompts: renders the questions, which state the form of the answers.
         max_retries: number of rejected answers that are sent back before giving up.
         history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
-        answers: the paper's text forms, or JSON objects with a schema.
         on_attempt: called after every call, with its outcome.
-        check_plan: returns a reason to reject a plan, or None.
-        check_step: returns a reason to reject a waypoint or path, or None.
         frame: coordinates of the prompts, see `frame`.
-        clock: seconds, only differences matter.
 
     Raises:
-        InputError: `max_retries` is negative, `prompts` ask for another form of answers, or history is to be kept of
-            questions in different frames.
+        InputError: history is to be kept of questions in different frames.
     """
 
     def __init__(
@@ -114,30 +103,22 @@ class LanguagePlanner:
         *,
         max_retries: int = 2,
         history: int | None = 0,
-        answers: Answers = "text",
-        on_attempt: AttemptSink | None = None,
+        on_attempt: AttemptSink = lambda _: None,
         check_plan: CheckPlan | None = None,
         check_step: CheckStep | None = None,
         frame: FrameName = "world",
-        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        if max_retries < 0:
-            raise InputError("max_retries", max_retries, "at least 0")
-        if prompts.json != (answers == "json"):
-            raise InputError("answers", answers, f"'{'json' if prompts.json else 'text'}', as the prompts ask for")
+        if frame == "own" and history != 0:
+            raise InputError("frame", frame, "world where history is kept: every question has its own frame otherwise")
         self._robot = robot
         self._model = model
         self._prompts = prompts
         self._max_retries = max_retries
         self._kept = history
-        if frame == "own" and self._kept != 0:
-            raise InputError("frame", frame, "world where history is kept: every question has its own frame otherwise")
         self._frame: FrameName = frame
-        self._json = answers == "json"
-        self._on_attempt = on_attempt
+        self._report = on_attempt
         self._check_plan = check_plan
         self._check_step = check_step
-        self._clock = clock
         self._history: list[ChatMessage] = []
         self._about: Mission | None = None
         self._round = -1
@@ -174,9 +155,8 @@ class LanguagePlanner:
     ) -> A | NoAnswer:
         """Ask one question up to `1 + max_retries` times."""
         mission, round_ = asked.question.mission, asked.question.round
-        form = AnswerForm(
-            n=mission.n_places, dim=mission.dim, horizon=horizon, json=self._json, reasons=self._prompts.reasons
-        )
+        json, reasons = self._prompts.json, self._prompts.reasons
+        form = AnswerForm(n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons)
         self._forget_other_missions(mission)
         system = ChatMessage("system", self._prompts.system(asked.framed.mission))
         question = ChatMessage("user", text)
@@ -184,11 +164,11 @@ class LanguagePlanner:
         reason, unfit = "", None
         for _ in range(1 + self._max_retries):
             call = self._call(kind, round_, messages, form)
-            began = self._clock()
+            began = time.perf_counter()
             try:
                 reply = await self._model.ask(call)
             except ModelError as error:
-                return self._give_up(call, error, self._clock() - began)
+                return self._give_up(call, error, time.perf_counter() - began)
             try:
                 framed = read(reply.text, form)
                 answer = asked.to_world(framed)
@@ -253,10 +233,6 @@ class LanguagePlanner:
         )
         logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
         return NoAnswer(cause=error.kind, reason=str(error))
-
-    def _report(self, attempt: Attempt) -> None:
-        if self._on_attempt is not None:
-            self._on_attempt(attempt)
 
     def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
         """Add an accepted exchange to the history, and drop the oldest ones."""

@@ -63,9 +63,8 @@ class Call:
     """One question to a model.
 
     Attributes:
-        robot: id of the robot.
+        robot: its id.
         round: motion round.
-        kind: a plan or a step.
         attempt: 0 for the first try, then 1, 2, ... as rejected answers are sent back.
         messages: the whole conversation that the model sees.
         schema: JSON schema of the answer where structured answers are on, else None.
@@ -94,8 +93,7 @@ class Reply:
     Attributes:
         text: the raw answer.
         model: `provider:model` that answered.
-        settings: sampling settings of the call (temperature, seed, ...).
-        usage: tokens of this call.
+        settings: how it was sampled (temperature, seed, ...).
         cost_usd: price of this call [US dollars], None where no price is known.
         latency_s: from the first try to the answer, waits for retries included [s].
         faults: kinds of the transport faults that were retried before this answer came, in order.
@@ -111,7 +109,7 @@ class Reply:
 
 
 class LanguageModel(Protocol):
-    """Anything that answers calls. Raises ModelError when it cannot."""
+    """Anything that answers calls."""
 
     @property
     def name(self) -> str:
@@ -133,9 +131,8 @@ class Attempt:
     """One call and its outcome: a line of a cassette and of a record's `/llm` channel.
 
     Attributes:
-        call: the question.
         model: `provider:model` that was asked, or answered.
-        reply: the answer, None without one.
+        reply: None without an answer.
         parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
             `"path"`), None when rejected.
         rejected: why the answer was rejected, in the words that went back to the model.

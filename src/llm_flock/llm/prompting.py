@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import jinja2
 import jinja2.meta
 from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
+from llm_flock.llm.frame import Q
 from llm_flock.llm.port import Kind
 from llm_flock.llm.prompt_values import (
     MISSION,
@@ -36,13 +37,11 @@ from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 
-Q = TypeVar("Q", PlanQuestion, StepQuestion)
-
 PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
 """Packaged sets of templates, and their folders."""
 
 MISSIONS_KEPT = 64
-"""Missions whose variables are kept."""
+"""Missions whose variables and system message are kept."""
 
 COMMON = frozenset({"json", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
@@ -96,90 +95,71 @@ class PromptSet:
     Attributes:
         json: whether they ask for a JSON object instead of the paper's text forms.
         reasons: whether they ask for a reason before the answer.
-        templates: template by file name.
     """
 
     json: bool
     reasons: bool = True
     templates: Mapping[str, CompiledTemplate]
-    _missions: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]], init=False, repr=False)
-    _systems: dict[str, str] = field(default_factory=dict[str, str], init=False, repr=False)
+    _missions: dict[str, tuple[dict[str, Any], str]] = field(
+        default_factory=dict[str, tuple[dict[str, Any], str]], init=False, repr=False
+    )
 
     @classmethod
-    def named(cls, prompts: str | None, *, json: bool = False) -> Self:
-        """A packaged set by its name, or the operator's folder; None is `full`.
+    def load(cls, prompts: str | Path = "full", *, json: bool = False) -> Self:
+        """A packaged set by its name, or the operator's folder, whose templates replace those of `full`.
 
         Raises:
-            InputError: as `load`.
-        """
-        prompts = prompts or "full"
-        return cls.load(packaged=prompts, json=json) if prompts in PACKAGED else cls.load(Path(prompts), json=json)
-
-    @classmethod
-    def load(cls, directory: Path | None = None, *, packaged: str = "full", json: bool = False) -> Self:
-        """Packaged templates, each replaced by the file of the same name in `directory` where there is one.
-
-        Args:
-            directory: the operator's templates; they may include one another.
-            packaged: the set that they replace, a name of `PACKAGED`.
-            json: ask for JSON objects.
-
-        Raises:
-            InputError: for field `prompts`: no such directory, none of the templates in it, or a template that cannot
+            InputError: for field `prompts`: no such folder, none of the templates in it, or a template that cannot
                 be used (syntax, unknown variable, or a failure on an example), naming the file.
         """
-        if directory is not None:
-            replaced = [name for name in VARIABLES if (directory / name).is_file()]
-            if not replaced:
-                raise InputError("prompts", str(directory), f"a folder with at least one of {', '.join(VARIABLES)}")
-            logger.info("prompt templates from %s: %s", directory, ", ".join(replaced))
-        reasons = packaged != "brief"
-        if directory is None:
-            return cls(json=json, reasons=reasons, templates=_packaged_templates(packaged))
-        prompts = cls(json=json, reasons=reasons, templates=_templates(packaged, directory))
-        prompts.try_out()
-        return prompts
+        if isinstance(prompts, str) and prompts in PACKAGED:
+            return cls(json=json, reasons=prompts != "brief", templates=_packaged_templates(prompts))
+        folder = Path(prompts)
+        replaced = [name for name in VARIABLES if (folder / name).is_file()]
+        if not replaced:
+            raise InputError("prompts", str(folder), f"a folder with at least one of {', '.join(VARIABLES)}")
+        logger.info("prompt templates from %s: %s", folder, ", ".join(replaced))
+        loaded = cls(json=json, templates=_templates("full", folder))
+        loaded.try_out()
+        return loaded
 
     def system(self, mission: Mission) -> str:
         """The system message: the same text for every robot of the team."""
-        known = self._systems.get(mission.digest)
-        if known is None:
-            known = self._systems[mission.digest] = self._render("system.j2", self._common(mission))
-        return known
+        return self._mission(mission)[1]
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
-        return self._render("plan.j2", {**self._common(question.mission), **self._variables("plan.j2", PLAN, question)})
+        return self._question("plan.j2", PLAN, question)
 
     def step(self, question: StepQuestion) -> str:
         """The position update message."""
-        return self._render("step.j2", {**self._common(question.mission), **self._variables("step.j2", STEP, question)})
+        return self._question("step.j2", STEP, question)
 
     def retry(self, reason: str, kind: Kind) -> str:
         """The message after an answer that cannot be used; `reason` is a sentence."""
         return self._render("retry.j2", {**self._globals(), "reason": reason, "kind": kind, "json": self.json})
 
-    def _common(self, mission: Mission) -> dict[str, Any]:
-        """Variables of every message, made once for each mission."""
+    def _mission(self, mission: Mission) -> tuple[dict[str, Any], str]:
+        """Variables of every message, and the system message, made once for each mission."""
         known = self._missions.get(mission.digest)
         if known is None:
             if len(self._missions) >= MISSIONS_KEPT:
                 # A moving centre gives another mission in every round.
                 self._missions.clear()
-                self._systems.clear()
-            known = {**self._globals(), "json": self.json}
-            known |= {name: write(mission) for name, write in MISSION.items()}
-            self._missions[mission.digest] = known
+            common = {**self._globals(), "json": self.json}
+            common |= {name: write(mission) for name, write in MISSION.items()}
+            known = self._missions[mission.digest] = common, self._render("system.j2", common)
         return known
 
     def _globals(self) -> Mapping[str, Any]:
         """Jinja's own globals."""
         return self.templates["system.j2"].template.globals
 
-    def _variables(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> dict[str, Any]:
-        """The variables of a question that the template uses; others need not be written for every robot."""
+    def _question(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> str:
+        """Write only the variables that the template uses, for every robot asks."""
         uses = self.templates[name].uses
-        return {variable: write(question) for variable, write in known.items() if variable in uses}
+        own = {variable: write(question) for variable, write in known.items() if variable in uses}
+        return self._render(name, {**self._mission(question.mission)[0], **own})
 
     def _render(self, name: str, variables: dict[str, Any]) -> str:
         template = self.templates[name].template
@@ -187,14 +167,11 @@ class PromptSet:
             # As `template.render`, without its two copies of the variables: they hold the globals already.
             return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
         except RecursionError:
-            raise InputError(
-                "prompts", template.filename or name, "a template that ends: it includes itself without end"
-            ) from None
+            allowed = "a template that ends: it includes itself without end"
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
             # Any fault of an expression: the template is the operator's text, not our code.
-            raise InputError(
-                "prompts", template.filename or name, f"a template that can be rendered: {error}"
-            ) from None
+            allowed = f"a template that can be rendered: {error}"
+        raise InputError("prompts", template.filename or name, allowed)
 
     def try_out(self) -> None:
         """Render everything once, so that a faulty template fails before a run begins."""

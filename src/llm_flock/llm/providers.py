@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, cast
 from urllib.parse import urlsplit
@@ -18,12 +18,9 @@ class ProviderInfo:
     """One line of the table of providers.
 
     Attributes:
-        name: the part before the colon.
-        key_env: environment variable that holds the key.
         base_url: default address; None where the operator must give one.
         example: a model string that works.
         key_required: whether the provider's own address refuses calls without a key.
-        price_id: id of its price list, which holds at its own address; None where none is known.
     """
 
     name: str
@@ -31,29 +28,16 @@ class ProviderInfo:
     base_url: str | None
     example: str
     key_required: bool = False
-    price_id: str | None = None
 
 
 _QWEN_URL = "https://dashscope-intl.aliyuncs.com/compatible-mode/v1"
-_PROVIDERS = (
+_TABLE = (
+    ProviderInfo("openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True),
     ProviderInfo(
-        "openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True, price_id="openai"
+        "anthropic", "ANTHROPIC_API_KEY", "https://api.anthropic.com", "anthropic:claude-sonnet-4-6", key_required=True
     ),
     ProviderInfo(
-        "anthropic",
-        "ANTHROPIC_API_KEY",
-        "https://api.anthropic.com",
-        "anthropic:claude-sonnet-4-6",
-        key_required=True,
-        price_id="anthropic",
-    ),
-    ProviderInfo(
-        "deepseek",
-        "DEEPSEEK_API_KEY",
-        "https://api.deepseek.com",
-        "deepseek:deepseek-reasoner",
-        key_required=True,
-        price_id="deepseek",
+        "deepseek", "DEEPSEEK_API_KEY", "https://api.deepseek.com", "deepseek:deepseek-reasoner", key_required=True
     ),
     ProviderInfo("qwen", "DASHSCOPE_API_KEY", _QWEN_URL, "qwen:qwen-plus", key_required=True),
     ProviderInfo("llama", "LLAMA_API_KEY", None, "llama:llama-3.3-70b-instruct"),
@@ -62,11 +46,8 @@ _PROVIDERS = (
     ProviderInfo("llamacpp", "LLAMACPP_API_KEY", "http://localhost:8080/v1", "llamacpp:local"),
     ProviderInfo("openai-compatible", "OPENAI_COMPATIBLE_API_KEY", None, "openai-compatible:any-model"),
 )
-
-
-def known_providers() -> tuple[ProviderInfo, ...]:
-    """The table of providers, in the order of the documentation."""
-    return _PROVIDERS
+PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
+"""The table of providers by name, in the order of the documentation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +56,6 @@ class ModelName:
 
     Attributes:
         text: as written.
-        kind: a provider, a model on board, a simulated model, a recording (cassette), or plain geometry.
         provider: name in the table of providers; the kind for everything else.
         model: the part after the first colon: model name, file of a model on board, profile of a simulated model, or
             path of a cassette.
@@ -89,7 +69,7 @@ class ModelName:
     @property
     def info(self) -> ProviderInfo:
         """The provider's line in the table. Only for kind `provider`."""
-        return next(info for info in _PROVIDERS if info.name == self.provider)
+        return PROVIDERS[self.provider]
 
 
 def parse_model(text: str) -> ModelName:
@@ -102,30 +82,20 @@ def parse_model(text: str) -> ModelName:
     provider, colon, model = text.partition(":")
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
-    names = [info.name for info in _PROVIDERS]
-    if not colon or provider not in {*names, "local", "simulated", "replay"}:
-        others = "local:MODEL, simulated:PROFILE, replay:FILE, geometry"
-        raise InputError("model", text, f"PROVIDER:MODEL with a provider of {', '.join(names)}; or {others}")
+    others = {"local": "smollm2 or a GGUF file", "simulated": "a profile", "replay": "a file"}
+    if not colon or provider not in {*PROVIDERS, *others}:
+        forms = "local:MODEL, simulated:PROFILE, replay:FILE, geometry"
+        raise InputError("model", text, f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or {forms}")
     if not model:
-        missing = {"local": "smollm2 or a GGUF file", "simulated": "a profile", "replay": "a file"}.get(
-            provider, "a model name"
-        )
-        raise InputError("model", text, f"{missing} after '{provider}:'")
-    if provider in names and re.search(r"[\s,=]", model):
+        raise InputError("model", text, f"{others.get(provider, 'a model name')} after '{provider}:'")
+    if provider in PROVIDERS and re.search(r"[\s,=]", model):
         raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
-    kind = "provider" if provider in names else cast(ModelKind, provider)
+    kind = "provider" if provider in PROVIDERS else cast(ModelKind, provider)
     return ModelName(text=text, kind=kind, provider=provider, model=model)
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
-    """Read the addresses that replace the providers' own: one URL, or `provider=URL,provider=URL`.
-
-    Args:
-        text: the operator's text; None or empty for none.
-        models: the model strings in use.
-
-    Returns:
-        Address by provider.
+    """Addresses that replace the own ones of the providers in use: one URL, or `provider=URL,provider=URL`.
 
     Raises:
         InputError: for field `base_url`: not an http(s) address, a password in it, a provider that is not in use, one

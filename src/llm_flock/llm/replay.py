@@ -9,7 +9,6 @@ import difflib
 import json
 import logging
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -52,31 +51,6 @@ class CassetteLine(BaseModel):
     faults: tuple[str, ...]
 
 
-def to_line(attempt: Attempt) -> dict[str, Any]:
-    """An attempt as a `CassetteLine`, in plain values."""
-    call, reply = attempt.call, attempt.reply
-    usage = reply.usage if reply else Usage()
-    return {
-        "robot": call.robot,
-        "round": call.round,
-        "attempt": call.attempt,
-        "kind": call.kind,
-        "request_hash": call.request_hash,
-        "messages": [{"role": message.role, "text": message.text} for message in call.messages],
-        "answer_schema": call.schema,
-        "model": reply.model if reply else attempt.model,
-        "settings": dict(reply.settings) if reply else {},
-        "text": reply.text if reply else None,
-        "parsed": attempt.parsed,
-        "rejected": attempt.rejected,
-        "error": attempt.error,
-        "usage": {"input": usage.input, "output": usage.output, "cached": usage.cached},
-        "cost_usd": reply.cost_usd if reply else None,
-        "latency_s": reply.latency_s if reply else attempt.latency_s,
-        "faults": reply.faults if reply else attempt.faults,
-    }
-
-
 class _Cassette:
     """An open file; a context manager."""
 
@@ -89,19 +63,14 @@ class _Cassette:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
 class CassetteWriter(_Cassette):
     """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
 
-    A run that is killed loses at most the line that was being written.
-
-    Args:
-        path: file to create; an existing one is never touched.
+    A run that is killed loses at most the line that was being written. An existing file is never touched.
 
     Raises:
         InputError: for field `record_llm`: the file exists or cannot be created.
@@ -117,8 +86,29 @@ class CassetteWriter(_Cassette):
         self._write({HEADER: VERSION})
 
     def __call__(self, attempt: Attempt) -> None:
-        """Write one line."""
-        self._write(to_line(attempt))
+        """Write one line, the fields of a `CassetteLine`."""
+        call, reply = attempt.call, attempt.reply
+        usage = reply.usage if reply else Usage()
+        line: dict[str, Any] = {
+            "robot": call.robot,
+            "round": call.round,
+            "attempt": call.attempt,
+            "kind": call.kind,
+            "request_hash": call.request_hash,
+            "messages": [{"role": message.role, "text": message.text} for message in call.messages],
+            "answer_schema": call.schema,
+            "model": reply.model if reply else attempt.model,
+            "settings": dict(reply.settings) if reply else {},
+            "text": reply.text if reply else None,
+            "parsed": attempt.parsed,
+            "rejected": attempt.rejected,
+            "error": attempt.error,
+            "usage": {"input": usage.input, "output": usage.output, "cached": usage.cached},
+            "cost_usd": reply.cost_usd if reply else None,
+            "latency_s": reply.latency_s if reply else attempt.latency_s,
+            "faults": reply.faults if reply else attempt.faults,
+        }
+        self._write(line)
 
     def _write(self, line: dict[str, Any]) -> None:
         # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.
@@ -132,9 +122,6 @@ class ReplayModel(_Cassette):
     Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
     failures are repeated. Ask it directly or through `limits.Metered`: `limits.Limited` would retry a second time.
 
-    Args:
-        path: the cassette.
-
     Raises:
         InputError: for field `model`: there is no such file.
         RecordError: not a cassette, another version, or damaged (with the line's number).
@@ -143,7 +130,8 @@ class ReplayModel(_Cassette):
     def __init__(self, path: Path) -> None:
         self.name = f"replay:{path}"
         self._path = path
-        self._models: set[str] = set()
+        self.models: set[str] = set()
+        """Names of the models that answered when the cassette was recorded."""
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -153,15 +141,6 @@ class ReplayModel(_Cassette):
         except BaseException:
             self._file.close()
             raise
-
-    @property
-    def models(self) -> frozenset[str]:
-        """Names of the models that answered when the cassette was recorded."""
-        return frozenset(self._models)
-
-    def __len__(self) -> int:
-        """Number of recorded attempts."""
-        return len(self._offsets)
 
     async def ask(self, call: Call) -> Reply:
         """The recorded answer to this call.
@@ -226,12 +205,11 @@ class ReplayModel(_Cassette):
                     f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
                 )
             offsets[key] = offset
-            self._models.add(line.model)
+            self.models.add(line.model)
 
     def _check_header(self, raw: bytes) -> None:
         try:
-            header = json.loads(raw)
-            version = header[HEADER]
+            version = json.loads(raw)[HEADER]
         except (ValueError, TypeError, LookupError):
             raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
         if version != VERSION:

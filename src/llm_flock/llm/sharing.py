@@ -6,17 +6,16 @@ import asyncio
 import itertools
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
-from llm_flock.errors import BudgetExceeded, InputError
+from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, Gate, Spent
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
-from llm_flock.llm.port import Call, Reply, Usage
+from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
-from llm_flock.llm.providers import known_providers
 
 CHARS_PER_TOKEN = 4
 FIRST_GUESS = 500
@@ -27,10 +26,9 @@ WINDOW_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """CallLimits of a provider for all runs together; None is without limit.
+    """Limits of a provider for all runs together, checked where they are read; None is without limit.
 
     Attributes:
-        max_concurrent: calls under way at once.
         calls_per_minute: calls within any 60 s, retries included.
         tokens_per_minute: tokens in and out within any 60 s; of calls under way, the expected number.
     """
@@ -38,12 +36,6 @@ class Rate:
     max_concurrent: int | None = None
     calls_per_minute: int | None = None
     tokens_per_minute: int | None = None
-
-    def __post_init__(self) -> None:
-        for field in ("max_concurrent", "calls_per_minute", "tokens_per_minute"):
-            value = getattr(self, field)
-            if value is not None and value < 1:
-                raise InputError(field, value, "at least 1, or not given")
 
 
 @dataclass(slots=True, eq=False)
@@ -97,7 +89,6 @@ class SharedGate:
         rates: of each provider that has any, by its name (`openai`, `simulated`, ...). `local` defaults to as many
             questions at once as the engine answers.
         window_s: length of a minute, for tests [s].
-        clock: seconds, only differences matter.
     """
 
     def __init__(
@@ -106,15 +97,13 @@ class SharedGate:
         rates: Mapping[str, Rate] | None = None,
         *,
         window_s: float = WINDOW_S,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         rates = {"local": Rate(max_concurrent=slot_count()), **(rates or {})}
         self.budget = budget or Budget()
         self.spent = Spent()
         self.elsewhere = Spent()
-        """Spent by other processes, of the same budget."""
+        """Spent by other processes, of the same budget; whoever learns of it sets it."""
         self.reason: str | None = None
-        self._clock = clock
         self._traffic: defaultdict[str, _Traffic] = defaultdict(lambda: _Traffic(Rate(), window_s))
         for provider, rate in rates.items():
             self._traffic[provider] = _Traffic(rate, window_s)
@@ -123,18 +112,14 @@ class SharedGate:
         self._under_way: dict[int, _SentCall] = {}
         self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
 
-    async def enter(self, model: str, call: Call, *, again: bool) -> int:
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
         """See `Gate`. Calls of one provider go in the order of arrival."""
-        return await self.enter_sized(model, sum(len(m.text) for m in call.messages), again=again)
-
-    async def enter_sized(self, model: str, chars: int, *, again: bool) -> int:
-        """As `enter`, for a question of `chars` characters."""
         traffic = self._traffic[model.partition(":")[0]]
         tokens, cost = self._expected(model, chars)
         async with traffic.queue:
             while True:
                 self._check(new_call=not again)
-                wait = max(self._wait_for_budget(tokens, cost), traffic.wait_s(tokens, self._clock()))
+                wait = max(self._wait_for_budget(tokens, cost), traffic.wait_s(tokens, time.monotonic()))
                 if wait <= 0:
                     break
                 self._changed.clear()
@@ -142,31 +127,22 @@ class SharedGate:
                     async with asyncio.timeout(None if wait == float("inf") else wait):
                         await self._changed.wait()
             ticket = next(self._tickets)
-            self._under_way[ticket] = call = _SentCall(model, tokens, cost, self._clock())
+            self._under_way[ticket] = call = _SentCall(model, tokens, cost, time.monotonic())
             traffic.sent(call)
             if not again:
                 self.spent += Spent(calls=1)
         return ticket
 
-    def leave(self, ticket: int, reply: Reply | None) -> None:
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
         """See `Gate`."""
-        usage = None if reply is None else reply.usage
-        self.leave_with(ticket, usage, None if reply is None else reply.cost_usd)
-
-    def leave_with(self, ticket: int, usage: Usage | None, cost: float | None) -> None:
-        """As `leave`, with the tokens and the price of the call; None for a failed one."""
         call = self._under_way.pop(ticket)
         self._traffic[call.model.partition(":")[0]].under_way -= 1
         if usage is not None:
             call.tokens = usage.total
-            self.spent += Spent(tokens=usage.total, cost_usd=cost or 0.0)
+            self.spent += Spent(tokens=usage.total, cost_usd=cost_usd or 0.0)
             calls, output, paid = self._answers[call.model]
-            self._answers[call.model] = (calls + 1, output + usage.output, paid + (cost or 0.0))
+            self._answers[call.model] = (calls + 1, output + usage.output, paid + (cost_usd or 0.0))
         self._changed.set()
-
-    def set_elsewhere(self, elsewhere: Spent) -> None:
-        """Set what other processes have spent of the same budget."""
-        self.elsewhere = elsewhere
 
     @property
     def exhausted(self) -> bool:
@@ -200,20 +176,15 @@ class SharedGate:
         provider, _, name = model.partition(":")
         if self.budget.max_cost_usd is None:
             return usage.total, 0.0
-        price_id = next((info.price_id for info in known_providers() if info.name == provider), None)
-        listed = cost_usd(price_id, name, usage)
+        listed = cost_usd(provider, name, usage)
         return usage.total, listed if listed is not None else paid / max(1, calls)
 
 
 class CallLane:
     """One run's access to the shared gate and connections.
 
-    Args:
-        gate: admits calls; None admits all.
-        pools: connections; None has the run make its own.
-
-    Attributes:
-        cut: whether the shared budget turned away a call of this run.
+    Without gate, all calls are admitted; without pools, the run makes its own. `cut` tells whether the shared budget
+    turned away a call of this run.
     """
 
     def __init__(self, gate: Gate | None = None, pools: Pools | None = None) -> None:
@@ -221,20 +192,20 @@ class CallLane:
         self.cut = False
         self._gate = gate
 
-    async def enter(self, model: str, call: Call, *, again: bool) -> int:
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
         """See `Gate`."""
         if self._gate is None:
             return -1
         try:
-            return await self._gate.enter(model, call, again=again)
+            return await self._gate.enter(model, chars, again=again)
         except BudgetExceeded:
             self.cut = True
             raise
 
-    def leave(self, ticket: int, reply: Reply | None) -> None:
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
         """See `Gate`."""
         if self._gate is not None:
-            self._gate.leave(ticket, reply)
+            self._gate.leave(ticket, usage, cost_usd)
 
 
 class Pools:

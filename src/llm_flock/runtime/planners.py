@@ -10,10 +10,11 @@ from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.models import ModelPool, check_priced, parse_base_urls, parse_model, parse_models, parse_settings
+from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings
 from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane
 from llm_flock.llm.simulated.prompt_reader import check_prompts
@@ -66,8 +67,8 @@ class TeamPlanners:
         )
 
         def prompts_of(text: str) -> PromptSet:
-            words = model.prompts or ("brief" if trained_for(text) else None)
-            prompts = PromptSet.named(words, json=model.answers == "json")
+            words = model.prompts or ("brief" if trained_for(text) else "full")
+            prompts = PromptSet.load(words, json=model.answers == "json")
             if parse_model(text).kind == "simulated":
                 check_prompts(prompts, config.mission)
             return prompts
@@ -101,7 +102,6 @@ class TeamPlanners:
                 self._prompts[text],
                 max_retries=model.max_retries,
                 history=history,
-                answers=model.answers,
                 on_attempt=self._notify,
                 check_plan=check_plan if verify else None,
                 check_step=check_step if verify else None,

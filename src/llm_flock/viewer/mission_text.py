@@ -13,8 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
-from llm_flock.llm.models import ModelPool, parse_base_urls, parse_model
+from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, ChatMessage
+from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.mission import build_mission, input_error
 
 LONGEST = 2000

@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm.local.weights import Weights, header_of
+from llm_flock.llm.local.gguf import read_header
+from llm_flock.llm.local.weights import Weights
 from llm_flock.llm.port import Usage
 
 MIN_SLOTS = 4
@@ -68,9 +69,7 @@ class Completion:
 class Engine:
     """One loaded model; `ask` may be called from many threads at once.
 
-    Args:
-        weights: the files.
-        context: longest question with its answer [tokens]; each question answered at once has a context of this size.
+    Each question answered at once has a context of its own, the longest question with its answer [tokens].
 
     Raises:
         InputError: for field `model`: the engine cannot load the files.
@@ -123,14 +122,9 @@ class Engine:
         return server
 
     def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Completion]:
-        """Answer one chat request.
+        """Answer a request for a chat completion, as llama.cpp's server takes it; set `stop` to cut the answer short.
 
-        Args:
-            body: a request for a chat completion, as llama.cpp's server takes it.
-            stop: set it to cut the answer short.
-
-        Returns:
-            A future of the answer; it fails with ModelError where there is none.
+        The future fails with ModelError where there is no answer.
         """
         answer: Future[Completion] = Future()
         # A daemon: whatever the engine does, the process can end.
@@ -193,17 +187,14 @@ class Engine:
 def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None:
     """Refuse weights that do not fit into memory: the system would kill this process without a message.
 
-    Args:
-        weights: the files.
-        tokens: total context of all questions answered at once.
-        free: free memory, asked of the system if left out [bytes].
+    `tokens` is the total context of all questions answered at once; `free` memory is asked of the system [bytes].
 
     Raises:
         InputError: for field `model`.
     """
     free = _free_bytes() if free is None else free
     needed = sum(file.stat().st_size for file in weights.loaded())
-    needed += tokens * header_of(weights.model).cache_bytes + WORK_BYTES
+    needed += tokens * read_header(weights.model).cache_bytes + WORK_BYTES
     if free is not None and needed > free:
         allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
         raise InputError("model", str(weights.model), allowed)
@@ -227,11 +218,7 @@ class Engines:
         self._users: dict[Engine, int] = {}
 
     def lease(self, weights: Weights, context: int) -> Engine:
-        """An engine with these files and at least this context, loaded if there is none. Pair with `give_back`.
-
-        Raises:
-            InputError: it cannot be loaded.
-        """
+        """An engine with these files and at least this context, loaded if there is none. Pair with `give_back`."""
         with self._lock:
             fit = (e for e in self._users if e.weights == weights and e.context >= context)
             engine = next(fit, None) or Engine(weights, context)

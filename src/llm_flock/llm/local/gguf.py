@@ -9,6 +9,7 @@ import mmap
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ _SCALARS = {0: "B", 1: "b", 2: "H", 3: "h", 4: "I", 5: "i", 6: "f", 7: "?", 10: 
 _STRING, _ARRAY = 8, 9
 _MAX_DIMS = 4
 _ALIGNMENT = 32
-"""Tensors begin at multiples of this many bytes unless the file says otherwise."""
+"""Unless the file says otherwise."""
 
 _CACHE_BYTES = 2
 """Bytes of a number in the cache of keys and values (half precision)."""
@@ -49,16 +50,13 @@ class Header:
         metadata: values by name, lists left out.
         tensors: tensors by name, in the order of the file.
         data_begin: first byte of the tensor data.
+        alignment: tensors begin at multiples of this many bytes.
     """
 
     metadata: Mapping[str, Any]
     tensors: Mapping[str, Tensor]
     data_begin: int
-
-    @property
-    def alignment(self) -> int:
-        """Tensors begin at multiples of this many bytes."""
-        return self.metadata.get("general.alignment") or _ALIGNMENT
+    alignment: int
 
     @property
     def is_adapter(self) -> bool:
@@ -86,18 +84,27 @@ class Header:
 
 
 def read_header(path: Path) -> Header:
-    """Read the header of a GGUF file.
+    """Read the header of a GGUF file, again only after the file has changed.
 
     Raises:
         InputError: for field `model`: there is no such file, or it is no GGUF file.
     """
     try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return _Reader(data).header()
+        changed = path.stat().st_mtime_ns
+    except OSError as error:
+        raise InputError("model", str(path), f"a file that is there ({error.strerror})") from None
+    try:
+        return _header(path, changed)
     except OSError as error:
         raise InputError("model", str(path), f"a readable file ({error.strerror})") from None
     except (ValueError, KeyError, struct.error):
         raise InputError("model", str(path), "a GGUF file of version 2 or 3") from None
+
+
+@lru_cache(maxsize=16)
+def _header(path: Path, _changed: int) -> Header:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _Reader(data).header()
 
 
 class _Reader:
@@ -125,7 +132,8 @@ class _Reader:
             shape = tuple(self._scalar("Q") for _ in range(dims))
             tensors[name] = Tensor(shape, entry=self._at, format=self._scalar("I"), offset=self._scalar("Q"))
         alignment = metadata.get("general.alignment") or _ALIGNMENT
-        return Header(metadata=metadata, tensors=tensors, data_begin=self._at + -self._at % alignment)
+        begin = self._at + -self._at % alignment
+        return Header(metadata=metadata, tensors=tensors, data_begin=begin, alignment=alignment)
 
     def _value(self, kind: int) -> Any:
         """One value; a list is skipped and gives None."""

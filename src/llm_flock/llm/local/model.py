@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -13,7 +12,8 @@ from llm_flock.errors import InputError
 from llm_flock.llm.answer_forms import answer_grammar, longest_answer, tokens_of
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local.engine import ENGINES, Engine, Engines
-from llm_flock.llm.local.weights import Weights, find_weights, header_of
+from llm_flock.llm.local.gguf import read_header
+from llm_flock.llm.local.weights import Weights, find_weights
 from llm_flock.llm.port import Call, Reply
 
 TEMPERATURE = 0.0
@@ -43,13 +43,9 @@ class EngineLeases:
         self._leased: dict[Weights, asyncio.Task[Engine]] = {}
 
     async def engine(self, weights: Weights, call: Call) -> Engine:
-        """The engine for these files, loaded if need be; the first question determines the context.
-
-        Raises:
-            InputError: it cannot be loaded.
-        """
+        """The engine for these files, loaded if need be; the first question determines the context."""
         if weights not in self._leased:
-            trained = header_of(weights.model).trained_context
+            trained = read_header(weights.model).trained_context
             context = context_for(call) if trained is None else min(trained, context_for(call))
             load = asyncio.to_thread(self._engines.lease, weights, context)
             self._leased[weights] = asyncio.create_task(load)
@@ -65,32 +61,19 @@ class EngineLeases:
 
 
 class LocalModel:
-    """A `LanguageModel` on board. It costs nothing and needs no network.
-
-    Args:
-        name: `local:...`, as configured.
-        leases: provides the engine.
-        settings: how to sample; temperature 0 by default.
-        clock: seconds, only differences matter.
+    """A `LanguageModel` on board, named `local:...` as configured. It costs nothing and needs no network.
 
     Raises:
         InputError: a file or the engine is missing or unfit, or a setting is of no use here.
     """
 
-    def __init__(
-        self,
-        name: str,
-        leases: EngineLeases,
-        settings: CallSettings | None = None,
-        clock: Callable[[], float] = time.perf_counter,
-    ) -> None:
+    def __init__(self, name: str, leases: EngineLeases, settings: CallSettings | None = None) -> None:
         settings = settings or CallSettings()
         if settings.reasoning is not None:
             raise InputError("reasoning_effort", settings.reasoning, f"nothing with {name}, which has no such setting")
         self.weights = find_weights(name.partition(":")[2])
         self.name = name
         self._leases = leases
-        self._clock = clock
         self._settings: dict[str, Any] = {"temperature": TEMPERATURE, **settings.plain()}
 
     async def ask(self, call: Call) -> Reply:
@@ -101,7 +84,7 @@ class LocalModel:
             ModelError: the engine refuses the question, or was stopped.
         """
         engine = await self._leases.engine(self.weights, call)
-        started = self._clock()
+        started = time.perf_counter()
         stop = threading.Event()
         try:
             answer = await asyncio.wrap_future(engine.submit(self._body(call), stop))
@@ -113,7 +96,7 @@ class LocalModel:
             settings=self._settings,
             usage=answer.usage,
             cost_usd=0.0,
-            latency_s=self._clock() - started,
+            latency_s=time.perf_counter() - started,
         )
 
     def _body(self, call: Call) -> dict[str, Any]:

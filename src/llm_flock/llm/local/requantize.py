@@ -42,15 +42,10 @@ def cache_folder() -> Path:
 
 
 def requantized(source: Path, header: Header, digest: str) -> Path:
-    """The file with its Q4_1 tensors as Q8_0, written to the cache if need be.
+    """The GGUF file with its Q4_1 tensors as Q8_0, written to the cache if need be.
 
-    Args:
-        source: GGUF file.
-        header: of that file.
-        digest: SHA-256 of it, hexadecimal: tells apart files of the same name.
-
-    Returns:
-        The cached file; `source` itself where it has no Q4_1 or a format unknown here, or cannot be cached (logged).
+    The SHA-256 digest (hexadecimal) tells apart files of the same name. Returns `source` itself where it has no Q4_1 or
+    a format unknown here, or cannot be cached (logged).
     """
     formats = {tensor.format for tensor in header.tensors.values()}
     if Q4_1 not in formats or not formats <= BLOCK_BYTES.keys():

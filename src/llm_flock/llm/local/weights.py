@@ -38,7 +38,7 @@ class Weights:
     """The files of one model on board.
 
     Attributes:
-        model: GGUF file of the model.
+        model: GGUF file.
         adapter: GGUF file of a LoRA adapter, None without one.
         packaged: whether the model comes from a package; the engine then reads it in a faster format.
     """
@@ -55,7 +55,7 @@ class Weights:
         """The files that the engine reads, the model first; writes the faster format of a packaged model if need be."""
         model = self.model
         if self.packaged:
-            model = requantized(model, header_of(model), _digest(model).partition(":")[2])
+            model = requantized(model, read_header(model), _digest(model).partition(":")[2])
         return (model,) if self.adapter is None else (model, self.adapter)
 
     def versions(self) -> Mapping[str, str]:
@@ -95,40 +95,18 @@ def find_weights(text: str) -> Weights:
         adapter = packaged_adapter()
         if adapter is None:
             raise InputError("model", f"local:{text}", ADAPTER_MISSING)
-    header = header_of(model)
+    header = read_header(model)
     if header.is_adapter:
         raise InputError("model", str(model), "a model; this file is an adapter: MODEL.gguf+ADAPTER.gguf")
     if "tokenizer.chat_template" not in header.metadata:
         raise InputError("model", str(model), "an instruct model; this file has no chat template")
     if adapter is not None:
-        check_adapter(adapter, header_of(adapter), header)
+        check_adapter(adapter, read_header(adapter), header)
     return Weights(model, adapter, packaged=name == SMOLLM2)
 
 
-def header_of(path: Path) -> Header:
-    """The header of a file, read again only after the file has changed.
-
-    Raises:
-        InputError: for field `model`.
-    """
-    try:
-        changed = path.stat().st_mtime_ns
-    except OSError as error:
-        raise InputError("model", str(path), f"a file that is there ({error.strerror})") from None
-    return _header(path, changed)
-
-
-@lru_cache(maxsize=16)
-def _header(path: Path, _changed: int) -> Header:
-    return read_header(path)
-
-
 def check_adapter(path: Path, adapter: Header, model: Header) -> None:
-    """Refuse an adapter that was made for another model.
-
-    Raises:
-        InputError: for field `model`.
-    """
+    """Refuse an adapter that was made for another model: InputError for field `model`."""
     if not adapter.is_adapter or adapter.metadata.get("adapter.type") != "lora":
         raise InputError("model", str(path), "a LoRA adapter in a GGUF file")
     architecture = "general.architecture"

@@ -27,7 +27,6 @@ from llm_flock.llm.simulated.profiles import FAILURES, Profile
 from llm_flock.llm.simulated.prompt_reader import (
     PLAN_MARK,
     STEP_MARK,
-    PlanPrompt,
     StepPrompt,
     Task,
     formation,
@@ -38,7 +37,6 @@ from llm_flock.llm.simulated.prompt_reader import (
     sensible_decimals,
 )
 
-NOTHING: frozenset[str] = frozenset()
 CHARS_PER_TOKEN = 4
 """Tokens are only estimated here."""
 
@@ -49,9 +47,7 @@ LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 class Responder:
     """One simulated model: text in, text out.
 
-    Args:
-        profile: its failures and their rates.
-        rng: its chance. The same conversation with the same chance gives the same answers.
+    The same conversation with the same chance gives the same answers.
     """
 
     def __init__(self, profile: Profile, rng: np.random.Generator) -> None:
@@ -62,7 +58,7 @@ class Responder:
     def draw(self) -> frozenset[str]:
         """Draw the failures of the next call."""
         if self._always_right:
-            return NOTHING
+            return frozenset()
         # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
         chance = self._rng.random(len(FAILURES) - 1).tolist()
         # `brisk` was added after published results: it draws only where it is on, so that those stay reproducible.
@@ -76,20 +72,14 @@ class Responder:
 
     def fault(self, model: str, robot: int) -> pai.ModelAPIError:
         """Draw the error of a flaky provider."""
-        match int(self._rng.integers(3)):
-            case 0:
-                return pai.ModelRateLimitError(model, f"simulated 429 for robot {robot}", retry_after=0.02)
-            case 1:
-                return pai.ModelServerError(model, f"simulated 500 for robot {robot}")
-            case _:
-                return pai.ModelTimeoutError(model, f"simulated time-out for robot {robot}")
+        return (
+            pai.ModelRateLimitError(model, f"simulated 429 for robot {robot}", retry_after=0.02),
+            pai.ModelServerError(model, f"simulated 500 for robot {robot}"),
+            pai.ModelTimeoutError(model, f"simulated time-out for robot {robot}"),
+        )[int(self._rng.integers(3))]
 
     def answer(self, conversation: Sequence[tuple[str, str]], failures: frozenset[str] | None = None) -> str:
-        """The answer to the last question of a conversation.
-
-        Args:
-            conversation: (role, text) of each message: `system`, `user` or `assistant`.
-            failures: of this call; drawn if left out.
+        """The answer to the last question of a conversation of (role, text); failures are drawn if left out.
 
         Raises:
             InputError: for field `prompts`: the question is not in the words of the packaged templates.
@@ -102,11 +92,11 @@ class Responder:
             if role == "user" and STEP_MARK in text:
                 return self._step(read_task(system), read_step(text), failures)
             if role == "user" and PLAN_MARK in text:
-                return self._plan(read_task(system), read_plan(text), failures)
+                return self._plan(read_task(system), *read_plan(text), failures)
         last = conversation[-1][1] if conversation else ""
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
 
-    def _plan(self, task: Task, prompt: PlanPrompt, failures: frozenset[str]) -> str:
+    def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str]) -> str:
         angle_rad = self._rng.uniform(0.0, 2 * math.pi)
         points = turned(formation(task), task.center, angle_rad)
         if "distorted" in failures:
@@ -114,7 +104,7 @@ class Responder:
             noise = self._rng.normal(0.0, 0.2 * task.spacing, points.shape)
             points = task.center + (points - task.center) * stretch + noise
         rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
-        index, cut = prompt.robot % task.n_places, False
+        index, cut = robot % task.n_places, False
         if "malformed" in failures:
             match int(self._rng.integers(5)):
                 case 0:
@@ -127,7 +117,7 @@ class Responder:
                     rows[0][0] = math.nan
                 case _:
                     cut = True
-        if prompt.json:
+        if as_json:
             said = json.dumps({"plan": rows, "my_plan": index})
         else:
             said = (
@@ -181,17 +171,13 @@ class Responder:
 
     def _malformed_step(self, prompt: StepPrompt, path: list[str]) -> str:
         *before, waypoint = path
-        match int(self._rng.integers(5)):
-            case 0:
-                return "It depends on what the others are going to do; I will wait and see."
-            case 1:
-                return _stated(prompt, [*before, waypoint[:-1] + ", 0.0, 1.0]"])
-            case 2:
-                return _stated(prompt, [*before, "[NaN, " + waypoint.partition(", ")[2]])
-            case 3:
-                return _stated(prompt, path)[: len(waypoint)]
-            case _:
-                return _stated(prompt, [*before, waypoint[:-1] + " + 0.5]"])
+        return (
+            "It depends on what the others are going to do; I will wait and see.",
+            _stated(prompt, [*before, waypoint[:-1] + ", 0.0, 1.0]"]),
+            _stated(prompt, [*before, "[NaN, " + waypoint.partition(", ")[2]]),
+            _stated(prompt, path)[: len(waypoint)],
+            _stated(prompt, [*before, waypoint[:-1] + " + 0.5]"]),
+        )[int(self._rng.integers(5))]
 
 
 def _stated(prompt: StepPrompt, path: Sequence[str]) -> str:
@@ -220,11 +206,7 @@ def _towards(target: Point, task: Task, prompt: StepPrompt) -> Point:
 class SimulatedModel(Model[None]):
     """A simulated model as a model of pydantic-ai.
 
-    Args:
-        profile: its failures and their rates.
-        robot: its robot, for error texts; the model itself reads the id in the prompt.
-        rng: its chance.
-        sleep: waits for a number of seconds.
+    The robot's id is for error texts only: the model itself reads it in the prompt.
     """
 
     def __init__(

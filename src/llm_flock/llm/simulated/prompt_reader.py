@@ -35,15 +35,7 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The content of the system message.
-
-    Attributes:
-        shape: the shape in words.
-        n_places: number of places; one for each robot unless stated.
-        center: centre of the shape [units].
-        spacing: distance between neighbouring places [units].
-        max_step: longest step [units].
-    """
+    """The content of the system message: the shape in words, and lengths [units]."""
 
     shape: str
     n_places: int
@@ -53,20 +45,10 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlanPrompt:
-    """The content of the plan message: the robot's id, and whether the answer is to be JSON."""
-
-    robot: int
-    json: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StepPrompt:
     """The content of the position update.
 
     Attributes:
-        position: own position [units].
-        goal: own goal [units].
         goal_text: the goal as it was written.
         neighbors: positions of the other robots, as text.
         horizon: longest path; 1 asks for a single position.
@@ -99,11 +81,7 @@ def sensible_decimals(length: float) -> int:
 
 @lru_cache(maxsize=64)
 def read_task(system: str) -> Task:
-    """Read the system message.
-
-    Raises:
-        InputError: for field `prompts`: it is not in the words of the packaged template.
-    """
+    """Read the system message; InputError if it is not in the packaged words."""
     team, lines = _PLACES.search(system) or _TEAM.search(system), dict(_LINE.findall(system))
     center = numbers(lines.get("Centre of the shape", ""))
     spacing, max_step = numbers(lines.get("Spacing", "")), numbers(lines.get("Step limit", ""))
@@ -112,24 +90,16 @@ def read_task(system: str) -> Task:
     return Task(shape=lines["Shape"], n_places=int(team[1]), center=center, spacing=spacing[0], max_step=max_step[0])
 
 
-def read_plan(text: str) -> PlanPrompt:
-    """Read the plan message.
-
-    Raises:
-        InputError: for field `prompts`: it is not in the words of the packaged template.
-    """
+def read_plan(text: str) -> tuple[int, bool]:
+    """Read the robot's id in the plan message, and whether the answer is to be JSON; InputError as in `read_task`."""
     robot = _ROBOT.search(text)
     if robot is None:
         raise _other_words("plan.j2", text)
-    return PlanPrompt(robot=int(robot[1]), json=_JSON_MARK in text)
+    return int(robot[1]), _JSON_MARK in text
 
 
 def read_step(text: str) -> StepPrompt:
-    """Read the position update, without the plan in it.
-
-    Raises:
-        InputError: for field `prompts`: it is not in the words of the packaged template.
-    """
+    """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
     position = numbers(_line_after(text, STEP_MARK))
     goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
     goal = numbers(goal_text)
@@ -147,11 +117,7 @@ def read_step(text: str) -> StepPrompt:
 
 
 def check_prompts(prompts: PromptSet, mission: Mission) -> None:
-    """Read the prompts of sample questions. Call before a run with simulated models.
-
-    Raises:
-        InputError: for field `prompts`: a template is not in the packaged words.
-    """
+    """Read the prompts of sample questions. Call before a run with simulated models; InputError as in `read_task`."""
     read_task(prompts.system(mission))
     here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
     read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))

@@ -7,7 +7,8 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from llm_flock.errors import InputError
-from llm_flock.llm.models import parse_model, parse_models
+from llm_flock.llm.models import parse_models
+from llm_flock.llm.providers import parse_model
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
 
 
