@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,14 +37,7 @@ KINDS: Mapping[type[pl.DataType], str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """One column of a table.
-
-    Attributes:
-        name: its name.
-        dtype: type of its values; any of them may be null.
-        unit: of its values; empty where they have none.
-        meaning: in words, for the data dictionary.
-    """
+    """One column of a table; any of its values may be null. The data dictionary shows kind, unit and meaning."""
 
     name: str
     dtype: type[pl.DataType]
@@ -160,7 +153,7 @@ def read_trials(folder: Path) -> pl.DataFrame:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, TRIALS_NAME, trials_frame)
+    return _read(folder, TRIALS_NAME, _trials_frame)
 
 
 def read_rounds(folder: Path) -> pl.DataFrame:
@@ -170,7 +163,7 @@ def read_rounds(folder: Path) -> pl.DataFrame:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, ROUNDS_NAME, rounds_frame)
+    return _read(folder, ROUNDS_NAME, _rounds_frame)
 
 
 def build_tables(folder: Path) -> None:
@@ -184,37 +177,50 @@ def build_tables(folder: Path) -> None:
     """
     dated = _dated(folder)
     trials = load_all(folder)
-    for name, frame in ((TRIALS_NAME, trials_frame(trials)), (ROUNDS_NAME, rounds_frame(trials))):
+    for name, frame in ((TRIALS_NAME, _trials_frame(trials)), (ROUNDS_NAME, _rounds_frame(trials))):
         file = io.BytesIO()
         frame.write_parquet(file)
         write_whole(folder / name, file.getvalue(), dated_ns=dated)
+
+
+def export_csv(folder: Path, out: Path) -> list[Path]:
+    """Write `trials.csv` and `rounds.csv` into `out`; older ones are replaced.
+
+    Numbers are written with full precision; an unknown value is an empty field.
+
+    Raises:
+        InputError: there are no results, or the files cannot be written.
+        RecordError: a trial is damaged.
+    """
+    frames = {"trials.csv": read_trials(folder), "rounds.csv": read_rounds(folder)}
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, frame in frames.items():
+            frame.write_csv(out / name)
+    except OSError as error:
+        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
+    return [out / name for name in frames]
 
 
 def load_all(folder: Path) -> list[TrialResult]:
     """Read every finished trial, sorted by cell and seed.
 
     Raises:
-        InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    _dated(folder)  # refuses other directories
     return sorted(
         map(read_trial, trial_files(folder)), key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id)
     )
 
 
-def trials_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
-    """The first table, in the order given."""
-    found = list(trials)
-    axes = list(dict.fromkeys(name for trial in found for name in trial.axes))
+def _trials_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
     schema: dict[str, type[pl.DataType]] = {column.name: column.dtype for column in TRIALS}
-    schema.update({AXIS + name: pl.String for name in axes})
-    rows = [_row(trial) for trial in found]
+    schema.update({AXIS + name: pl.String for trial in trials for name in trial.axes})
+    rows = [_row(trial) for trial in trials]
     return pl.DataFrame({name: [row.get(name) for row in rows] for name in schema}, schema=schema)
 
 
-def rounds_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
-    """The second table, in the order given."""
+def _rounds_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
     columns: dict[str, list[Any]] = {column.name: [] for column in ROUNDS}
     for trial in trials:
         columns["trial"] += [trial.id] * len(trial.rounds["round"])
@@ -223,7 +229,7 @@ def rounds_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
     return pl.DataFrame(columns, schema={column.name: column.dtype for column in ROUNDS})
 
 
-def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
+def _read(folder: Path, name: str, build: Callable[[Sequence[TrialResult]], pl.DataFrame]) -> pl.DataFrame:
     path = folder / name
     dated = _dated(folder)
     if path.exists() and path.stat().st_mtime_ns >= dated:
@@ -232,11 +238,7 @@ def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
 
 
 def _dated(folder: Path) -> int:
-    """When the last trial was saved [ns].
-
-    Raises:
-        InputError: this is no directory of results.
-    """
+    """When the last trial was saved [ns]; refuses other directories."""
     if not (folder / TRIALS_FOLDER).is_dir():
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
     return (folder / TRIALS_FOLDER).stat().st_mtime_ns

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from llm_flock.experiments.compare import TOLERANCE
 from llm_flock.metrics import AT_GOAL, IN_SHAPE
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.schema import SILENT, LlmEntry
+from llm_flock.record.schema import SILENT, ChatLine, LlmEntry
+
+LONGEST = 6000
+"""Letters of a message that are shown at most."""
 
 
 class Cause(NamedTuple):
@@ -28,6 +31,27 @@ class Cause(NamedTuple):
     round: int | None = None
     entries: tuple[LlmEntry, ...] = ()
 
+    @property
+    def about(self) -> str:
+        """Whose conversation it is, and when; empty without one."""
+        if not self.entries:
+            return ""
+        last = self.entries[-1]
+        question = {"plan": "asked for a plan", "step": "asked for its next step"}.get(last.kind, last.kind)
+        return f"Robot {last.robot}, {question} in round {last.round}, {last.model}"
+
+    @property
+    def conversation(self) -> list[ChatLine]:
+        """The last call with all messages before it, its answer, and with the role "verdict", what became of that."""
+        if not self.entries:
+            return []
+        last = self.entries[-1]
+        lines = [message.model_copy(update={"text": _short(message.text)}) for message in last.messages]
+        if last.text is not None:
+            lines.append(ChatLine(role="assistant", text=_short(last.text)))
+        refused = f"The answer was not used: {last.rejected or last.error or 'no answer came'}"
+        return [*lines, ChatLine(role="verdict", text=refused if last.parsed is None else "The answer was taken.")]
+
 
 def find_causes(record: RunRecord) -> tuple[Cause, ...]:
     """Everything that went wrong in a record, the worst first.
@@ -39,6 +63,13 @@ def find_causes(record: RunRecord) -> tuple[Cause, ...]:
     ending = next((found for find in (_plans, _goals, _away, _shape) if (found := find(record)) is not None), None)
     found = tuple(cause for cause in (_unanswered(record), _crash(record), ending) if cause is not None)
     return found or (Cause("It took too many rounds.", record.rounds),)
+
+
+def _short(text: str) -> str:
+    if len(text) <= LONGEST:
+        return text
+    half = LONGEST // 2
+    return f"{text[:half]}\n[... {len(text) - 2 * half:,} letters left out ...]\n{text[-half:]}"
 
 
 def _unanswered(record: RunRecord) -> Cause | None:

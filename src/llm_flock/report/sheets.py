@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from llm_flock.experiments.paired import PairedMeans
 from llm_flock.experiments.statistics import Estimate, Method, median
-from llm_flock.report.drawing import INTERVALS
-from llm_flock.report.findings import COMPARED, CellLine, PairLine, known
+from llm_flock.report.findings import COMPARED, INTERVALS, CellLine, PairLine, known
 from llm_flock.report.results import OUTCOMES, ResultCell, Results
 
 NOT_KNOWN = "-"
@@ -17,15 +15,7 @@ MINUS = "\N{MINUS SIGN}"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sheet:
-    """One table.
-
-    Attributes:
-        title: its title.
-        header: names of its columns.
-        rows: its cells.
-        words: number of columns with words, at the left; the others hold numbers.
-        note: how to read it.
-    """
+    """One table; its first `words` columns hold words, the others numbers, and `note` says how to read it."""
 
     title: str
     header: tuple[str, ...]
@@ -37,12 +27,12 @@ class Sheet:
 def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     """How the trials of every cell ended."""
     ends = [name for name in OUTCOMES if name != "formed" and any(line.outcomes[name] for line in lines)]
-    return Sheet(
-        title="How the trials ended",
-        header=(*_cell_names(results), "trials", "formed % [95 %]", *ends, "too near", "smallest separation [units]"),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
+    return _sheet(
+        results,
+        "How the trials ended",
+        ("trials", "formed % [95 %]", *ends, "too near", "smallest separation [units]"),
+        {
+            line.cell: (
                 str(line.trials),
                 interval(line.formed, 1, 100.0),
                 *(str(line.outcomes[name]) for name in ends),
@@ -50,9 +40,8 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
                 number(line.min_separation, 3),
             )
             for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note="Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
+        },
+        "Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
         "are counted as not formed. Too near: trials in which two robots were nearer than the safe distance. "
         + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends),
     )
@@ -60,12 +49,12 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
 
 def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
     """How fast the trials formed, and their error."""
-    return Sheet(
-        title="Rounds and error",
-        header=(*_cell_names(results), "formed", "rounds (median)", "over the bound (median)", "error [95 %]", "of"),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
+    return _sheet(
+        results,
+        "Rounds and error",
+        ("formed", "rounds (median)", "over the bound (median)", "error [95 %]", "of"),
+        {
+            line.cell: (
                 str(line.outcomes["formed"]),
                 number(line.rounds, 1),
                 number(line.ratio, 2),
@@ -73,9 +62,8 @@ def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) ->
                 str(line.errors_known),
             )
             for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note="Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
+        },
+        "Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
         f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the "
         "trials that have one, formed or not.",
     )
@@ -83,19 +71,12 @@ def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) ->
 
 def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
     """Calls, tokens and cost."""
-    return Sheet(
-        title="Calls, tokens and money",
-        header=(
-            *_cell_names(results),
-            "calls a robot",
-            "tokens a robot",
-            "answers not used %",
-            "latency [s]",
-            "cost of a mission [US $]",
-        ),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
+    return _sheet(
+        results,
+        "Calls, tokens and money",
+        ("calls a robot", "tokens a robot", "answers not used %", "latency [s]", "cost of a mission [US $]"),
+        {
+            line.cell: (
                 interval(line.calls, 2),
                 interval(line.tokens, 0),
                 number(None if line.rejected is None else 100 * line.rejected, 2),
@@ -103,55 +84,65 @@ def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) 
                 interval(line.cost, 4) if line.cost is None or line.cost.value else "0",
             )
             for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note=f"Means over trials, {INTERVALS[method]}. A cost is given where the price of every call is known"
+        },
+        f"Means over trials, {INTERVALS[method]}. A cost is given where the price of every call is known"
         + ("; simulated models cost nothing, and their tokens are estimates." if results.simulated else "."),
     )
 
 
-def pair_sheets(results: Results, lines: Sequence[PairLine], method: Method) -> list[Sheet]:
+def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str, method: Method) -> list[Sheet]:
     """Protocols against the reference on the same seeds: success, then every other figure that any pair has."""
-    reference = lines[0].reference
-    names = _cell_names(results)
-    found = [
-        Sheet(
-            title=f"Success compared with {reference}, seed by seed",
-            header=(*names, "pairs", "difference in % points [95 %]", "formed: only this", f"only {reference}"),
-            rows=tuple(
-                (
-                    *_cell_words(results, line.cell),
-                    str(line.formed.pairs),
-                    interval(line.formed.difference, 1, 100.0, signed=True),
-                    str(line.formed.only_first),
-                    str(line.formed.only_second),
-                )
-                for line in lines
-            ),
-            words=len(names),
-            note=f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
-            f"which started from the same positions; differences are this minus {reference}. The interval is "
-            "Newcombe's for paired shares.",
-        )
-    ]
-    for name in COMPARED:
-        rows = tuple(
-            (*_cell_words(results, line.cell), *_paired(line.means[name]))
-            for line in lines
-            if line.means[name] is not None
-        )
-        if rows:
-            found.append(
-                Sheet(
-                    title=f"{name[0].upper()}{name[1:]}, compared with {reference}, seed by seed",
-                    header=(*names, "pairs", "mean difference [95 %]", "effect size g [95 %]"),
-                    rows=rows,
-                    words=len(names),
-                    note=f"Pairs: seeds on which both have the figure. Mean difference: {INTERVALS[method]}. g: the "
-                    "mean difference in standard deviations of the differences, with Hedges' correction for few pairs.",
-                )
+    success = _sheet(
+        results,
+        f"Success compared with {reference}, seed by seed",
+        ("pairs", "difference in % points [95 %]", "formed: only this", f"only {reference}"),
+        {
+            line.cell: (
+                str(line.formed.pairs),
+                interval(line.formed.difference, 1, 100.0, signed=True),
+                str(line.formed.only_first),
+                str(line.formed.only_second),
             )
+            for line in lines
+        },
+        f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
+        f"which started from the same positions; differences are this minus {reference}. The interval is "
+        "Newcombe's for paired shares.",
+    )
+    found = [success]
+    for name in COMPARED:
+        rows = {
+            line.cell: (
+                str(means.pairs),
+                interval(means.difference, 2, signed=True),
+                interval(means.effect, 2, signed=True),
+            )
+            for line in lines
+            if (means := line.means[name]) is not None
+        }
+        if rows:
+            title = f"{name[0].upper()}{name[1:]}, compared with {reference}, seed by seed"
+            note = (
+                f"Pairs: seeds on which both have the figure. Mean difference: {INTERVALS[method]}. g: the "
+                "mean difference in standard deviations of the differences, with Hedges' correction for few pairs."
+            )
+            header = ("pairs", "mean difference [95 %]", "effect size g [95 %]")
+            found.append(_sheet(results, title, header, rows, note))
     return found
+
+
+def _sheet(
+    results: Results, title: str, header: Sequence[str], rows: Mapping[ResultCell, Sequence[str]], note: str
+) -> Sheet:
+    """A table with a row for each cell: the words that tell it from others, then its figures."""
+    conditions = results.conditions != ("",)
+    words = ("shape", "N", "model", *(("condition",) if conditions else ()), "protocol")
+
+    def row(cell: ResultCell) -> tuple[str, ...]:
+        team, between = cell.team, (cell.condition,) if conditions else ()
+        return (team.shape, str(team.n_robots), cell.model, *between, cell.protocol, *rows[cell])
+
+    return Sheet(title=title, header=(*words, *header), rows=tuple(map(row, rows)), words=len(words), note=note)
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
@@ -191,29 +182,9 @@ def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, sig
     return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
-def _paired(means: PairedMeans | None) -> tuple[str, str, str]:
-    assert means is not None, "rows are made of pairs that have the figure"
-    effect = NOT_KNOWN if means.effect is None else interval(means.effect, 2, signed=True)
-    return (str(means.pairs), interval(means.difference, 2, signed=True), effect)
-
-
 def _compact(value: float) -> str:
     """A count in a few letters: 12,345, 1.23 M."""
     for unit, size in (("G", 1e9), ("M", 1e6)):
         if value >= size:
             return f"{value / size:.3g} {unit}"
     return f"{value:,.0f}"
-
-
-def _cell_names(results: Results) -> tuple[str, ...]:
-    return ("shape", "N", *(name for name, shown in _varied(results) if shown), "protocol")
-
-
-def _cell_words(results: Results, cell: ResultCell) -> tuple[str, ...]:
-    varied = dict(_varied(results))
-    between = [word for name, word in (("model", cell.model), ("condition", cell.condition)) if varied[name]]
-    return (cell.team.shape, str(cell.team.n_robots), *between, cell.protocol)
-
-
-def _varied(results: Results) -> list[tuple[str, bool]]:
-    return [("model", True), ("condition", results.conditions != ("",))]
