@@ -75,10 +75,9 @@ def fly_sweep(
     """Fly all trials of a sweep that are not finished yet, and build its tables.
 
     Args:
-        sweep: the sweep.
+        sweep: as `load_sweep` reads it.
         folder: directory of results. A sweep that was started there goes on.
-        executor: `one` process, for trials that wait for answers; a `pool` of them, for those that compute; `auto`
-            chooses for each trial.
+        executor: `one` process, for trials that wait for answers; a `pool`, for those that compute; `auto` chooses.
         cluster: address of a Ray cluster, used instead.
         jobs: processes of a pool; workers of a cluster if more than 1.
         at_once: trials in flight at once in one process.

@@ -10,6 +10,7 @@ from operator import attrgetter
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from numpy.typing import NDArray
 
 from llm_flock.experiments.statistics import Estimate, Method, mean_bands, mean_interval, wilson
 from llm_flock.report.findings import ERROR, INTERVALS, CellLine, PairLine, cell_lines, known, pair_lines
@@ -69,17 +70,15 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row[1] == results.conditions[0]]
         several = len({name for name, _ in rows}) > 1
         grid: list[tuple[str, list[Facet]]] = []
-        missing = total = 0
         for name, condition in shown:
             facets: list[Facet] = []
             for team in results.teams:
-                cells = {
-                    series_of(cell): trials
+                tables = {
+                    series_of(cell): results.curves(trials, length)
                     for cell, trials in results.cells.items()
                     if (cell.team, cell.condition, row_of(cell)) == (team, condition, name)
                 }
-                curves, lost = _curves(results, cells, length, method)
-                missing, total = missing + lost, total + sum(map(len, cells.values()))
+                curves = [_curve(one, table, method) for one, table in tables.items() if len(table)]
                 facets.append(Facet(title=str(team), marks=curves))
             label = " · ".join(part for part in (name if several else "", condition) if part)
             grid += [(label, facets[k : k + COLUMNS]) for k in range(0, len(facets), COLUMNS)]
@@ -92,8 +91,10 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         ]
         if len(shown) < len(rows):
             words.append(f"Only {results.conditions[0]}; {len(results.conditions) - 1} other conditions are not drawn.")
+        drawn = [trial for trial in results.trials if (row_of(trial.cell), trial.cell.condition) in shown]
+        missing = len(drawn) - len(results.curves(drawn, length))
         if missing:
-            words.append(f"{missing} of {total} trials have no error at any round and no part in this figure.")
+            words.append(f"{missing} of {len(drawn)} trials have no error at any round and no part in this figure.")
         yield Drawing(
             name=f"error-by-{by}",
             section="error",
@@ -103,18 +104,10 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         )
 
 
-def _curves(results: Results, found: dict[str, list[TrialRow]], length: int, method: Method) -> tuple[list[Curve], int]:
-    """A curve for each series, all of one length, and how many trials have none."""
-    curves: list[Curve] = []
-    lost = 0
-    for name, trials in found.items():
-        table = results.curves(trials, length)
-        lost += len(trials) - len(table)
-        if len(table):
-            mean, low, high = mean_bands(table, method)
-            x = np.arange(length, dtype=np.float64)
-            curves.append(Curve(series=name, x=x, mean=mean, low=np.maximum(low, 0.0), high=high))
-    return curves, lost
+def _curve(series: str, table: NDArray[np.float64], method: Method) -> Curve:
+    mean, low, high = mean_bands(table, method)
+    x = np.arange(len(mean), dtype=np.float64)
+    return Curve(series=series, x=x, mean=mean, low=np.maximum(low, 0.0), high=high)
 
 
 def success(results: Results, lines: Sequence[CellLine]) -> Drawing:

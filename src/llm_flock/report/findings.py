@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from llm_flock.experiments.paired import PairedMeans, PairedShares, paired_means, paired_shares
 from llm_flock.experiments.statistics import Estimate, Method, mean_interval, median, wilson
@@ -116,16 +116,10 @@ def pair_lines(results: Results, reference: str, method: Method = "student") -> 
     """
     lines: list[PairLine] = []
     for cell, trials in results.cells.items():
-        others = {
-            trial.seed: trial
-            for other, found in results.cells.items()
-            if other.protocol == reference != cell.protocol
-            and (other.team, other.model, other.condition) == (cell.team, cell.model, cell.condition)
-            for trial in found
-        }
+        others = {trial.seed: trial for trial in results.cells.get(replace(cell, protocol=reference), ())}
         pairs = [(trial, others[trial.seed]) for trial in trials if trial.seed in others]
         formed = paired_shares([a.formed for a, _ in pairs], [b.formed for _, b in pairs])
-        if formed is None:
+        if formed is None or cell.protocol == reference:
             continue
         means = {name: _paired(pairs, figure, method) for name, figure in COMPARED.items()}
         lines.append(PairLine(cell=cell, formed=formed, means=means))
