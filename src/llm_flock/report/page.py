@@ -66,11 +66,6 @@ class PageSection:
     failures: list[Failure] = field(default_factory=list[Failure])
     lines: list[str] = field(default_factory=list[str])
 
-    @property
-    def empty(self) -> bool:
-        """Whether there is nothing in it."""
-        return not (self.drawings or self.sheets or self.failures or self.lines)
-
 
 def write_report(
     folder: Path,
@@ -137,7 +132,7 @@ def write_report(
         "subtitle": _subtitle(results),
         "warnings": list(_warnings(results)),
         "facts": sheets.facts(results, lines),
-        "sections": [section for section in sections.values() if not section.empty],
+        "sections": [s for s in sections.values() if s.drawings or s.sheets or s.failures or s.lines],
         "footer": "Made by llm-flock report from trials.parquet and rounds.parquet.",
         "light": {name: colour for colour, (name, _) in VARIABLES.items()},
         "dark": dict(VARIABLES.values()),
