@@ -95,11 +95,6 @@ class Sweep:
     text: str
     trials: tuple[TrialSpec, ...]
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """The cells, in the order of the grid."""
-        return tuple(dict.fromkeys(trial.cell for trial in self.trials))
-
 
 def load_sweep(
     path: Path,
