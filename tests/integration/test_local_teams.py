@@ -13,8 +13,8 @@ from llm_flock.errors import InputError
 from llm_flock.experiments import executors, tables
 from llm_flock.experiments.compare import build_cells, compare
 from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.experiments.sweep_expect import expect_cells
 from llm_flock.experiments.sweep_file import load_sweep
+from llm_flock.experiments.sweep_forecast import expect_cells
 from llm_flock.llm.local import engine
 from llm_flock.llm.local.engine import ENGINES
 from llm_flock.llm.local.weights import find_weights

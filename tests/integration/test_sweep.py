@@ -14,7 +14,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments import tables
 from llm_flock.experiments.store import trial_files
 from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.experiments.sweep_expect import expect_cells
+from llm_flock.experiments.sweep_forecast import expect_cells
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.record.reader import read_record
 
@@ -137,15 +137,15 @@ def test_what_real_models_will_cost_is_rehearsed_by_stand_ins(tmp_path: Path) ->
     sweep = small(tmp_path, model="openai:gpt-4o", more="[expect]\noutput_tokens = 100\nprofile = 'ideal'")
     expected = expect_cells(sweep)
     free = expect_cells(small(tmp_path))
-    for cell in sweep.cells:
-        found = expected[cell]
+    assert set(expected) == {spec.cell for spec in sweep.trials}
+    for cell, found in expected.items():
         assert found.calls == free[cell].calls and found.tokens_input == free[cell].tokens_input
         assert found.tokens_output == 100 * found.calls and found.calls <= found.at_most
         assert found.cost_usd == pytest.approx(found.tokens_input * 2.5e-6 + found.tokens_output * 1e-5, rel=0.05)
         assert free[cell].cost_usd == 0
     unknown = expect_cells(small(tmp_path, model="vllm:x"))
     assert all(found.cost_usd is None for found in unknown.values())
-    total = sum((found.times(2) for found in expected.values()), start=expected[sweep.cells[0]].times(0))
+    total = sum((found.times(2) for found in expected.values()), start=expected[sweep.trials[0].cell].times(0))
     assert total.calls == 2 * sum(found.calls for found in expected.values())
 
 

@@ -2,15 +2,14 @@
 
 import csv
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 from llm_flock import formations
 from llm_flock.errors import InputError
-from llm_flock.experiments.compare import build_cells, compare, row
-from llm_flock.experiments.comparison_table import SHOWN_SEEDS, markdown, trial_file
+from llm_flock.experiments.compare import SHOWN_SEEDS, build_cells, compare, markdown, row, trial_file
 from llm_flock.experiments.grid import Cell, fitted_arena, parse_teams
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.mission import Mission
@@ -171,7 +170,7 @@ def test_a_row_says_what_its_trials_did() -> None:
     assert found.waypoints == {"hold": 3, "model": 230, "shield": 10}
     assert found.failed_seeds == (7, 8)
     assert found.errors == ("seed 8: ValueError: bad",)
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["formed"]["value"] == 0.5
+    assert json.loads(json.dumps(asdict(found), allow_nan=False))["formed"]["value"] == 0.5
 
 
 def test_a_separation_that_rounding_made_too_small_is_no_violation() -> None:

@@ -17,14 +17,11 @@ from llm_flock.experiments import tables
 from llm_flock.experiments.store import Store
 from llm_flock.record.reader import read_record
 from llm_flock.record.writer import RecordWriter
-from llm_flock.report.axes import along_axes
 from llm_flock.report.diagnosis import find_causes
-from llm_flock.report.drawing import inline_svg
-from llm_flock.report.drawings import draw_all, success
-from llm_flock.report.export import export_csv
+from llm_flock.report.drawings import along_axes, draw_all, success
 from llm_flock.report.findings import ERROR, cell_lines, pair_lines, usual_reference
 from llm_flock.report.gallery import gallery, worst
-from llm_flock.report.page import write_report
+from llm_flock.report.page import inline_svg, write_report
 from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import interval, success_sheet
 
@@ -224,7 +221,7 @@ def test_what_is_refused(results: Results, tmp_path: Path) -> None:
 
 
 def test_csv_holds_the_same_tables(results: Results, tmp_path: Path) -> None:
-    trials, rounds = export_csv(results.folder, tmp_path)
+    trials, rounds = tables.export_csv(results.folder, tmp_path)
     with trials.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["trial"] for row in rows] == tables.read_trials(results.folder)["trial"].to_list()

@@ -7,8 +7,7 @@ from sweeps import small
 
 from llm_flock.cli.sweep_display import duration, progress_text, short
 from llm_flock.experiments.grid import TrialSpec
-from llm_flock.experiments.sweep_expect import Expected
-from llm_flock.experiments.sweep_progress import Tally
+from llm_flock.experiments.sweep_forecast import Expected, Tally
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.limits import Spent
 from llm_flock.runtime.trial import TrialProgress
@@ -33,7 +32,7 @@ def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
     now = [0.0]
     tally = Tally(clock=lambda: now[0])
     specs = small(tmp_path, seeds=2).trials
-    tally.begin({}, specs)
+    tally.begin((), specs)
     assert tally.eta_s is None and tally.trials == 4
     now[0] = 40.0
     finish(tally, specs[0], 100)
@@ -51,7 +50,7 @@ def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
     specs = small(tmp_path, seeds=1).trials
     one = Expected(calls=100, tokens_input=900, tokens_output=100, cost_usd=0.5)
     tally = Tally({spec.cell: one for spec in specs}, clock=lambda: now[0])
-    tally.begin({}, specs)
+    tally.begin((), specs)
     assert tally.forecast == Spent(calls=200, tokens=2000, cost_usd=1.0)
     now[0] = 10.0
     for spec in specs:
@@ -64,7 +63,7 @@ def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
 def test_the_line_says_what_is_spent_and_what_is_expected(tmp_path: Path) -> None:
     specs = small(tmp_path, seeds=1).trials
     tally = Tally()
-    tally.begin({}, specs)
+    tally.begin((), specs)
     assert progress_text(tally).startswith("0/2 trials · 0 formed · ETA ?")
     finish(tally, specs[0], 100, error="x", formed=False)
     tally.spent(Spent(calls=120, tokens=1200, cost_usd=1.2), None)

@@ -6,19 +6,17 @@ import json
 import os
 import sys
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from llm_flock.cli.options import SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_COMPARE, parse_flags, with_config_flags
 
 if TYPE_CHECKING:
     from llm_flock.experiments.grid import Cell
     from llm_flock.experiments.trial import TrialResult
-
-EXIT_FAILED = 1
-EXIT_INTERRUPTED = 130
 
 
 @with_config_flags(without=SET_BY_COMPARE)
@@ -44,7 +42,6 @@ def compare(
     Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
     """
     from llm_flock.experiments import compare as comparison
-    from llm_flock.experiments.comparison_table import markdown, trial_file
     from llm_flock.experiments.grid import parse_teams
 
     presets = [name.strip() for name in protocols.split(",")]
@@ -52,7 +49,7 @@ def compare(
     finished = formed = 0
     try:
         with ExitStack() as stack:
-            add = None if out is None else stack.enter_context(trial_file(out))
+            add = None if out is None else stack.enter_context(comparison.trial_file(out))
 
             def note(cell: Cell, seed: int, result: TrialResult) -> None:
                 nonlocal finished, formed
@@ -70,6 +67,6 @@ def compare(
     except KeyboardInterrupt:
         print(f"interrupted{f'; finished trials are in {out}' if out else ''}", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED) from None
-    print(json.dumps([row.to_dict() for row in rows], allow_nan=False) if json_output else markdown(rows))
+    print(json.dumps([asdict(row) for row in rows], allow_nan=False) if json_output else comparison.markdown(rows))
     if any(row.broken for row in rows):
         raise typer.Exit(EXIT_FAILED)

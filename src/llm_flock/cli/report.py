@@ -57,7 +57,7 @@ def export(
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR]", show_default=False)] = None,
 ) -> None:
     """Write the two tables of a sweep as CSV: trials.csv and rounds.csv. Older ones are replaced."""
-    from llm_flock.report.export import export_csv
+    from llm_flock.experiments.tables import export_csv
 
     for path in export_csv(folder, out or folder):
         print(path)

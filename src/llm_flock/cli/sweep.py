@@ -12,11 +12,8 @@ from typing import Annotated, Any, cast
 import typer
 from rich.console import Console
 
-from llm_flock.cli.options import SET_BY_SWEEP, parse_flags, with_config_flags
+from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_SWEEP, parse_flags, with_config_flags
 from llm_flock.errors import InputError
-
-EXIT_FAILED = 1
-EXIT_INTERRUPTED = 130
 
 
 @with_config_flags(without=SET_BY_SWEEP)
@@ -58,11 +55,11 @@ def sweep(
     Flags of the configuration hold for all trials and replace an axis of the same name. After Ctrl-C or a crash, the
     same command goes on. Exit codes: 0 when all trials are finished, 1 when some are left or broke off.
     """
-    from llm_flock.cli.sweep_display import SweepLine, show_expected, show_status
+    from llm_flock.cli.sweep_display import show_expected, show_status, sweep_line
     from llm_flock.experiments.store import Store
     from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
-    from llm_flock.experiments.sweep_expect import expect_cells
     from llm_flock.experiments.sweep_file import load_sweep
+    from llm_flock.experiments.sweep_forecast import expect_cells
     from llm_flock.experiments.trial import KeepRecords
 
     executor = _one_of("executor", executor, ("auto", "one", "pool"))
@@ -89,7 +86,7 @@ def sweep(
         show_expected(found, expected, dict(left), as_json=json_output)
         return
     try:
-        with SweepLine(found.file.sweep.name, expected, enabled=show) as line:
+        with sweep_line(found.file.sweep.name, expected, enabled=show) as tally:
             status = fly_sweep(
                 found,
                 folder,
@@ -99,7 +96,7 @@ def sweep(
                 at_once=at_once,
                 keep=cast("KeepRecords | None", keep),
                 again=again,
-                display=line.tally,
+                display=tally,
             )
     except KeyboardInterrupt:
         print(f"interrupted; finished trials are in {folder}, and the same command goes on", file=sys.stderr)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -19,53 +18,47 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from llm_flock.experiments.sweep import SweepStatus
-from llm_flock.experiments.sweep_expect import Expected
 from llm_flock.experiments.sweep_file import Sweep
-from llm_flock.experiments.sweep_progress import Tally
+from llm_flock.experiments.sweep_forecast import Expected, Tally
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
 """Interval of lines where the output is no terminal [s]."""
 
 
-class SweepLine:
+@contextmanager
+def sweep_line(name: str, expected: Mapping[str, Expected], *, enabled: bool) -> Generator[Tally]:
     """One line on stderr that shows a tally: trials, ETA, and calls, tokens and money, spent and expected."""
+    console = Console(stderr=True)
+    redraw = enabled and console.is_terminal
+    shown = 0.0
 
-    def __init__(self, name: str, expected: Mapping[str, Expected], *, enabled: bool) -> None:
-        self.tally = Tally(expected, on_change=self._show)
-        self._console = Console(stderr=True)
-        self._redraw = enabled and self._console.is_terminal
-        self._plain = enabled and not self._redraw
-        self._shown = 0.0
-        self._bar = Bar(
-            SpinnerColumn(),
-            TextColumn("{task.fields[label]}", style="bold", markup=False),
-            BarColumn(bar_width=20),
-            TextColumn("{task.description}", markup=False),
-            console=self._console,
-            disable=not self._redraw,
-        )
-        self._task = self._bar.add_task("", total=None, label=name)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._show(True)
-        self._bar.stop()
-
-    def _show(self, force: bool) -> None:
+    def show(force: bool) -> None:
+        nonlocal shown
         now = time.monotonic()
-        if not force and now - self._shown < (REDRAW_S if self._redraw else PLAIN_S):
+        if not force and now - shown < (REDRAW_S if redraw else PLAIN_S):
             return
-        self._shown = now
-        text = progress_text(self.tally)
-        self._bar.update(self._task, description=text, completed=self.tally.over, total=max(1, self.tally.trials))
-        if self._plain:
-            self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+        shown = now
+        text = progress_text(tally)
+        bar.update(task, description=text, completed=tally.over, total=max(1, tally.trials))
+        if enabled and not redraw:
+            console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+    tally = Tally(expected, on_change=show)
+    bar = Bar(
+        SpinnerColumn(),
+        TextColumn("{task.fields[label]}", style="bold", markup=False),
+        BarColumn(bar_width=20),
+        TextColumn("{task.description}", markup=False),
+        console=console,
+        disable=not redraw,
+    )
+    task = bar.add_task("", total=None, label=name)
+    with bar:
+        try:
+            yield tally
+        finally:
+            show(True)
 
 
 def progress_text(tally: Tally) -> str:

@@ -1,11 +1,13 @@
-"""Compare protocols: fly the same shapes with the same seeds, and sum up each cell in one row of figures."""
+"""Compare protocols: fly the same shapes with the same seeds, and sum up each cell in one row of a table."""
 
 from __future__ import annotations
 
+import csv
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,15 +22,36 @@ from llm_flock.runtime.config import load_config
 TOLERANCE = 1e-6
 """Robots nearer than the safe distance by more than this are a violation [units]."""
 
+SHOWN_SEEDS = 20
+"""Most failed seeds that are listed for a row; JSON has all of them."""
+
+FIGURES = (
+    "formed",
+    "rounds_to_formed",
+    "lower_bound_rounds",
+    "stopped",
+    "rounds",
+    "procrustes_mean",
+    "min_separation",
+    "start_violations",
+    "min_separation_after_start",
+    "plans_in_use",
+    "distinct_goals",
+    "model_calls",
+    "calls_rejected",
+    "calls_failed",
+    "tokens",
+    "bytes_per_robot_round",
+    "wall_s",
+)
+"""Fields of `Summary` in a line of the CSV file."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
     """The figures of one cell; field names are the keys of `--json`.
 
     Attributes:
-        protocol: preset of rules.
-        shape: the mission's shape.
-        n_robots: team size N.
         simulated: whether any language model was a simulated stand-in.
         trials: all of them; those that broke off count as not formed.
         formed: share of formed trials (see `Summary.formed`), with Wilson's 95 % interval.
@@ -63,10 +86,6 @@ class Row:
     failed_seeds: tuple[int, ...]
     errors: tuple[str, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return asdict(self)
-
 
 def build_cells(
     teams: Iterable[tuple[str, int]],
@@ -76,14 +95,10 @@ def build_cells(
     fit_arena: bool = False,
     **overrides: Any,
 ) -> list[Cell]:
-    """One cell for each team and protocol, team by team.
+    """One cell for each team (a shape and a size) and preset, team by team.
 
-    Args:
-        teams: shape and size of each team.
-        protocols: names of presets.
-        file: configuration file.
-        fit_arena: grow the arena of each team as `grid.fitted_arena` does.
-        overrides: settings by name, the same for all; None means: not given.
+    The configuration file and the overrides hold for all of them; None means: not given. With `fit_arena`, the arena of
+    each team grows as `grid.fitted_arena` describes.
 
     Raises:
         InputError: a value is not allowed, for any of the cells.
@@ -112,7 +127,6 @@ class _InOrder(Display):
         self._early: dict[int, TrialResult] = {}
 
     def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """See `Display`."""
         self._early[int(spec.id)] = result
         while (found := self._early.pop(len(self.results), None)) is not None:
             cell, seed = self._trials[len(self.results)]
@@ -127,14 +141,9 @@ def compare(
     """Fly every cell with the seeds first_seed .. first_seed + trials - 1; returns one row for each cell.
 
     All cells get the same seeds, so that protocols start from the same positions. Trials are flown as in a sweep, but
-    nothing is stored. Workers are spawned: a script that calls this needs its `if __name__ == "__main__":` guard.
-
-    Args:
-        cells: the cells to compare.
-        trials: number of trials of each cell, at least 1.
-        first_seed: seed of the first trial of each cell.
-        jobs: processes at most. With models on board it is one, because their engine uses all cores but one.
-        on_result: called for each trial, cell by cell, in the order of seeds.
+    nothing is stored; `on_result` is called for each, cell by cell, in the order of seeds. With models on board there
+    is one job, because their engine uses all cores but one. Workers are spawned: a script that calls this needs its
+    `if __name__ == "__main__":` guard.
 
     Raises:
         InputError: a number is out of its range, or a trial was refused.
@@ -188,3 +197,95 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Row:
         failed_seeds=tuple(seed for seed, result in results.items() if not result.formed),
         errors=tuple(errors.values()),
     )
+
+
+COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("protocol", lambda row: row.protocol),
+    ("shape", lambda row: row.shape),
+    ("N", lambda row: str(row.n_robots)),
+    ("formed % [95 %]", lambda row: _interval(row.formed, 1, factor=100.0)),
+    ("rounds", lambda row: _number(row.rounds, "g")),
+    ("ratio", lambda row: _number(row.ratio, ".2f")),
+    ("min sep.", lambda row: _number(row.min_separation, ".6f")),
+    ("violations", lambda row: str(row.violations)),
+    ("calls/robot [95 %]", lambda row: _interval(row.calls, 2)),
+    ("waypoints %", lambda row: _shares(row.waypoints)),
+)
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The rows as a table with aligned columns, and below it the failed seeds and a note on simulated models."""
+    lines = [[name for name, _ in COLUMNS], *([text(row) for _, text in COLUMNS] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    texts = ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
+    texts.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
+    if any(row.simulated for row in rows):
+        texts += ["", "simulated language models"]
+    return "\n".join([*texts, *(note for row in rows for note in _notes(row))])
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _interval(estimate: Estimate | None, digits: int, factor: float = 1.0) -> str:
+    if estimate is None:
+        return "-"
+    value = f"{factor * estimate.value:.{digits}f}"
+    if estimate.low is None or estimate.high is None:
+        return value
+    return f"{value} [{factor * estimate.low:.{digits}f}, {factor * estimate.high:.{digits}f}]"
+
+
+def _shares(counts: dict[str, int]) -> str:
+    total = sum(counts.values())
+    return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items()) or "-"
+
+
+def _notes(row: Row) -> list[str]:
+    name = f"{row.protocol} {row.shape} {row.n_robots}"
+    lines: list[str] = []
+    if row.unsafe_starts:
+        later = _number(row.min_separation_after_start, ".6f")
+        lines += ["", f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"]
+        lines[-1] += f" smallest separation once they had come apart: {later}"
+    if not row.failed_seeds:
+        return lines
+    seeds = ", ".join(map(str, row.failed_seeds[:SHOWN_SEEDS]))
+    more = len(row.failed_seeds) - SHOWN_SEEDS
+    lines += ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
+    lines[-1] += f", and {more} more" if more > 0 else ""
+    if row.broken:
+        lines += ["", f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"]
+    return lines
+
+
+@contextmanager
+def trial_file(path: Path) -> Generator[OnResult]:
+    """A CSV file with a line for each trial; yields the function that adds one.
+
+    Missing folders are created. Each line is handed to the operating system at once. The figures of a trial that broke
+    off stay empty.
+
+    Raises:
+        InputError: the file exists, or cannot be created.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("x", newline="", encoding="utf-8")
+    except OSError as error:
+        if path.exists():
+            raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    with file:
+        writer = csv.writer(file)
+        writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
+
+        def add(cell: Cell, seed: int, result: TrialResult) -> None:
+            summary = {} if result.summary is None or result.error is not None else result.summary
+            figures = [summary.get(name) for name in FIGURES]
+            waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
+            writer.writerow((cell.protocol, cell.shape, cell.n_robots, seed, *figures, waypoints, result.error))
+            file.flush()
+
+        yield add

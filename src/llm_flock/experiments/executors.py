@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -44,8 +44,8 @@ class Display:
     All methods are called in the thread that called the executor.
     """
 
-    def begin(self, flown: Mapping[str, Sequence[TrialResult]], pending: Sequence[TrialSpec]) -> None:
-        """Called first, with the trials that exist already, by cell, and those to fly."""
+    def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
+        """Called first, with the trials that exist already, and those to fly."""
 
     def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
         """Called after each round of a trial; only where trials are flown in this process."""
@@ -66,7 +66,6 @@ class Session:
 
     Attributes:
         store: where results are kept; None if they are not, which only a pool allows.
-        display: shows what happens.
         keep: trials whose record is kept.
         budget: of all trials together.
         rates: of each provider that has any.
@@ -103,8 +102,10 @@ State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
 """Takes what other processes have spent; returns own spending, the limit that is used up, and whether to stop."""
 
 
-async def fly_and_keep(spec: TrialSpec, store: Store, fly_it: Fly) -> Found:
-    """Fly a trial and keep its result, unless another process does that or has done it."""
+async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Found:
+    """Fly a trial and keep its result in the store, if any, unless another process does that or has done it."""
+    if store is None:
+        return (await fly_it(spec, ()))[0], True
     with store.lease(spec.id) as mine:
         if not mine:
             return None
@@ -117,9 +118,6 @@ async def fly_and_keep(spec: TrialSpec, store: Store, fly_it: Fly) -> Found:
         store.clear_scratch(spec.id)
         store.save(result)
         return result, True
-
-
-# ---------------------------------------------------------------- one process
 
 
 def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
@@ -157,25 +155,19 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
         return gate.spent, gate.reason, gate.exhausted
 
     try:
-        await drive(specs, session, store, fly_it, state, computing=1)
+        await drive(specs, session, fly_it, state, computing=1)
     finally:
         await pools.aclose()
 
 
-async def drive(
-    specs: Sequence[TrialSpec], session: Session, store: Store, fly_it: Fly, state: State, *, computing: int
-) -> None:
+async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:
     """Fly trials on this event loop until all are over or the budget is used up.
 
-    Args:
-        specs: the trials.
-        session: their settings and state.
-        store: where results are kept.
-        fly_it: flies one.
-        state: state of the budget.
-        computing: trials in flight at once, of those that never wait.
+    Of the trials that never wait, `computing` are in flight at once.
     """
-    log, elsewhere = SpendingLog(store), Spent()
+    assert session.store is not None
+    store, elsewhere = session.store, Spent()
+    log = SpendingLog(store)
 
     async def balance() -> None:
         nonlocal elsewhere
@@ -199,21 +191,18 @@ async def drive(
     await balance()
     waiting = [spec for spec in specs if spec.waits]
     others = [spec for spec in specs if not spec.waits]
-    queues = [(iter(waiting), min(session.at_once, len(waiting))), (iter(others), min(computing, len(others)))]
     balancing = asyncio.create_task(balance_regularly())
     try:
         async with asyncio.TaskGroup() as group:
-            for queue, workers in queues:
-                for _ in range(workers):
+            for found, workers in ((waiting, session.at_once), (others, computing)):
+                queue = iter(found)
+                for _ in range(min(workers, len(found))):
                     group.create_task(work(queue))
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     finally:
         balancing.cancel()
         await balance()
-
-
-# ---------------------------------------------------------------- a pool of processes
 
 
 def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:
@@ -232,11 +221,7 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
         return
     others = set(multiprocessing.active_children())
     jobs = min(jobs, len(specs))
-    pool = ProcessPoolExecutor(
-        jobs,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_end_with_parent,
-    )
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     log = None if session.store is None else SpendingLog(session.store)
     spent, done, finished = Spent(), 0, False
     try:
@@ -290,11 +275,8 @@ def _end_with_parent() -> None:
 
 
 def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> Found:
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...] = ()) -> tuple[TrialResult, Path | None]:
+    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
         return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id), earlier=earlier)
 
-    async def found() -> Found:
-        return ((await fly_it(spec))[0], True) if store is None else await fly_and_keep(spec, store, fly_it)
-
-    one = asyncio.run(found())
-    return None if one is None else (msgspec.structs.replace(one[0], config={}, rounds={}), one[1])
+    found = asyncio.run(fly_and_keep(spec, store, fly_it))
+    return None if found is None else (msgspec.structs.replace(found[0], config={}, rounds={}), found[1])

@@ -32,13 +32,9 @@ CALLS_AT_ONCE = 100_000
 
 
 def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, jobs: int | None) -> None:
-    """Fly trials on a Ray cluster.
+    """Fly trials on a Ray cluster, with one worker for each of its processors unless `jobs` says how many.
 
-    Args:
-        specs: the trials.
-        session: their settings and state.
-        address: of the cluster: `HOST:PORT`, `auto` or `ray://HOST:PORT`.
-        jobs: workers; None for one for each processor of the cluster.
+    The address is `HOST:PORT`, `auto` or `ray://HOST:PORT`.
 
     Raises:
         InputError: Ray is not installed, the cluster cannot be reached, or it runs another version of this package.
@@ -63,7 +59,6 @@ def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, j
 
 
 async def _fly(ray: Any, specs: Sequence[TrialSpec], session: Session, jobs: int | None) -> None:
-    assert session.store is not None
     count = min(jobs or max(1, int(ray.cluster_resources().get("CPU", 1))), len(specs))
     gate = ray.remote(max_concurrency=CALLS_AT_ONCE, num_cpus=0)(_GateActor).remote(session.budget, session.rates)
     make = ray.remote(num_cpus=1, max_concurrency=session.at_once)(_Worker)
@@ -102,7 +97,7 @@ async def _fly(ray: Any, specs: Sequence[TrialSpec], session: Session, jobs: int
     async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
         return await gate.state.remote(elsewhere)
 
-    await drive(specs, session, session.store, fly_it, state, computing=count)
+    await drive(specs, session, fly_it, state, computing=count)
 
 
 class _Worker:
@@ -114,7 +109,6 @@ class _Worker:
         self._pools = Pools()
 
     async def version(self) -> str:
-        """Version of this package on the worker's machine."""
         return code_version()
 
     async def fly(self, spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[bytes, bytes | None]:
@@ -142,7 +136,6 @@ class _GateActor:
         return ticket
 
     async def leave(self, ticket: int, usage: Usage | None, cost: float | None) -> None:
-        """End a call."""
         if self._tickets.pop(ticket, None) is not None:
             self._gate.leave(ticket, usage, cost)
 
@@ -152,25 +145,22 @@ class _GateActor:
             await self.leave(ticket, None, None)
 
     async def state(self, elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        """See `executors.State`."""
         self._gate.elsewhere = elsewhere
         return self._gate.spent, self._gate.reason, self._gate.exhausted
 
 
 class _RemoteGate:
-    """A worker's side of the gate."""
+    """A worker's side of the gate, as a `Gate`."""
 
     def __init__(self, actor: Any, worker: int) -> None:
         self._actor = actor
         self._worker = worker
 
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
-        """See `Gate`."""
         found = await self._actor.enter.remote(self._worker, model, chars, again)
         if isinstance(found, str):
             raise BudgetExceeded(found)
         return found
 
     def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
-        """See `Gate`."""
         self._actor.leave.remote(ticket, usage, cost_usd)

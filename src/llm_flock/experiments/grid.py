@@ -37,7 +37,6 @@ class Cell:
     """Trials that differ only in their seed.
 
     Attributes:
-        config: configuration of all of them.
         label: everything but the seed, in a few words.
         axes: label of each axis of the grid that has no column in the tables.
     """
@@ -66,12 +65,7 @@ class Cell:
         return self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
 
     def trial(self, seed: int, trial: str | None = None) -> TrialSpec:
-        """The trial with this seed.
-
-        Args:
-            seed: its seed.
-            trial: its id; None for `trial_id`.
-        """
+        """The trial with this seed; `trial` is its id, by default `trial_id`."""
         config = self.with_seed(seed)
         return TrialSpec(id=trial or trial_id(config), cell=self.label, axes=self.axes, config=config)
 
@@ -82,8 +76,7 @@ class TrialSpec:
 
     Attributes:
         id: name of the trial; in a results directory, `trial_id` of its configuration.
-        cell: label of its cell.
-        axes: as in `Cell`.
+        cell: label of its cell, whose `axes` it has.
         config: resolved configuration.
         tries: how often it had been flown when the sweep started. A trial that has been flown since is left alone.
     """
@@ -168,9 +161,7 @@ def parse_teams(text: str) -> list[tuple[str, int]]:
 def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple[Point, Point]:
     """The arena of a configuration that may be refused for lack of room, as `fitted_arena` grows it.
 
-    Args:
-        load: makes a configuration from settings.
-        fields: the settings, `shape` and `n_robots` among them.
+    `load` makes a configuration of `fields`, among which are `shape` and `n_robots`.
 
     Raises:
         InputError: a value is not allowed.
@@ -191,12 +182,8 @@ def fitted_arena(
     in any orientation, so that a robot can pass between formation and wall. If random starts at the safe distance do
     not fit then, all walls move out to a cube in which they do. Walls never move inwards.
 
-    Args:
-        team: gives centre, spacing, safe distance and the initial arena [units], and the number of places unless there
-            is one for each robot.
-        shape: a shape, as a mission names it.
-        n_robots: team size N.
-        points: target points of the shape `points` [units].
+    Centre, spacing, safe distance and the initial arena are those of `team`, and so is the number of places unless
+    there is one for each robot. `points` are the target points of the shape `points` [units].
 
     Returns:
         lower and upper corner [units].

@@ -35,8 +35,7 @@ class PairedShares:
 
     Attributes:
         pairs: seeds that both flew.
-        only_first: seeds on which the first alone succeeded.
-        only_second: seeds on which the second alone succeeded.
+        only_first: seeds on which the first alone succeeded; `only_second` likewise.
         difference: share of the first minus share of the second, with its interval.
     """
 
@@ -47,22 +46,13 @@ class PairedShares:
 
 
 def paired_means(
-    first: Sequence[float],
-    second: Sequence[float],
-    *,
-    method: Method = "student",
-    confidence: float = CONFIDENCE,
+    first: Sequence[float], second: Sequence[float], *, method: Method = "student", confidence: float = CONFIDENCE
 ) -> PairedMeans | None:
     """Compare two figures pair by pair; None without pairs.
 
     The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
-    meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
-
-    Args:
-        first: one finite figure for each seed.
-        second: the same seeds in the same order.
-        method: how to find the interval of the mean difference.
-        confidence: between 0 and 1.
+    meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018); `method` finds that of the
+    mean difference. Figures are finite, one for each seed, and of the same seeds in the same order.
 
     Raises:
         InputError: the lengths differ, or the confidence is out of its range.

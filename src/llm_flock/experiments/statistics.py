@@ -30,13 +30,7 @@ Column: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """An estimated value and its confidence interval, in the value's unit.
-
-    Attributes:
-        value: the best estimate.
-        low: lower end; None where it is not known.
-        high: upper end; None where it is not known.
-    """
+    """An estimated value and its confidence interval, in the value's unit; an end is None where it is not known."""
 
     value: float
     low: float | None
@@ -48,11 +42,6 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Estim
 
     It stays within 0 .. 1 and has a width at 0 and at all successes, where the normal interval has none (Wilson:
     Probable inference, the law of succession, and statistical inference, JASA 1927).
-
-    Args:
-        successes: at most `trials`.
-        trials: at least 1.
-        confidence: between 0 and 1.
 
     Raises:
         InputError: a number is out of its range.
@@ -76,12 +65,7 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Estim
 def mean_interval(
     values: Sequence[float], confidence: float = CONFIDENCE, method: Method = "student"
 ) -> Estimate | None:
-    """The mean with its interval; None without values, without interval for a single one.
-
-    Args:
-        values: independent and finite.
-        confidence: between 0 and 1.
-        method: Student's t, or the bootstrap.
+    """The mean of independent, finite values with its interval; None without values, no interval for a single one.
 
     Raises:
         InputError: the confidence is out of its range.
@@ -102,7 +86,7 @@ def mean_bands(
 
     Args:
         table: a row for each trial, a column for each round; unknown values are NaN and left out of their column.
-        method: Student's t, or the bootstrap.
+        method: how to find the interval.
         confidence: between 0 and 1.
 
     Returns:

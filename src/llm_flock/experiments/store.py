@@ -14,6 +14,7 @@ Several processes may work on one directory, also on several machines that share
 from __future__ import annotations
 
 import os
+import shutil
 import time
 import uuid
 from collections.abc import Generator, Iterator
@@ -35,10 +36,7 @@ TRIALS, RECORDS, CLAIMS, SPENT = "trials", "records", "claims", "spent"
 
 
 class Store:
-    """The directory of one sweep.
-
-    Args:
-        folder: created if it is missing.
+    """The directory of one sweep, created if it is missing.
 
     Raises:
         InputError: it cannot be created or written to.
@@ -85,9 +83,7 @@ class Store:
     def clear_scratch(self, trial: str) -> None:
         """Delete what a trial left in its scratch folder: a record that is not kept."""
         with suppress(FileNotFoundError):
-            for file in self.scratch(trial).iterdir():
-                file.unlink()
-            self.scratch(trial).rmdir()
+            shutil.rmtree(self.scratch(trial))
 
     @contextmanager
     def lease(self, trial: str) -> Generator[bool]:
@@ -174,10 +170,7 @@ def read_trial(path: Path) -> TrialResult:
 def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:
     """Write a file so that after a crash it holds all of `data`, or what it held before.
 
-    Args:
-        path: the file.
-        data: its content.
-        dated_ns: time of change to set, in nanoseconds since 1970; None for now.
+    `dated_ns` is the time of change to set, in nanoseconds since 1970; None for now.
 
     Raises:
         RecordError: the file cannot be written.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,8 +19,10 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.store import Store, read_trial, trial_files, write_whole
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.trial import KeepRecords, TrialResult, code_version
+from llm_flock.llm.limits import Budget
 from llm_flock.llm.models import check_priced
 from llm_flock.llm.providers import parse_base_urls
+from llm_flock.llm.sharing import Rate
 from llm_flock.runtime.planners import TeamPlanners
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
@@ -38,7 +39,6 @@ class SweepStatus:
     """Progress of a sweep, counted in trials.
 
     Attributes:
-        trials: all of them.
         finished: those that need not be flown again.
         formed: of these, those that formed.
         broken: of these, those that broke off.
@@ -76,10 +76,9 @@ def fly_sweep(
     """Fly all trials of a sweep that are not finished yet, and build its tables.
 
     Args:
-        sweep: the sweep.
+        sweep: as `load_sweep` reads it.
         folder: directory of results. A sweep that was started there goes on.
-        executor: `one` process, for trials that wait for answers; a `pool` of them, for those that compute; `auto`
-            chooses for each trial.
+        executor: `one` process, for trials that wait for answers; a `pool`, for those that compute; `auto` chooses.
         cluster: address of a Ray cluster, used instead.
         jobs: processes of a pool; workers of a cluster if more than 1.
         at_once: trials in flight at once in one process.
@@ -92,8 +91,9 @@ def fly_sweep(
         FlockError: results cannot be kept, or a worker was killed.
         KeyboardInterrupt: everything that was finished is kept, and in the tables.
     """
-    budget = sweep.file.budget.budget()
-    rates = {name: table.rate() for name, table in sweep.file.providers.items()}
+    limits = sweep.file.budget
+    budget = Budget(max_calls=limits.max_calls, max_tokens=limits.max_tokens, max_cost_usd=limits.max_cost)
+    rates = {name: Rate(**table.model_dump()) for name, table in sweep.file.providers.items()}
     shares = budget.max_calls is not None or budget.max_tokens is not None or "simulated" in rates
     limited = shares or ((budget.max_cost_usd is not None or bool(rates)) and any(spec.waits for spec in sweep.trials))
     if executor == "pool" and cluster is None and limited:
@@ -104,17 +104,14 @@ def fly_sweep(
             raise InputError("executor", executor, "one or auto with models on board, which share an engine")
         if cluster is not None:
             raise InputError("cluster", cluster, "nothing with models on board, which share an engine in one process")
-    check(sweep)
+    _check(sweep)
     store, display = Store(folder), display or Display()
-    register(sweep, store)
+    _register(sweep, store)
     keep = keep or sweep.file.sweep.keep_records
     session = Session(store=store, display=display, keep=keep, budget=budget, rates=rates, at_once=at_once)
     flown = load_flown(sweep, store)
     pending = _pending(sweep, flown, again=again)
-    cells: defaultdict[str, list[TrialResult]] = defaultdict(list)
-    for trial in flown.values():
-        cells[trial.cell].append(trial)
-    display.begin(cells, pending)
+    display.begin(flown.values(), pending)
     try:
         while pending:
             session.busy = []
@@ -131,15 +128,11 @@ def fly_sweep(
                 time.sleep(ELSEWHERE_S)
     finally:
         tables.build_tables(folder)
-    return status(sweep, store, session.reason)
+    return _status(sweep, store, session.reason)
 
 
-def register(sweep: Sweep, store: Store) -> None:
-    """Write into the directory which sweep it belongs to. A sweep may gain trials later, but not lose any.
-
-    Raises:
-        InputError: the directory holds another sweep.
-    """
+def _register(sweep: Sweep, store: Store) -> None:
+    """Write into the directory which sweep it belongs to. A sweep may gain trials later, but not lose any."""
     plan = {spec.id: [spec.cell, str(spec.seed)] for spec in sweep.trials}
     path = store.folder / PLAN_NAME
     with store.wait_for("plan"):
@@ -158,12 +151,8 @@ def register(sweep: Sweep, store: Store) -> None:
         write_whole(store.folder / SWEEP_NAME, sweep.text.encode())
 
 
-def check(sweep: Sweep) -> None:
-    """Refuse a sweep whose models cannot be asked: missing keys, wrong addresses or prompts, unknown prices.
-
-    Raises:
-        InputError: naming the fault.
-    """
+def _check(sweep: Sweep) -> None:
+    """Refuse a sweep whose models cannot be asked: missing keys, wrong addresses or prompts, unknown prices."""
     for spec in {spec.cell: spec for spec in sweep.trials}.values():
         check_priced(sweep.file.budget.max_cost, spec.models, parse_base_urls(spec.config.model.base_url, spec.models))
         asyncio.run(TeamPlanners(spec.config).close())
@@ -190,8 +179,7 @@ def _pending(sweep: Sweep, flown: Mapping[str, TrialResult], *, again: bool) -> 
     return found
 
 
-def status(sweep: Sweep, store: Store, reason: str | None = None) -> SweepStatus:
-    """Progress of a sweep, read from its directory."""
+def _status(sweep: Sweep, store: Store, reason: str | None) -> SweepStatus:
     trials = load_flown(sweep, store).values()
     over = [trial for trial in trials if not trial.cut]
     return SweepStatus(

@@ -15,9 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from llm_flock.errors import InputError
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, parse_teams
 from llm_flock.experiments.trial import KeepRecords
-from llm_flock.llm.limits import Budget
 from llm_flock.llm.providers import PROVIDERS
-from llm_flock.llm.sharing import Rate
 from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, input_error
 from llm_flock.runtime.config import build_config
@@ -56,10 +54,6 @@ class BudgetTable(_Table):
     max_tokens: Positive | None = Field(default=None, description="Tokens in and out")
     max_cost: float | None = Field(default=None, gt=0, allow_inf_nan=False, description="Money [US dollars]")
 
-    def budget(self) -> Budget:
-        """The same as a `Budget`."""
-        return Budget(max_calls=self.max_calls, max_tokens=self.max_tokens, max_cost_usd=self.max_cost)
-
 
 class ProviderTable(_Table):
     """`[providers.NAME]`: the limits of one provider for all trials together."""
@@ -67,10 +61,6 @@ class ProviderTable(_Table):
     max_concurrent: Positive | None = Field(default=None, description="Calls in flight at once")
     calls_per_minute: Positive | None = Field(default=None, description="Calls within any 60 s, retries included")
     tokens_per_minute: Positive | None = Field(default=None, description="Tokens in and out within any 60 s")
-
-    def rate(self) -> Rate:
-        """The same as a `Rate`."""
-        return Rate(**self.model_dump())
 
 
 class ExpectTable(_Table):
@@ -96,22 +86,14 @@ class SweepFile(_Table):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """A sweep, read and resolved.
+    """A sweep, read and resolved; `text` is its file as it was given.
 
-    Attributes:
-        file: content of its file.
-        text: the file as it was given.
-        trials: every trial, seed by seed, so that a sweep that ends early has flown about as many trials of each cell.
+    Trials come seed by seed, so that a sweep that ends early has flown about as many trials of each cell.
     """
 
     file: SweepFile
     text: str
     trials: tuple[TrialSpec, ...]
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """The cells, in the order of the grid."""
-        return tuple(dict.fromkeys(trial.cell for trial in self.trials))
 
 
 def load_sweep(
@@ -123,11 +105,8 @@ def load_sweep(
 ) -> Sweep:
     """Read a sweep and resolve its trials.
 
-    Args:
-        path: the file.
-        variables: values that replace those of `[variables]`.
-        budget: limits that replace those of `[budget]`; None means: not given.
-        overrides: fields of the configuration, for all trials; an axis of the same name is replaced.
+    Values of `variables` and limits of `budget` replace those of the file, and overrides are fields of the
+    configuration for all trials, which replace an axis of the same name. None means: not given.
 
     Raises:
         InputError: naming the first fault.

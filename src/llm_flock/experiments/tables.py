@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,21 +36,14 @@ KINDS: Mapping[type[pl.DataType], str] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Column:
-    """One column of a table.
-
-    Attributes:
-        name: its name.
-        dtype: type of its values; any of them may be null.
-        unit: of its values; empty where they have none.
-        meaning: in words, for the data dictionary.
-    """
+    """One column of a table; any of its values may be null. The data dictionary shows kind, unit and meaning."""
 
     name: str
-    dtype: type[pl.DataType]
-    unit: str
     meaning: str
+    unit: str = ""
+    dtype: type[pl.DataType] = pl.String
 
     @property
     def kind(self) -> str:
@@ -57,53 +51,41 @@ class Column:
         return KINDS[self.dtype]
 
 
-def _text(name: str, meaning: str) -> Column:
-    return Column(name=name, dtype=pl.String, unit="", meaning=meaning)
-
-
-def _count(name: str, meaning: str, unit: str = "") -> Column:
-    return Column(name=name, dtype=pl.Int64, unit=unit, meaning=meaning)
-
-
-def _number(name: str, unit: str, meaning: str) -> Column:
-    return Column(name=name, dtype=pl.Float64, unit=unit, meaning=meaning)
-
-
-def _flag(name: str, meaning: str) -> Column:
-    return Column(name=name, dtype=pl.Boolean, unit="", meaning=meaning)
-
+_count = partial(Column, dtype=pl.Int64)
+_number = partial(Column, dtype=pl.Float64)
+_flag = partial(Column, dtype=pl.Boolean)
 
 _ORIGINS = tuple(origin.value for origin in Origin if origin is not Origin.START)
 
 TRIALS: tuple[Column, ...] = (
-    _text("trial", "address of the trial, made of its resolved configuration; name of its file"),
-    _text("cell", "everything but the seed, in a few words: trials of one cell differ in their seed only"),
+    Column("trial", "address of the trial, made of its resolved configuration; name of its file"),
+    Column("cell", "everything but the seed, in a few words: trials of one cell differ in their seed only"),
     _count("seed", "seed of the trial; the same seed has the same starts in every cell of a shape and size"),
-    _text("shape", "the mission's shape"),
+    Column("shape", "the mission's shape"),
     _count("n_robots", "team size N"),
-    _text("protocol", "preset of rules"),
-    _text("consensus", "rule that chose the plan"),
-    _text("assignment", "rule that chose the places"),
+    Column("protocol", "preset of rules"),
+    Column("consensus", "rule that chose the plan"),
+    Column("assignment", "rule that chose the places"),
     _flag("shield", "whether the safety shield was on"),
-    _text("model", "models as configured"),
-    _text("models", "the models that were asked, each once"),
+    Column("model", "models as configured"),
+    Column("models", "the models that were asked, each once"),
     _flag("simulated", "whether any of them was a simulated stand-in"),
-    _text("stopped", "why it ended: formed, rounds, budget, no_answers or failed"),
-    _text("reason", "the last failure, in words, where it ended by no_answers or failed"),
+    Column("stopped", "why it ended: formed, rounds, budget, no_answers or failed"),
+    Column("reason", "the last failure, in words, where it ended by no_answers or failed"),
     _flag("formed", "whether the formation was built in time (see Metrics); false for trials that broke off"),
     _flag("cut", "the budget of the whole sweep ran out during the trial, so it says nothing about its cell"),
     _count("rounds", "motion rounds flown", "rounds"),
     _count("rounds_to_formed", "first round in which the formation stood, in time or not; null if none did", "rounds"),
     _count("lower_bound_rounds", "lower bound of the rounds to build it; null without one plan", "rounds"),
-    _number("procrustes_mean", "units", "mean distance to the ideal shape at the end; null without ideal"),
-    _number("procrustes_mean_squared", "units^2", "mean squared distance to it"),
-    _number("min_separation", "units", "smallest distance of two robots over the whole trial, along segments too"),
+    _number("procrustes_mean", "mean distance to the ideal shape at the end; null without ideal", "units"),
+    _number("procrustes_mean_squared", "mean squared distance to it", "units^2"),
+    _number("min_separation", "smallest distance of two robots over the whole trial, along segments too", "units"),
     _count("start_violations", "pairs nearer than the safe distance at the start"),
     _count("rounds_to_separate", "first round at whose end these had come apart; null if they never did", "rounds"),
-    _number("min_separation_after_start", "units", "as min_separation, these pairs counted from when they came apart"),
-    _number("min_clearance", "units", "smallest distance of a robot's centre to an obstacle; null without obstacles"),
-    _number("safe_distance", "units", "smallest distance allowed"),
-    _number("spacing", "units", "distance of neighbours in the formation"),
+    _number("min_separation_after_start", "as min_separation, these pairs counted from when they came apart", "units"),
+    _number("min_clearance", "smallest distance of a robot's centre to an obstacle; null without obstacles", "units"),
+    _number("safe_distance", "smallest distance allowed", "units"),
+    _number("spacing", "distance of neighbours in the formation", "units"),
     _count("plans_in_use", "different plans at the end"),
     _count("distinct_goals", "different goals at the end"),
     _count("robots_without_plan", "robots that never got a plan"),
@@ -112,41 +94,41 @@ TRIALS: tuple[Column, ...] = (
     _count("model_calls", "calls, retries of rejected answers included", "calls"),
     _count("calls_rejected", "answers that could not be used", "calls"),
     _count("calls_failed", "calls that got no answer", "calls"),
-    _text("faults", "transport faults on the way, retried ones included: kind=count"),
+    Column("faults", "transport faults on the way, retried ones included: kind=count"),
     _count("tokens", "tokens in and out", "tokens"),
     _count("tokens_input", "tokens in", "tokens"),
     _count("tokens_output", "tokens out", "tokens"),
     _count("tokens_cached", "the part of tokens_input that came from the provider's cache", "tokens"),
-    _number("cost_usd", "US dollars", "cost; null where the price of any call is not known"),
-    _number("latency_mean_s", "s", "mean duration of a call, waits included; null without calls"),
+    _number("cost_usd", "cost; null where the price of any call is not known", "US dollars"),
+    _number("latency_mean_s", "mean duration of a call, waits included; null without calls", "s"),
     *(_count(f"{WAYPOINTS}{who}", f"waypoints flown whose origin is: {who}", "waypoints") for who in _ORIGINS),
     _count("messages_sent", "broadcasts", "messages"),
-    _number("bytes_per_robot_round", "bytes", "bytes broadcast per robot and round"),
-    _text("messages_rejected", "messages refused on receipt: reason=count"),
-    _text("killed", "robots that died, and in which round: 3@12"),
-    _text("joined", "robots that joined late or again, in the same form"),
+    _number("bytes_per_robot_round", "bytes broadcast per robot and round", "bytes"),
+    Column("messages_rejected", "messages refused on receipt: reason=count"),
+    Column("killed", "robots that died, and in which round: 3@12"),
+    Column("joined", "robots that joined late or again, in the same form"),
     _count("missions", "missions of the trial"),
-    _number("wall_s", "s", "duration of the trial; it depends on the machine and its load"),
-    _text("error", "the error that broke the trial off; null without one"),
+    _number("wall_s", "duration of the trial; it depends on the machine and its load", "s"),
+    Column("error", "the error that broke the trial off; null without one"),
     _count("earlier_tries", "earlier tries, which the sweep's budget cut short or which broke off"),
-    _number("earlier_cost_usd", "US dollars", "cost of the earlier tries; null where a price is not known"),
-    _text("code", "version of the package that flew it, and revision of its checkout"),
-    _text("record", "its record, relative to the directory; null where none was kept"),
+    _number("earlier_cost_usd", "cost of the earlier tries; null where a price is not known", "US dollars"),
+    Column("code", "version of the package that flew it, and revision of its checkout"),
+    Column("record", "its record, relative to the directory; null where none was kept"),
 )
 """Columns of trials.parquet; `axis_NAME` (text) follows for each further axis of the grid, in their order."""
 
 ROUNDS: tuple[Column, ...] = (
-    _text("trial", "the trial"),
+    Column("trial", "the trial"),
     _count("round", "motion round, 0 at the start"),
-    _number("error", "units", "mean distance to the ideal shape; null without ideal or where it was not measured"),
-    _number("error_squared", "units^2", "mean squared distance to it"),
-    _number("min_separation", "units", "smallest distance of two robots in this round, along segments too"),
+    _number("error", "mean distance to the ideal shape; null without ideal or where it was not measured", "units"),
+    _number("error_squared", "mean squared distance to it", "units^2"),
+    _number("min_separation", "smallest distance of two robots in this round, along segments too", "units"),
     _count("plans_in_use", "different plans followed"),
     _count("distinct_goals", "different goals headed for"),
     _count("at_goal", "robots within 0.05 spacing of their goal", "robots"),
     _count("calls", "model calls so far", "calls"),
     _count("tokens", "tokens in and out so far", "tokens"),
-    _number("cost_usd", "US dollars", "cost so far; null where a price is not known"),
+    _number("cost_usd", "cost so far; null where a price is not known", "US dollars"),
 )
 """Columns of rounds.parquet."""
 
@@ -160,7 +142,7 @@ def read_trials(folder: Path) -> pl.DataFrame:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, TRIALS_NAME, trials_frame)
+    return _read(folder, TRIALS_NAME, _trials_frame)
 
 
 def read_rounds(folder: Path) -> pl.DataFrame:
@@ -170,7 +152,7 @@ def read_rounds(folder: Path) -> pl.DataFrame:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, ROUNDS_NAME, rounds_frame)
+    return _read(folder, ROUNDS_NAME, _rounds_frame)
 
 
 def build_tables(folder: Path) -> None:
@@ -184,37 +166,50 @@ def build_tables(folder: Path) -> None:
     """
     dated = _dated(folder)
     trials = load_all(folder)
-    for name, frame in ((TRIALS_NAME, trials_frame(trials)), (ROUNDS_NAME, rounds_frame(trials))):
+    for name, frame in ((TRIALS_NAME, _trials_frame(trials)), (ROUNDS_NAME, _rounds_frame(trials))):
         file = io.BytesIO()
         frame.write_parquet(file)
         write_whole(folder / name, file.getvalue(), dated_ns=dated)
+
+
+def export_csv(folder: Path, out: Path) -> list[Path]:
+    """Write `trials.csv` and `rounds.csv` into `out`; older ones are replaced.
+
+    Numbers are written with full precision; an unknown value is an empty field.
+
+    Raises:
+        InputError: there are no results, or the files cannot be written.
+        RecordError: a trial is damaged.
+    """
+    frames = {"trials.csv": read_trials(folder), "rounds.csv": read_rounds(folder)}
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, frame in frames.items():
+            frame.write_csv(out / name)
+    except OSError as error:
+        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
+    return [out / name for name in frames]
 
 
 def load_all(folder: Path) -> list[TrialResult]:
     """Read every finished trial, sorted by cell and seed.
 
     Raises:
-        InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    _dated(folder)  # refuses other directories
     return sorted(
         map(read_trial, trial_files(folder)), key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id)
     )
 
 
-def trials_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
-    """The first table, in the order given."""
-    found = list(trials)
-    axes = list(dict.fromkeys(name for trial in found for name in trial.axes))
+def _trials_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
     schema: dict[str, type[pl.DataType]] = {column.name: column.dtype for column in TRIALS}
-    schema.update({AXIS + name: pl.String for name in axes})
-    rows = [_row(trial) for trial in found]
+    schema.update({AXIS + name: pl.String for trial in trials for name in trial.axes})
+    rows = [_row(trial) for trial in trials]
     return pl.DataFrame({name: [row.get(name) for row in rows] for name in schema}, schema=schema)
 
 
-def rounds_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
-    """The second table, in the order given."""
+def _rounds_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
     columns: dict[str, list[Any]] = {column.name: [] for column in ROUNDS}
     for trial in trials:
         columns["trial"] += [trial.id] * len(trial.rounds["round"])
@@ -223,7 +218,7 @@ def rounds_frame(trials: Iterable[TrialResult]) -> pl.DataFrame:
     return pl.DataFrame(columns, schema={column.name: column.dtype for column in ROUNDS})
 
 
-def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
+def _read(folder: Path, name: str, build: Callable[[Sequence[TrialResult]], pl.DataFrame]) -> pl.DataFrame:
     path = folder / name
     dated = _dated(folder)
     if path.exists() and path.stat().st_mtime_ns >= dated:
@@ -232,11 +227,7 @@ def _read(folder: Path, name: str, build: Any) -> pl.DataFrame:
 
 
 def _dated(folder: Path) -> int:
-    """When the last trial was saved [ns].
-
-    Raises:
-        InputError: this is no directory of results.
-    """
+    """When the last trial was saved [ns]; refuses other directories."""
     if not (folder / TRIALS_FOLDER).is_dir():
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
     return (folder / TRIALS_FOLDER).stat().st_mtime_ns

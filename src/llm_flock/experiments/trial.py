@@ -29,14 +29,7 @@ FORMAT = 1
 
 
 class Earlier(msgspec.Struct, frozen=True, kw_only=True):
-    """The use of an earlier try of a trial.
-
-    Attributes:
-        stopped: why it ended.
-        model_calls: calls it made.
-        tokens: tokens in and out.
-        cost_usd: its cost [US dollars]; None where no price is known.
-    """
+    """Why an earlier try of a trial ended, and its use; the cost [US dollars] is None where no price is known."""
 
     stopped: str
     model_calls: int
@@ -45,13 +38,9 @@ class Earlier(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of one trial, as `trials/ID.json` holds it.
+    """The result of one trial, as `trials/ID.json` holds it; id, cell and axes are those of its `TrialSpec`.
 
     Attributes:
-        id: as in `TrialSpec`.
-        cell: as in `TrialSpec`.
-        axes: as in `TrialSpec`.
-        config: the resolved configuration.
         summary: `Summary.to_dict()`, also of a trial that broke off; None where it broke off before it began.
         rounds: a list for each column of `tables.ROUNDS` but the first, all of the same length.
         error: what broke the trial off; None where nothing did.
@@ -59,8 +48,6 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         simulated: whether any language model was a simulated stand-in.
         code: version of this package, and revision of its checkout where it runs from one.
         record: path of its record, relative to the results directory; None where none was kept.
-        earlier: tries before this one.
-        format: version of this file.
     """
 
     id: str
@@ -134,13 +121,8 @@ async def fly(
 ) -> tuple[TrialResult, Path | None]:
     """Fly one trial. The result reports any exception in it, but without a store an `InputError` is raised.
 
-    Args:
-        spec: the trial.
-        lane: access to what all trials share.
-        keep: trials whose record is kept.
-        scratch: folder for the record while it is written; anything in it is deleted first. None if nothing is stored.
-        earlier: tries before this one.
-        on_round: called after each round.
+    `scratch` is the folder for the record while it is written; anything in it is deleted first. None if nothing is
+    stored. `lane` gives access to what all trials share; `earlier` are the tries before this one.
 
     Returns:
         its result, and the path of its record in `scratch` if that is to be kept.

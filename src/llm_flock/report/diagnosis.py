@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from llm_flock.experiments.compare import TOLERANCE
 from llm_flock.metrics import AT_GOAL, IN_SHAPE
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.schema import SILENT, LlmEntry
+from llm_flock.record.schema import SILENT, ChatLine, LlmEntry
+
+LONGEST = 6000
+"""Letters of a message that are shown at most."""
 
 
 class Cause(NamedTuple):
@@ -28,6 +31,27 @@ class Cause(NamedTuple):
     round: int | None = None
     entries: tuple[LlmEntry, ...] = ()
 
+    @property
+    def about(self) -> str:
+        """Whose conversation it is, and when; empty without one."""
+        if not self.entries:
+            return ""
+        last = self.entries[-1]
+        question = {"plan": "asked for a plan", "step": "asked for its next step"}.get(last.kind, last.kind)
+        return f"Robot {last.robot}, {question} in round {last.round}, {last.model}"
+
+    @property
+    def conversation(self) -> list[ChatLine]:
+        """The last call with all messages before it, its answer, and with the role "verdict", what became of that."""
+        if not self.entries:
+            return []
+        last = self.entries[-1]
+        lines = [message.model_copy(update={"text": _short(message.text)}) for message in last.messages]
+        if last.text is not None:
+            lines.append(ChatLine(role="assistant", text=_short(last.text)))
+        refused = f"The answer was not used: {last.rejected or last.error or 'no answer came'}"
+        return [*lines, ChatLine(role="verdict", text=refused if last.parsed is None else "The answer was taken.")]
+
 
 def find_causes(record: RunRecord) -> tuple[Cause, ...]:
     """Everything that went wrong in a record, the worst first.
@@ -41,6 +65,13 @@ def find_causes(record: RunRecord) -> tuple[Cause, ...]:
     return found or (Cause("It took too many rounds.", record.rounds),)
 
 
+def _short(text: str) -> str:
+    if len(text) <= LONGEST:
+        return text
+    half = LONGEST // 2
+    return f"{text[:half]}\n[... {len(text) - 2 * half:,} letters left out ...]\n{text[-half:]}"
+
+
 def _unanswered(record: RunRecord) -> Cause | None:
     stopped = (record.result or {}).get("stopped")
     failed = [entry for entry in record.llm if entry.error is not None]
@@ -49,8 +80,8 @@ def _unanswered(record: RunRecord) -> Cause | None:
     entry = failed[-1]
     what = "The budget was used up" if stopped == "budget" else f"Robot {entry.robot} got no answer"
     # A call that the budget refused was never made: there is no conversation to show.
-    thread = () if stopped == "budget" else _thread(record, entry)
-    return Cause(f"{what} in round {entry.round}: {entry.error}.", entry.round, thread)
+    calls = () if stopped == "budget" else _last_calls(record, entry.robot, entry.kind, entry.round)
+    return Cause(f"{what} in round {entry.round}: {entry.error}.", entry.round, calls)
 
 
 def _crash(record: RunRecord) -> Cause | None:
@@ -66,7 +97,7 @@ def _crash(record: RunRecord) -> Cause | None:
         origins = record.states[number].origins
         robot = min(sorted((first, second)), key=lambda k: (origins[k] != "model", -float(moved[k])))
         sentence = f"In round {number}, {what}; robot {robot} moved {moved[robot]:.2f} units."
-        return Cause(sentence, number, _thread(record, _last_call(record, robot, "step", number)))
+        return Cause(sentence, number, _last_calls(record, robot, "step", number))
     return None
 
 
@@ -87,8 +118,8 @@ def _plans(record: RunRecord) -> Cause | None:
     awake = _awake(record)
     without = next((robot for robot in awake if plan_ids[robot] is None), None)
     if without is not None:
-        thread = _thread(record, _last_call(record, without, "plan", record.rounds))
-        return Cause(f"Robot {without} had no plan at the end.", record.rounds, thread)
+        calls = _last_calls(record, without, "plan", record.rounds)
+        return Cause(f"Robot {without} had no plan at the end.", record.rounds, calls)
     counts = Counter(plan_ids[robot] for robot in awake)
     if len(counts) < 2:
         return None
@@ -106,10 +137,10 @@ def _goals(record: RunRecord) -> Cause | None:
         return None
     rivals = [robot for robot in heading if slots[robot] == slot]
     robot = max(rivals, key=lambda k: _distance(record, k))
-    call = _last_call(record, robot, "plan", record.rounds) or _last_call(record, robot, "step", record.rounds)
+    calls = _last_calls(record, robot, "plan", record.rounds) or _last_calls(record, robot, "step", record.rounds)
     names = " and ".join(map(str, rivals))
     sentence = f"At the end robots {names} headed for the same place, number {slot} of the plan."
-    return Cause(sentence, record.rounds, _thread(record, call))
+    return Cause(sentence, record.rounds, calls)
 
 
 def _away(record: RunRecord) -> Cause | None:
@@ -118,7 +149,7 @@ def _away(record: RunRecord) -> Cause | None:
     if robot is None or _distance(record, robot) <= AT_GOAL * float(record.mission.mission["spacing"]):
         return None
     sentence = f"At the end robot {robot} was {_distance(record, robot):.2f} units from its goal."
-    return Cause(sentence, record.rounds, _thread(record, _last_call(record, robot, "step", record.rounds)))
+    return Cause(sentence, record.rounds, _last_calls(record, robot, "step", record.rounds))
 
 
 def _shape(record: RunRecord) -> Cause | None:
@@ -134,7 +165,7 @@ def _of_plan(record: RunRecord, plan: str | None, beginning: str) -> Cause:
     if info is None:
         return Cause(f"{beginning} a plan that nobody proposed.", record.rounds)
     sentence = f"{beginning} the plan that robot {info.proposer} proposed in round {info.round}."
-    return Cause(sentence, record.rounds, _thread(record, _last_call(record, info.proposer, "plan", info.round)))
+    return Cause(sentence, record.rounds, _last_calls(record, info.proposer, "plan", info.round))
 
 
 def _awake(record: RunRecord) -> list[int]:
@@ -148,14 +179,7 @@ def _distance(record: RunRecord, robot: int) -> float:
     return 0.0 if goal is None else float(np.linalg.norm(record.positions[-1][robot] - np.array(goal)))
 
 
-def _last_call(record: RunRecord, robot: int, kind: str, up_to: int) -> LlmEntry | None:
-    """The robot's last call of a kind up to a round: a path is flown for rounds without another call."""
-    found = [e for e in record.llm if e.robot == robot and e.kind == kind and e.round <= up_to]
-    return found[-1] if found else None
-
-
-def _thread(record: RunRecord, entry: LlmEntry | None) -> tuple[LlmEntry, ...]:
-    """A call with all calls of its robot in the same round and of the same kind; empty without a call."""
-    if entry is None:
-        return ()
-    return tuple(e for e in record.llm if (e.robot, e.round, e.kind) == (entry.robot, entry.round, entry.kind))
+def _last_calls(record: RunRecord, robot: int, kind: str, up_to: int) -> tuple[LlmEntry, ...]:
+    """The robot's last call of a kind up to a round, and its retries: a path is flown for rounds without a call."""
+    calls = [entry for entry in record.llm if entry.robot == robot and entry.kind == kind and entry.round <= up_to]
+    return tuple(entry for entry in calls if entry.round == calls[-1].round)

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from operator import attrgetter
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from numpy.typing import NDArray
 
-from llm_flock.experiments.statistics import Estimate, Method, mean_bands
-from llm_flock.report.axes import along_axes
-from llm_flock.report.drawing import INTERVALS, Drawing
-from llm_flock.report.findings import ERROR, CellLine, PairLine, cell_lines, known, pair_lines
-from llm_flock.report.results import ResultCell, Results, TrialRow
-from llm_flock.viz.charts import Curve, Dot, Facet, Sample, bands, boxes, dots, histograms
+from llm_flock.experiments.statistics import Estimate, Method, mean_bands, mean_interval, wilson
+from llm_flock.report.findings import ERROR, INTERVALS, CellLine, PairLine, cell_lines, known, pair_lines
+from llm_flock.report.results import ResultCell, Results, TrialRow, as_number
+from llm_flock.viz.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
 
 COLUMNS = 4
 MOST_ROWS = 12
 """With more rows, only curves of the first condition are drawn, and the page says so."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """One figure of the report, drawn on white; `name` is that of its files, `section` its place on the page."""
+
+    name: str
+    section: str
+    title: str
+    caption: str
+    figure: Figure = field(repr=False)
 
 
 def draw_all(results: Results, reference: str, method: Method = "student") -> Iterator[Drawing]:
@@ -48,7 +61,7 @@ def _draw_all(results: Results, reference: str, method: Method) -> Iterator[Draw
 def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
     """The error over time: of each model under every protocol, and of each protocol with every model."""
     model, protocol = attrgetter("model"), attrgetter("protocol")
-    length = results.longest(results.trials)
+    length = results.longest
     for by, title, series, series_of, row_of in (
         ("model", "Error over time, by model", results.models, model, protocol),
         ("protocol", "With and without consensus", results.protocols, protocol, model),
@@ -57,17 +70,15 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row[1] == results.conditions[0]]
         several = len({name for name, _ in rows}) > 1
         grid: list[tuple[str, list[Facet]]] = []
-        missing = total = 0
         for name, condition in shown:
             facets: list[Facet] = []
             for team in results.teams:
-                cells = {
-                    series_of(cell): trials
+                tables = {
+                    series_of(cell): results.curves(trials, length)
                     for cell, trials in results.cells.items()
                     if (cell.team, cell.condition, row_of(cell)) == (team, condition, name)
                 }
-                curves, lost = _curves(results, cells, length, method)
-                missing, total = missing + lost, total + sum(map(len, cells.values()))
+                curves = [_curve(one, table, method) for one, table in tables.items() if len(table)]
                 facets.append(Facet(title=str(team), marks=curves))
             label = " · ".join(part for part in (name if several else "", condition) if part)
             grid += [(label, facets[k : k + COLUMNS]) for k in range(0, len(facets), COLUMNS)]
@@ -80,8 +91,10 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         ]
         if len(shown) < len(rows):
             words.append(f"Only {results.conditions[0]}; {len(results.conditions) - 1} other conditions are not drawn.")
+        drawn = [trial for trial in results.trials if (row_of(trial.cell), trial.cell.condition) in shown]
+        missing = len(drawn) - len(results.curves(drawn, length))
         if missing:
-            words.append(f"{missing} of {total} trials have no error at any round and no part in this figure.")
+            words.append(f"{missing} of {len(drawn)} trials have no error at any round and no part in this figure.")
         yield Drawing(
             name=f"error-by-{by}",
             section="error",
@@ -91,18 +104,10 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         )
 
 
-def _curves(results: Results, found: dict[str, list[TrialRow]], length: int, method: Method) -> tuple[list[Curve], int]:
-    """A curve for each series, all of one length, and how many trials have none."""
-    curves: list[Curve] = []
-    lost = 0
-    for name, trials in found.items():
-        table = results.curves(trials, length)
-        lost += len(trials) - len(table)
-        if len(table):
-            mean, low, high = mean_bands(table, method)
-            x = np.arange(length, dtype=np.float64)
-            curves.append(Curve(series=name, x=x, mean=mean, low=np.maximum(low, 0.0), high=high))
-    return curves, lost
+def _curve(series: str, table: NDArray[np.float64], method: Method) -> Curve:
+    mean, low, high = mean_bands(table, method)
+    x = np.arange(len(mean), dtype=np.float64)
+    return Curve(series=series, x=x, mean=mean, low=np.maximum(low, 0.0), high=high)
 
 
 def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
@@ -114,7 +119,7 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
         caption="Share of all trials that formed, with Wilson's 95 % interval. Trials that broke off or ran out of "
         "their budget count as not formed.",
         figure=dots(
-            _dot_panels(results, [(line.cell, line.formed) for line in lines], 100.0),
+            _dot_panels(results, [(line.cell, _percent(line.formed)) for line in lines]),
             results.protocols,
             "formed [% of all trials]",
             (-3, 103),
@@ -127,11 +132,11 @@ def compared(results: Results, reference: str, method: Method) -> Iterator[Drawi
     lines = pair_lines(results, reference, method)
     others = [name for name in results.protocols if name != reference]
     formed, error = "formed, difference [% points]", "error at the end, difference [units]"
-    kinds: tuple[tuple[str, str, str, Callable[[PairLine], Estimate | None], float], ...] = (
-        ("success", formed, "Newcombe's 95 % interval", lambda line: line.formed.difference, 100),
-        ("error", error, INTERVALS[method], _error_difference, 1),
+    kinds: tuple[tuple[str, str, str, Callable[[PairLine], Estimate | None]], ...] = (
+        ("success", formed, "Newcombe's 95 % interval", lambda line: _percent(line.formed.difference)),
+        ("error", error, INTERVALS[method], _error_difference),
     )
-    for name, x, how, get, factor in kinds:
+    for name, x, how, get in kinds:
         found = [(line.cell, get(line)) for line in lines]
         if any(estimate is not None for _, estimate in found):
             yield Drawing(
@@ -139,9 +144,7 @@ def compared(results: Results, reference: str, method: Method) -> Iterator[Drawi
                 section="paired",
                 title=f"{name.capitalize()}, difference from {reference}",
                 caption=f"This minus {reference} on the same seeds, with {how}; right of the dashed line is more.",
-                figure=dots(
-                    _dot_panels(results, found, factor, edge=0.0), others, x, _limits([e for _, e in found], factor)
-                ),
+                figure=dots(_dot_panels(results, found, edge=0.0), others, x, _limits([e for _, e in found])),
             )
 
 
@@ -150,10 +153,15 @@ def _error_difference(line: PairLine) -> Estimate | None:
     return None if means is None else means.difference
 
 
-def _limits(estimates: Sequence[Estimate | None], factor: float) -> tuple[float, float]:
+def _percent(share: Estimate) -> Estimate:
+    low, high = (None if end is None else 100 * end for end in (share.low, share.high))
+    return Estimate(value=100 * share.value, low=low, high=high)
+
+
+def _limits(estimates: Sequence[Estimate | None]) -> tuple[float, float]:
     """A range that contains all intervals and zero, with a margin."""
     ends = [end for e in estimates if e is not None for end in (e.value, e.low, e.high) if end is not None]
-    low, high = factor * min(0.0, *ends, 0.0), factor * max(0.0, *ends, 0.0)
+    low, high = min(0.0, *ends, 0.0), max(0.0, *ends, 0.0)
     if low == high:
         return (-1.0, 1.0)  # nothing differs
     room = 0.04 * (high - low)
@@ -229,23 +237,22 @@ def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Ite
         found = [(line.cell, get(line)) for line in lines]
         if all(estimate is None or estimate.value == 0 for _, estimate in found):
             continue
-        limits = _limits([estimate for _, estimate in found], 1.0)
+        _, most = _limits([estimate for _, estimate in found])
         yield Drawing(
             name=name,
             section="spending",
             title=title,
             caption=f"Mean over all trials and its {INTERVALS[method]}; retries of answers that could not be used are "
             "counted." + (" Tokens of simulated models are estimates." if results.simulated else ""),
-            figure=dots(_dot_panels(results, found, 1.0), results.protocols, x, (0.0, limits[1])),
+            figure=dots(_dot_panels(results, found), results.protocols, x, (0.0, most)),
         )
 
 
 def _dot_panels(
-    results: Results, found: Sequence[tuple[ResultCell, Estimate | None]], factor: float, edge: float | None = None
+    results: Results, found: Sequence[tuple[ResultCell, Estimate | None]], edge: float | None = None
 ) -> list[Facet]:
     def dot(cell: ResultCell, estimate: Estimate | None) -> Dot:
-        ends = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
-        value, low, high = (None if end is None else factor * end for end in ends)
+        value, low, high = (None,) * 3 if estimate is None else (estimate.value, estimate.low, estimate.high)
         return Dot(series=cell.protocol, row=_row(results, cell), value=value, low=low, high=high)
 
     teams = dict.fromkeys(cell.team for cell, _ in found)
@@ -264,7 +271,85 @@ def _row(results: Results, cell: ResultCell) -> str:
 def _consensus_words(results: Results) -> str:
     """The rule by which each protocol chooses its plan, in words."""
     rules = {trial.cell.protocol: trial.figures["consensus"] for trial in results.trials if trial.figures["consensus"]}
-    words = [
-        f"{name}: {'without consensus' if rule == 'none' else f'{rule} consensus'}" for name, rule in rules.items()
-    ]
-    return "; ".join(words) + "." if words else ""
+    words = (f"{name}: {'without' if rule == 'none' else rule} consensus" for name, rule in rules.items())
+    return "; ".join(words) + "." if rules else ""
+
+
+def along_axes(results: Results, method: Method) -> Iterator[Drawing]:
+    """Success and error along every further axis of the grid, and along the size of the team."""
+    for axis, values in results.axes.items():
+        numbers = [as_number(value) for value in values]
+        where = {value: float(k) if x is None else x for k, (value, x) in enumerate(zip(values, numbers, strict=True))}
+        words = None if None not in numbers else list(values)
+        panels = {str(team): [t for t in results.trials if t.cell.team == team] for team in results.teams}
+        yield from _along(
+            results, axis, panels, lambda t, a=axis, w=where: w.get(t.figures[f"axis_{a}"] or ""), words, method
+        )
+    sizes = Counter(team.shape for team in results.teams)
+    scaled = [shape for shape, count in sizes.items() if count > 2]
+    if scaled:
+        panels = {shape: [t for t in results.trials if t.cell.team.shape == shape] for shape in scaled}
+        yield from _along(results, "number of robots", panels, lambda t: float(t.cell.team.n_robots), None, method)
+
+
+def _along(
+    results: Results,
+    axis: str,
+    panels: dict[str, list[TrialRow]],
+    place: Callable[[TrialRow], float | None],
+    words: list[str] | None,
+    method: Method,
+) -> Iterator[Drawing]:
+    def mean(figure: Callable[[TrialRow], float | None]) -> Callable[[list[TrialRow]], Estimate | None]:
+        return lambda found: mean_interval(known(map(figure, found)), method=method)
+
+    kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
+        ("formed", "formed [% of all trials]", lambda ts: _percent(wilson(sum(t.formed for t in ts), len(ts)))),
+        ("error", "error at the end [units]", mean(lambda t: t.error)),
+        ("calls", "model calls a robot", mean(lambda t: t.per_robot("model_calls"))),
+    )
+    series = list(dict.fromkeys(_series(results, cell) for cell in results.cells))
+    for name, y, estimate in kinds:
+        facets: list[Facet] = []
+        for title, found in panels.items():
+            lines = [
+                _line(one, [t for t in found if _series(results, t.cell) == one], place, estimate) for one in series
+            ]
+            facets.append(Facet(title=title, marks=[line for line in lines if len(line.x)]))
+        if not any(facet.marks for facet in facets):
+            continue
+        how = "Wilson's 95 % interval" if name == "formed" else INTERVALS[method]
+        others = "Trials that differ in other axes are taken together. " if len(results.axes) > 1 else ""
+        slug = "".join(letter if letter.isalnum() else "-" for letter in axis)
+        yield Drawing(
+            name=f"{name}-along-{slug}",
+            section="axes",
+            title=f"{'Success' if name == 'formed' else y.partition(' [')[0].capitalize()} along {axis}",
+            caption=f"{others}Bars: {how}.",
+            figure=along(facets, series, axis, y, words),
+        )
+
+
+def _line(
+    series: str,
+    trials: Sequence[TrialRow],
+    place: Callable[[TrialRow], float | None],
+    estimate: Callable[[list[TrialRow]], Estimate | None],
+) -> Curve:
+    found: defaultdict[float, list[TrialRow]] = defaultdict(list)
+    for trial in trials:
+        if (at := place(trial)) is not None:
+            found[at].append(trial)
+    points = [(at, value) for at in sorted(found) if (value := estimate(found[at])) is not None]
+    return Curve(
+        series=series,
+        x=np.array([at for at, _ in points]),
+        mean=np.array([e.value for _, e in points]),
+        low=np.array([e.value if e.low is None else e.low for _, e in points]),
+        high=np.array([e.value if e.high is None else e.high for _, e in points]),
+    )
+
+
+def _series(results: Results, cell: ResultCell) -> str:
+    """Name of a line: its protocol, and its model where there are several."""
+    return " · ".join([cell.protocol] + ([cell.model] if len(results.models) > 1 else []))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from llm_flock.experiments.paired import PairedMeans, PairedShares, paired_means, paired_shares
 from llm_flock.experiments.statistics import Estimate, Method, mean_interval, median, wilson
 from llm_flock.report.results import ResultCell, Results, TrialRow
+
+INTERVALS = {"student": "95 % Student-t interval", "bootstrap": "95 % bootstrap interval (BCa)"}
+"""Names of the methods that find the interval of a mean."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,18 +19,14 @@ class CellLine:
     """The figures of one cell.
 
     Attributes:
-        cell: the cell.
-        trials: number of its trials.
-        formed: share of all trials that formed, with Wilson's interval.
         outcomes: number of trials by outcome; they add up to `trials`.
+        formed: share of all trials that formed, with Wilson's interval.
         rounds: median of the rounds to the formation, over the trials that formed.
-        ratio: median of these rounds over the lower bound, over the trials that formed.
-        error: mean distance to the ideal shape at the end [units], over the trials that have one.
-        errors_known: number of trials that have an error.
+        ratio: median of these rounds over the lower bound.
+        error: mean distance to the ideal shape at the end [units], over the `errors_known` trials that have one.
         min_separation: smallest in any trial [units].
         too_near: trials in which two robots were nearer than the safe distance.
-        calls: model calls a robot and mission.
-        tokens: tokens a robot and mission.
+        calls: model calls a robot and mission; `tokens` likewise.
         cost: cost of a mission [US dollars]; None where a price is not known.
         latency: mean duration of a call [s].
         rejected: share of calls whose answer could not be used; None without calls.
@@ -51,17 +51,12 @@ class CellLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairLine:
-    """One protocol against the reference, on the same seeds.
+    """A cell against that of the reference, on the same seeds: share that formed, and the means in `COMPARED`.
 
-    Attributes:
-        cell: the cell that is compared.
-        reference: the protocol that it is compared with.
-        formed: difference of the shares that formed.
-        means: differences of the means, by the names in `COMPARED`; None where no pair has the figure.
+    A mean is None where no pair has the figure.
     """
 
     cell: ResultCell
-    reference: str
     formed: PairedShares
     means: Mapping[str, PairedMeans | None]
 
@@ -79,11 +74,13 @@ COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
 
 def cell_lines(results: Results, method: Method = "student") -> list[CellLine]:
     """A line for every cell."""
-    return [cell_line(cell, trials, results.outcomes(trials), method) for cell, trials in results.cells.items()]
+    return [_cell_line(cell, trials, method) for cell, trials in results.cells.items()]
 
 
-def cell_line(cell: ResultCell, trials: Sequence[TrialRow], outcomes: Mapping[str, int], method: Method) -> CellLine:
-    """The line of one cell."""
+def _cell_line(cell: ResultCell, trials: Sequence[TrialRow], method: Method) -> CellLine:
+    def mean(values: Iterable[float | None]) -> Estimate | None:
+        return mean_interval(known(values), method=method)
+
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
     errors = known(trial.error for trial in trials)
     calls = sum(known(trial.figures["model_calls"] for trial in trials))
@@ -91,17 +88,17 @@ def cell_line(cell: ResultCell, trials: Sequence[TrialRow], outcomes: Mapping[st
         cell=cell,
         trials=len(trials),
         formed=wilson(sum(trial.formed for trial in trials), len(trials)),
-        outcomes=outcomes,
+        outcomes=Counter(trial.outcome for trial in trials),
         rounds=median(known(trial.figures["rounds_to_formed"] for trial in trials if trial.formed)),
         ratio=median(known(trial.ratio for trial in trials)),
-        error=mean_interval(errors, method=method),
+        error=mean(errors),
         errors_known=len(errors),
         min_separation=min(known(trial.figures["min_separation"] for trial in trials), default=None),
         too_near=sum(trial.too_near for trial in trials),
-        calls=mean_interval(known(trial.per_robot("model_calls") for trial in trials), method=method),
-        tokens=mean_interval(known(trial.per_robot("tokens") for trial in trials), method=method),
-        cost=None if None in costs else mean_interval(known(costs), method=method),
-        latency=mean_interval(known(trial.figures["latency_mean_s"] for trial in trials), method=method),
+        calls=mean(trial.per_robot("model_calls") for trial in trials),
+        tokens=mean(trial.per_robot("tokens") for trial in trials),
+        cost=None if None in costs else mean(costs),
+        latency=mean(trial.figures["latency_mean_s"] for trial in trials),
         rejected=sum(known(trial.figures["calls_rejected"] for trial in trials)) / calls if calls else None,
     )
 
@@ -119,19 +116,13 @@ def pair_lines(results: Results, reference: str, method: Method = "student") -> 
     """
     lines: list[PairLine] = []
     for cell, trials in results.cells.items():
-        others = {
-            trial.seed: trial
-            for other, found in results.cells.items()
-            if other.protocol == reference != cell.protocol
-            and (other.team, other.model, other.condition) == (cell.team, cell.model, cell.condition)
-            for trial in found
-        }
+        others = {trial.seed: trial for trial in results.cells.get(replace(cell, protocol=reference), ())}
         pairs = [(trial, others[trial.seed]) for trial in trials if trial.seed in others]
         formed = paired_shares([a.formed for a, _ in pairs], [b.formed for _, b in pairs])
-        if formed is None:
+        if formed is None or cell.protocol == reference:
             continue
         means = {name: _paired(pairs, figure, method) for name, figure in COMPARED.items()}
-        lines.append(PairLine(cell=cell, reference=reference, formed=formed, means=means))
+        lines.append(PairLine(cell=cell, formed=formed, means=means))
     return lines
 
 

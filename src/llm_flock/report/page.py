@@ -1,5 +1,8 @@
 """Writes the report: one HTML page that needs nothing else, the same in Markdown, and a folder of figures."""
 
+# Matplotlib's types leave **kwargs open.
+# pyright: reportUnknownMemberType=false
+
 from __future__ import annotations
 
 import base64
@@ -17,14 +20,13 @@ from matplotlib.figure import Figure
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import METHODS, Method
 from llm_flock.report import sheets
-from llm_flock.report.drawing import Drawing, inline_svg, page_colours
-from llm_flock.report.drawings import draw_all
+from llm_flock.report.drawings import Drawing, draw_all
 from llm_flock.report.findings import cell_lines, pair_lines, usual_reference
 from llm_flock.report.gallery import Failure, gallery
 from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import Sheet
 from llm_flock.viz.figures import save
-from llm_flock.viz.style import house_style
+from llm_flock.viz.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
 
 FORMATS = ("svg", "pdf", "png")
 PICTURE_DPI = 130
@@ -42,10 +44,20 @@ SECTIONS = {
     "data": "Data and code",
 }
 
+VARIABLES: dict[str, tuple[str, str]] = {
+    INK: ("ink", "#E6E6E6"),
+    PAPER: ("paper", "#17191C"),
+    GRID: ("grid", "#33373C"),
+    FAINT: ("faint", "#8A8F95"),
+    str(RC["axes.edgecolor"]): ("edge", "#6A7077"),
+    **{light: (f"series-{k}", dark) for k, (light, dark) in enumerate(zip(SERIES, SERIES_ON_DARK, strict=True))},
+}
+"""Colours of figures: for each, the page's CSS variable, and the variable's value on a dark page."""
+
 
 @dataclass(slots=True, kw_only=True)
 class PageSection:
-    """A section of the page."""
+    """A section of the page; `name` is one of `SECTIONS`."""
 
     name: str
     title: str
@@ -53,11 +65,6 @@ class PageSection:
     sheets: list[Sheet] = field(default_factory=list[Sheet])
     failures: list[Failure] = field(default_factory=list[Failure])
     lines: list[str] = field(default_factory=list[str])
-
-    @property
-    def empty(self) -> bool:
-        """Whether there is nothing in it."""
-        return not (self.drawings or self.sheets or self.failures or self.lines)
 
 
 def write_report(
@@ -73,15 +80,9 @@ def write_report(
 ) -> list[Path]:
     """Write the report of a directory of results; files of an older report in the same place are replaced.
 
-    Args:
-        folder: the directory of results.
-        out: where `report.html`, `report.md` and `figures/` go.
-        method: method for the intervals of means.
-        reference: protocol that the others are compared with; by default the baseline, where it was flown.
-        most: trials in the gallery of failures.
-        formats: endings of the figures' files.
-        fly_again: whether trials of simulated models without a record are flown again for the gallery.
-        on_step: called with the name of everything that was made.
+    `out` gets `report.html`, `report.md` and `figures/`, with a file of each figure for every ending in `formats`. The
+    reference is the baseline by default, where it was flown. The gallery of failures shows `most` trials; for it, those
+    of simulated models without a record can be flown again. `on_step` is called with the name of everything made.
 
     Returns:
         the page, the Markdown, and every figure.
@@ -90,7 +91,10 @@ def write_report(
         InputError: no results, or an option out of its range.
         RecordError: a trial is damaged.
     """
-    _check(method, formats)
+    if method not in METHODS:
+        raise InputError("interval", method, " or ".join(METHODS))
+    if not formats or any(ending not in FORMATS for ending in formats):
+        raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
     results = Results.read(folder)
     if reference is not None and reference not in results.protocols:
         raise InputError("reference", reference, f"a protocol of these results: {', '.join(results.protocols)}")
@@ -112,24 +116,26 @@ def write_report(
     sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))
     sections["spending"].sheets.append(sheets.spending_sheet(results, lines, method))
     if pairs := pair_lines(results, reference, method):
-        sections["paired"].sheets += sheets.pair_sheets(results, pairs, method)
+        sections["paired"].sheets += sheets.pair_sheets(results, pairs, reference, method)
+    failures = sections["failures"].failures
     for failure in gallery(results, most, fly_again=fly_again):
-        sections["failures"].failures.append(failure)
+        failures.append(failure)
         if failure.figure is not None:
             keep(failure.figure, failure.name)
-    sections["failures"].lines += _failure_words(results, sections["failures"])
-    sections["data"].lines += _data_words(results)
-    light, dark = page_colours()
+    sections["failures"].lines.append(_failure_words(results, len(failures)))
+    codes = ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials))
+    tables = "The two tables, trials.parquet and rounds.parquet, lie beside sweep.toml, which repeats the sweep."
+    sections["data"].lines += [f"Flown by: {codes}.", tables]
     page = {
         "title": results.name,
         "about": results.about,
         "subtitle": _subtitle(results),
         "warnings": list(_warnings(results)),
         "facts": sheets.facts(results, lines),
-        "sections": [section for section in sections.values() if not section.empty],
+        "sections": [s for s in sections.values() if s.drawings or s.sheets or s.failures or s.lines],
         "footer": "Made by llm-flock report from trials.parquet and rounds.parquet.",
-        "light": light,
-        "dark": dark,
+        "light": {name: colour for colour, (name, _) in VARIABLES.items()},
+        "dark": dict(VARIABLES.values()),
         "picture_format": "svg" if "svg" in formats else formats[0],
     }
     for name, template in (("report.html", "page.html.j2"), ("report.md", "page.md.j2")):
@@ -143,11 +149,32 @@ def write_report(
     return written
 
 
-def _check(method: str, formats: Sequence[str]) -> None:
-    if method not in METHODS:
-        raise InputError("interval", method, " or ".join(METHODS))
-    if not formats or any(ending not in FORMATS for ending in formats):
-        raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
+def inline_svg(figure: Figure, name: str, label: str) -> Markup:
+    """The figure as an element of an HTML page, the same whenever it is made.
+
+    `name` is the prefix of every id, so that no two figures of a page share one; `label` is for screen readers.
+    """
+    out = io.StringIO()
+    with house_style():
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    # Its style sheet would hold for the whole page.
+    text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
+    text = re.sub(r'\bhref="#([^"]+)"', rf'href="#{name}-\1"', text)
+    for colour, (variable, _) in VARIABLES.items():
+        text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)
+    box = re.search(r'viewBox="([^"]+)"', text)
+    assert box is not None, "matplotlib writes a view box"
+    width = float(box[1].split()[2])
+    head = (
+        f'<svg viewBox="{box[1]}" role="img" aria-label="{escape(label)}" style="max-width:{width * 1.25:.0f}px" '
+        'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    )
+    return Markup(head + text[text.index(">", text.index("<svg")) + 1 :].strip())
 
 
 def _svg(drawing: Drawing) -> Markup:
@@ -158,18 +185,18 @@ def _data_address(figure: Figure) -> str:
     """A figure as a PNG image in a data: URL."""
     image = io.BytesIO()
     with house_style():
-        figure.savefig(image, format="png", dpi=PICTURE_DPI)  # pyright: ignore[reportUnknownMemberType]
+        figure.savefig(image, format="png", dpi=PICTURE_DPI)
     return f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
 
 
 def _subtitle(results: Results) -> str:
-    parts = [
+    parts = (
         _counted(len(results.trials), "trial"),
         ", ".join(f"{team.shape} {team.n_robots}" for team in results.teams),
         ", ".join(results.protocols),
         ", ".join(results.models),
         _counted(len({trial.seed for trial in results.trials}), "seed"),
-    ]
+    )
     return " · ".join(part for part in parts if part)
 
 
@@ -195,22 +222,14 @@ def _warnings(results: Results) -> Iterator[str]:
         yield f"The budget of the sweep ended {_counted(cut, 'trial')}: continue the sweep with a larger one."
 
 
-def _failure_words(results: Results, section: PageSection) -> list[str]:
-    bad = [trial for trial in results.trials if not trial.formed or trial.too_near]
+def _failure_words(results: Results, shown: int) -> str:
+    bad = sum(not trial.formed or trial.too_near for trial in results.trials)
     if not bad:
-        return ["Every trial formed, and no two robots came nearer than the safe distance."]
-    return [
-        f"{len(bad):,} of {len(results.trials):,} trials did not form or had robots too near; shown are "
-        f"{len(section.failures)} of them, the worst of each protocol and each way to end."
-    ]
-
-
-def _data_words(results: Results) -> list[str]:
-    codes = ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials))
-    return [
-        f"Flown by: {codes}.",
-        "The two tables, trials.parquet and rounds.parquet, lie beside sweep.toml, which repeats the sweep.",
-    ]
+        return "Every trial formed, and no two robots came nearer than the safe distance."
+    return (
+        f"{bad:,} of {len(results.trials):,} trials did not form or had robots too near; shown are {shown} of them, "
+        "the worst of each protocol and each way to end."
+    )
 
 
 def _counted(count: int, name: str) -> str:
@@ -223,7 +242,7 @@ def _environment() -> jinja2.Environment:
         autoescape=lambda name: name is not None and name.endswith(".html.j2"),
         undefined=jinja2.StrictUndefined,
     )
-    filters = cast("dict[str, Any]", environment.filters)  # pyright: ignore[reportUnknownMemberType]
+    filters = cast("dict[str, Any]", environment.filters)
     filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced, "svg": _svg, "data": _data_address}
     return environment
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -48,7 +48,6 @@ class ResultCell:
     """A cell of the grid: its trials differ in their seed only.
 
     Attributes:
-        team: shape and size.
         protocol: preset of rules; with the rules themselves where one preset was flown with several.
         model: language model, as configured.
         condition: the value of every further axis of the grid, in words; empty without any.
@@ -65,15 +64,7 @@ class ResultCell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRow:
-    """One trial, as its row in the table has it.
-
-    Attributes:
-        id: name of the trial.
-        cell: its cell.
-        seed: its seed.
-        outcome: one of `OUTCOMES`.
-        figures: its row, by the names of the columns.
-    """
+    """One trial; its outcome is one of `OUTCOMES`, and `figures` is its row in the table."""
 
     id: str
     cell: ResultCell
@@ -114,11 +105,9 @@ class Results:
     """Everything in a directory of results.
 
     Attributes:
-        folder: the directory.
         frame: a row for each trial.
         rounds: a row for each round.
-        name: of the sweep.
-        about: description of the sweep; empty where its file has none.
+        name: of the sweep, like its description `about`, which may be empty.
         planned: trials of the whole sweep; None where that is not known.
     """
 
@@ -168,7 +157,7 @@ class Results:
                     ),
                 ),
                 seed=row["seed"],
-                outcome=outcome_of(row),
+                outcome=_outcome(row),
                 figures=row,
             )
             for row in rows
@@ -177,9 +166,9 @@ class Results:
     @cached_property
     def cells(self) -> dict[ResultCell, list[TrialRow]]:
         """The trials of each cell: by team, condition, model and protocol."""
-        found: dict[ResultCell, list[TrialRow]] = {}
+        found: defaultdict[ResultCell, list[TrialRow]] = defaultdict(list)
         for trial in self.trials:
-            found.setdefault(trial.cell, []).append(trial)
+            found[trial.cell].append(trial)
 
         def place(cell: ResultCell) -> tuple[Any, ...]:
             order = (self.conditions, cell.condition), (self.models, cell.model), (self.protocols, cell.protocol)
@@ -196,8 +185,7 @@ class Results:
     def protocols(self) -> tuple[str, ...]:
         """Every protocol, presets in their own order."""
         seen = dict.fromkeys(trial.cell.protocol for trial in self.trials)
-        presets = list(PRESETS)
-        known = {name: k for k, name in enumerate(presets)}
+        known = {name: k for k, name in enumerate(PRESETS)}
         return tuple(sorted(seen, key=lambda name: known.get(name.split(" ")[0], len(known))))
 
     @cached_property
@@ -226,9 +214,9 @@ class Results:
         """Whether any language model was a simulated stand-in."""
         return any(trial.figures["simulated"] for trial in self.trials)
 
-    def outcomes(self, trials: Iterable[TrialRow] | None = None) -> dict[str, int]:
+    def outcomes(self) -> dict[str, int]:
         """Number of trials by outcome; every outcome is there, and they add up to all trials."""
-        counts = Counter(trial.outcome for trial in (self.trials if trials is None else trials))
+        counts = Counter(trial.outcome for trial in self.trials)
         return {name: counts[name] for name in OUTCOMES}
 
     @cached_property
@@ -256,13 +244,13 @@ class Results:
             rows.append(np.concatenate([curve, np.full(max(0, length - len(curve)), last)])[:length])
         return np.array(rows, dtype=np.float64).reshape(len(rows), length)
 
-    def longest(self, trials: Iterable[TrialRow]) -> int:
+    @property
+    def longest(self) -> int:
         """Rounds of the longest trial, the start counted too; 0 without any."""
-        return max((len(self._errors.get(trial.id, ())) for trial in trials), default=0)
+        return max((len(self._errors.get(trial.id, ())) for trial in self.trials), default=0)
 
 
-def outcome_of(row: Mapping[str, Any]) -> str:
-    """The outcome of a trial, one of `OUTCOMES`."""
+def _outcome(row: Mapping[str, Any]) -> str:
     if row["error"] is not None or row["stopped"] in (None, "failed"):
         return "broke off"
     if row["formed"]:
@@ -290,7 +278,7 @@ def _title(folder: Path) -> tuple[str, str]:
 
 
 def _planned(folder: Path) -> list[str] | None:
-    """Ids of all trials of the sweep, in the order of its grid."""
+    """Ids of all trials of the sweep, in the order of its grid; None where that is not known."""
     try:
         return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
     except (OSError, msgspec.MsgspecError):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
-from llm_flock.experiments.paired import PairedMeans
+from llm_flock.experiments.paired import PairedMeans, PairedShares
 from llm_flock.experiments.statistics import Estimate, Method, median
-from llm_flock.report.drawing import INTERVALS
-from llm_flock.report.findings import COMPARED, CellLine, PairLine, known
+from llm_flock.report.findings import COMPARED, INTERVALS, CellLine, PairLine, known
 from llm_flock.report.results import OUTCOMES, ResultCell, Results
+
+T = TypeVar("T")
 
 NOT_KNOWN = "-"
 MINUS = "\N{MINUS SIGN}"
@@ -17,15 +19,7 @@ MINUS = "\N{MINUS SIGN}"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sheet:
-    """One table.
-
-    Attributes:
-        title: its title.
-        header: names of its columns.
-        rows: its cells.
-        words: number of columns with words, at the left; the others hold numbers.
-        note: how to read it.
-    """
+    """One table; its first `words` columns hold words, the others numbers, and `note` says how to read it."""
 
     title: str
     header: tuple[str, ...]
@@ -37,121 +31,99 @@ class Sheet:
 def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     """How the trials of every cell ended."""
     ends = [name for name in OUTCOMES if name != "formed" and any(line.outcomes[name] for line in lines)]
-    return Sheet(
-        title="How the trials ended",
-        header=(*_cell_names(results), "trials", "formed % [95 %]", *ends, "too near", "smallest separation [units]"),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
-                str(line.trials),
-                interval(line.formed, 1, 100.0),
-                *(str(line.outcomes[name]) for name in ends),
-                str(line.too_near),
-                number(line.min_separation, 3),
-            )
-            for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note="Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
+    columns: dict[str, Callable[[CellLine], str]] = {
+        "trials": lambda line: str(line.trials),
+        "formed % [95 %]": lambda line: interval(line.formed, 1, 100.0),
+        **{name: lambda line, end=name: str(line.outcomes[end]) for name in ends},
+        "too near": lambda line: str(line.too_near),
+        "smallest separation [units]": lambda line: number(line.min_separation, 3),
+    }
+    note = (
+        "Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
         "are counted as not formed. Too near: trials in which two robots were nearer than the safe distance. "
-        + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends),
-    )
+    ) + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends)
+    return _sheet(results, "How the trials ended", columns, {line.cell: line for line in lines}, note)
 
 
 def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
     """How fast the trials formed, and their error."""
-    return Sheet(
-        title="Rounds and error",
-        header=(*_cell_names(results), "formed", "rounds (median)", "over the bound (median)", "error [95 %]", "of"),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
-                str(line.outcomes["formed"]),
-                number(line.rounds, 1),
-                number(line.ratio, 2),
-                interval(line.error, 2),
-                str(line.errors_known),
-            )
-            for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note="Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
+    columns: dict[str, Callable[[CellLine], str]] = {
+        "formed": lambda line: str(line.outcomes["formed"]),
+        "rounds (median)": lambda line: number(line.rounds, 1),
+        "over the bound (median)": lambda line: number(line.ratio, 2),
+        "error [95 %]": lambda line: interval(line.error, 2),
+        "of": lambda line: str(line.errors_known),
+    }
+    note = (
+        "Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
         f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the "
-        "trials that have one, formed or not.",
+        "trials that have one, formed or not."
     )
+    return _sheet(results, "Rounds and error", columns, {line.cell: line for line in lines}, note)
 
 
 def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
     """Calls, tokens and cost."""
-    return Sheet(
-        title="Calls, tokens and money",
-        header=(
-            *_cell_names(results),
-            "calls a robot",
-            "tokens a robot",
-            "answers not used %",
-            "latency [s]",
-            "cost of a mission [US $]",
+    columns: dict[str, Callable[[CellLine], str]] = {
+        "calls a robot": lambda line: interval(line.calls, 2),
+        "tokens a robot": lambda line: interval(line.tokens, 0),
+        "answers not used %": lambda line: number(None if line.rejected is None else 100 * line.rejected, 2),
+        "latency [s]": lambda line: interval(line.latency, 3),
+        "cost of a mission [US $]": lambda line: (
+            interval(line.cost, 4) if line.cost is None or line.cost.value else "0"
         ),
-        rows=tuple(
-            (
-                *_cell_words(results, line.cell),
-                interval(line.calls, 2),
-                interval(line.tokens, 0),
-                number(None if line.rejected is None else 100 * line.rejected, 2),
-                interval(line.latency, 3),
-                interval(line.cost, 4) if line.cost is None or line.cost.value else "0",
-            )
-            for line in lines
-        ),
-        words=len(_cell_names(results)),
-        note=f"Means over trials, {INTERVALS[method]}. A cost is given where the price of every call is known"
-        + ("; simulated models cost nothing, and their tokens are estimates." if results.simulated else "."),
+    }
+    note = f"Means over trials, {INTERVALS[method]}. A cost is given where the price of every call is known" + (
+        "; simulated models cost nothing, and their tokens are estimates." if results.simulated else "."
     )
+    return _sheet(results, "Calls, tokens and money", columns, {line.cell: line for line in lines}, note)
 
 
-def pair_sheets(results: Results, lines: Sequence[PairLine], method: Method) -> list[Sheet]:
+def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str, method: Method) -> list[Sheet]:
     """Protocols against the reference on the same seeds: success, then every other figure that any pair has."""
-    reference = lines[0].reference
-    names = _cell_names(results)
-    found = [
-        Sheet(
-            title=f"Success compared with {reference}, seed by seed",
-            header=(*names, "pairs", "difference in % points [95 %]", "formed: only this", f"only {reference}"),
-            rows=tuple(
-                (
-                    *_cell_words(results, line.cell),
-                    str(line.formed.pairs),
-                    interval(line.formed.difference, 1, 100.0, signed=True),
-                    str(line.formed.only_first),
-                    str(line.formed.only_second),
-                )
-                for line in lines
-            ),
-            words=len(names),
-            note=f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
-            f"which started from the same positions; differences are this minus {reference}. The interval is "
-            "Newcombe's for paired shares.",
-        )
-    ]
+    success: dict[str, Callable[[PairedShares], str]] = {
+        "pairs": lambda shares: str(shares.pairs),
+        "difference in % points [95 %]": lambda shares: interval(shares.difference, 1, 100.0, signed=True),
+        "formed: only this": lambda shares: str(shares.only_first),
+        f"only {reference}": lambda shares: str(shares.only_second),
+    }
+    others: dict[str, Callable[[PairedMeans], str]] = {
+        "pairs": lambda means: str(means.pairs),
+        "mean difference [95 %]": lambda means: interval(means.difference, 2, signed=True),
+        "effect size g [95 %]": lambda means: interval(means.effect, 2, signed=True),
+    }
+    note = (
+        f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
+        f"which started from the same positions; differences are this minus {reference}. The interval is "
+        "Newcombe's for paired shares."
+    )
+    title = f"Success compared with {reference}, seed by seed"
+    found = [_sheet(results, title, success, {line.cell: line.formed for line in lines}, note)]
+    note = (
+        f"Pairs: seeds on which both have the figure. Mean difference: {INTERVALS[method]}. g: the "
+        "mean difference in standard deviations of the differences, with Hedges' correction for few pairs."
+    )
     for name in COMPARED:
-        rows = tuple(
-            (*_cell_words(results, line.cell), *_paired(line.means[name]))
-            for line in lines
-            if line.means[name] is not None
-        )
-        if rows:
-            found.append(
-                Sheet(
-                    title=f"{name[0].upper()}{name[1:]}, compared with {reference}, seed by seed",
-                    header=(*names, "pairs", "mean difference [95 %]", "effect size g [95 %]"),
-                    rows=rows,
-                    words=len(names),
-                    note=f"Pairs: seeds on which both have the figure. Mean difference: {INTERVALS[method]}. g: the "
-                    "mean difference in standard deviations of the differences, with Hedges' correction for few pairs.",
-                )
-            )
+        if rows := {line.cell: mean for line in lines if (mean := line.means[name]) is not None}:
+            title = f"{name[0].upper()}{name[1:]}, compared with {reference}, seed by seed"
+            found.append(_sheet(results, title, others, rows, note))
     return found
+
+
+def _sheet(
+    results: Results, title: str, columns: Mapping[str, Callable[[T], str]], rows: Mapping[ResultCell, T], note: str
+) -> Sheet:
+    """A table with a row for each cell: the words that tell it from others, then its figures."""
+    conditions = results.conditions != ("",)
+    words = ("shape", "N", "model", *(("condition",) if conditions else ()), "protocol")
+
+    def row(cell: ResultCell, found: T) -> tuple[str, ...]:
+        between = (cell.condition,) if conditions else ()
+        names = (cell.team.shape, str(cell.team.n_robots), cell.model, *between, cell.protocol)
+        return (*names, *(text(found) for text in columns.values()))
+
+    texts = tuple(row(cell, found) for cell, found in rows.items())
+    return Sheet(title=title, header=(*words, *columns), rows=texts, words=len(words), note=note)
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
@@ -191,29 +163,9 @@ def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, sig
     return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
-def _paired(means: PairedMeans | None) -> tuple[str, str, str]:
-    assert means is not None, "rows are made of pairs that have the figure"
-    effect = NOT_KNOWN if means.effect is None else interval(means.effect, 2, signed=True)
-    return (str(means.pairs), interval(means.difference, 2, signed=True), effect)
-
-
 def _compact(value: float) -> str:
     """A count in a few letters: 12,345, 1.23 M."""
     for unit, size in (("G", 1e9), ("M", 1e6)):
         if value >= size:
             return f"{value / size:.3g} {unit}"
     return f"{value:,.0f}"
-
-
-def _cell_names(results: Results) -> tuple[str, ...]:
-    return ("shape", "N", *(name for name, shown in _varied(results) if shown), "protocol")
-
-
-def _cell_words(results: Results, cell: ResultCell) -> tuple[str, ...]:
-    varied = dict(_varied(results))
-    between = [word for name, word in (("model", cell.model), ("condition", cell.condition)) if varied[name]]
-    return (cell.team.shape, str(cell.team.n_robots), *between, cell.protocol)
-
-
-def _varied(results: Results) -> list[tuple[str, bool]]:
-    return [("model", True), ("condition", results.conditions != ("",))]

@@ -1,15 +1,19 @@
-"""Forecast the use of a sweep before it is flown: a stand-in rehearses each cell once."""
+"""Forecast the use of a sweep: before it is flown by stand-ins, and while it is flown by its trials so far."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
+from llm_flock.experiments.executors import Display
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.sweep_file import ExpectTable, Sweep
 from llm_flock.experiments.trial import TrialResult
+from llm_flock.llm.limits import Spent
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
@@ -20,6 +24,9 @@ from llm_flock.runtime.trial import TrialProgress
 
 REHEARSAL_S = 5.0
 """A rehearsal stops after this time, and its use is extrapolated to the last round [s]."""
+
+NEARLY = 0.95
+"""Largest part of a whole trial that a trial in flight counts as."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,26 +55,14 @@ class Expected:
         return self.tokens_input + self.tokens_output
 
     def __add__(self, other: Expected) -> Expected:
-        known = self.cost_usd is not None and other.cost_usd is not None
-        return Expected(
-            calls=self.calls + other.calls,
-            tokens_input=self.tokens_input + other.tokens_input,
-            tokens_output=self.tokens_output + other.tokens_output,
-            cost_usd=(self.cost_usd or 0.0) + (other.cost_usd or 0.0) if known else None,
-            at_most=self.at_most + other.at_most,
-            wall_s=self.wall_s + other.wall_s,
-        )
+        pairs = {name: (value, getattr(other, name)) for name, value in asdict(self).items()}
+        total: dict[str, Any] = {name: None if None in pair else sum(pair) for name, pair in pairs.items()}
+        return Expected(**total)
 
     def times(self, count: float) -> Expected:
         """The expected use of `count` of these."""
-        return Expected(
-            calls=count * self.calls,
-            tokens_input=count * self.tokens_input,
-            tokens_output=count * self.tokens_output,
-            cost_usd=None if self.cost_usd is None else count * self.cost_usd,
-            at_most=round(count * self.at_most),
-            wall_s=count * self.wall_s,
-        )
+        values = {name: None if value is None else count * value for name, value in asdict(self).items()}
+        return replace(self, **values | {"at_most": round(count * self.at_most)})
 
 
 def expect_cells(
@@ -80,12 +75,7 @@ def expect_cells(
 
     A cell with finished trials is expected to go on as they did. Any other cell is rehearsed with its first seed: by
     its own model if that is a stand-in that does not wait, else by the one in `[expect]`, which gets the same
-    questions, and whose answers are taken to have `output_tokens` tokens each.
-
-    Args:
-        sweep: the sweep.
-        flown: finished trials by cell.
-        on_cell: called before a cell is rehearsed.
+    questions, and whose answers are taken to have `output_tokens` tokens each. Before that, `on_cell` is called.
     """
     found: dict[str, Expected] = {}
     rehearsed: dict[str, Expected] = {}
@@ -180,3 +170,124 @@ def _at_most(config: RunConfig) -> int:
     """Calls if every robot asked for a plan and a step each round, and every answer but the last were rejected."""
     most = config.mission.n_robots * 2 * config.trial.rounds * (config.model.max_retries + 1)
     return most if config.limits.max_calls is None else min(most, config.limits.max_calls)
+
+
+class Tally(Display):
+    """Counts trials, and forecasts the use of the other trials of a cell from those that are over.
+
+    Args:
+        expected: expected use of one trial of a cell, where anything is known.
+        clock: seconds, only differences matter.
+        on_change: called after each change; its argument is whether the sweep has just begun.
+
+    Attributes:
+        over: trials that are over, found ones included.
+        formed: of these.
+        broken: of these, those that broke off.
+        cut: those that the budget of the sweep cut short.
+        used: total of all processes, earlier sessions included.
+    """
+
+    def __init__(
+        self,
+        expected: Mapping[str, Expected] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        on_change: Callable[[bool], None] = lambda began: None,
+    ) -> None:
+        self._expected = expected or {}
+        self._clock = clock
+        self._on_change = on_change
+        self._began = clock()
+        self._of_cell: defaultdict[str, Spent] = defaultdict(Spent)
+        self._count: Counter[str] = Counter()
+        self._left: Counter[str] = Counter()
+        self._size: dict[str, float] = {}
+        self._in_flight: dict[str, tuple[str, TrialProgress]] = {}
+        self._flown: Counter[str] = Counter()
+        self.trials = self.over = self.formed = self.broken = self.cut = 0
+        self.used = Spent()
+
+    def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
+        """See `Display`."""
+        again = {spec.id for spec in pending}
+        for result in flown:
+            self._size[result.cell] = result.config["mission"]["n_robots"] * result.config["trial"]["rounds"]
+            if result.id not in again:
+                self._count_in(result.cell, result)
+        for spec in pending:
+            self._left[spec.cell] += 1
+            self._size[spec.cell] = spec.config.mission.n_robots * spec.config.trial.rounds
+        self.trials = self.over + len(pending)
+        self._began = self._clock()
+        self._on_change(True)
+
+    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
+        """See `Display`."""
+        self._in_flight[spec.id] = spec.cell, now
+        self._on_change(False)
+
+    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
+        """See `Display`."""
+        self._in_flight.pop(spec.id, None)
+        self._left[spec.cell] -= 1
+        self._flown[spec.cell] += fresh
+        self._count_in(spec.cell, result)
+        self._on_change(False)
+
+    def spent(self, spent: Spent, reason: str | None) -> None:
+        """See `Display`."""
+        self.used = spent
+        self._on_change(False)
+
+    @property
+    def forecast(self) -> Spent:
+        """Expected use of all trials together, at least what is spent already."""
+        rest = Spent()
+        for cell, left in self._left.items():
+            one = self._one(cell)
+            rest += Spent(calls=round(left * one.calls), tokens=round(left * one.tokens), cost_usd=left * one.cost_usd)
+        total = sum(self._of_cell.values(), Spent()) + rest
+        return Spent(
+            calls=max(total.calls, self.used.calls),
+            tokens=max(total.tokens, self.used.tokens),
+            cost_usd=max(total.cost_usd, self.used.cost_usd),
+        )
+
+    @property
+    def eta_s(self) -> float | None:
+        """Expected time left [s]; None before the first round."""
+        flown = sum(count * self._work(cell) for cell, count in self._flown.items())
+        part = sum(self._part(cell, now) * self._work(cell) for cell, now in self._in_flight.values())
+        left = sum(count * self._work(cell) for cell, count in self._left.items()) - part
+        done = flown + part
+        return left * (self._clock() - self._began) / done if done > 0 else None
+
+    def _count_in(self, cell: str, result: TrialResult) -> None:
+        self._count[cell] += 1
+        self._of_cell[cell] += result.spent
+        self.over += 1
+        self.formed += result.formed
+        self.broken += result.error is not None
+        self.cut += result.cut
+
+    def _one(self, cell: str) -> Spent:
+        """Use of one trial of the cell: the mean so far, else as expected, else as other cells by its size."""
+        if self._count[cell]:
+            used, count = self._of_cell[cell], self._count[cell]
+            return Spent(calls=used.calls // count, tokens=used.tokens // count, cost_usd=used.cost_usd / count)
+        known = self._expected.get(cell)
+        if known is not None:
+            return Spent(calls=round(known.calls), tokens=round(known.tokens), cost_usd=known.cost_usd or 0.0)
+        size = sum(self._size.get(other, 0.0) * count for other, count in self._count.items())
+        if not size:
+            return Spent()
+        share, used = self._size[cell] / size, sum(self._of_cell.values(), Spent())
+        return Spent(calls=round(share * used.calls), tokens=round(share * used.tokens), cost_usd=share * used.cost_usd)
+
+    def _work(self, cell: str) -> float:
+        """Amount of work in one trial: its calls, or its robots times rounds where no call is known."""
+        return self._one(cell).calls or self._size.get(cell, 1.0)
+
+    def _part(self, cell: str, now: TrialProgress) -> float:
+        """Part of a trial in flight that is done."""
+        return min(NEARLY, max(now.model_calls / max(1.0, self._work(cell)), now.round / max(1, now.rounds)))
