@@ -33,15 +33,12 @@ FIGURES = (
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
-    """The JSON for a request; None where there is no such run or no such resource.
+    """The JSON for a path such as /data/1/news; None where there is no such run or no such resource.
 
-    Args:
-        library: the runs.
-        path: such as /data/1/news.
-        query: numbers by name; a number that is missing or not valid has its default.
+    A number of the query that is missing or not valid has its default.
     """
     parts = path.strip("/").split("/")
-    run = library.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
+    run = library.runs.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
     if run is None:
         return None
 
@@ -79,21 +76,14 @@ def about(run: Recording) -> dict[str, Any]:
 
 
 def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
-    """What came after the rounds, plans and missions that the page knows, except the robots themselves.
-
-    Args:
-        run: the run.
-        rounds: number of known rounds, the start counted.
-        plans: number of known plans.
-        missions: number of known missions.
-    """
+    """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
     last = run.rounds
     rows = run.rows[rounds : last + 1]
     return {
         "last": last,
         "open": run.open,
         "failure": run.failure,
-        "plans": [_look(number) for number in range(plans, len(run.plan_numbers))],
+        "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
         "missions": [
             {"round": m.round, "text": f"{m.mission['shape']} of {m.mission['n_robots']}"}
             for m in run.missions[missions:]
@@ -121,11 +111,6 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
         "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
         "h": [robot for robot, origin in enumerate(state.origins) if origin in ("shield", "detour", "fallback")],
     }
-
-
-def _look(number: int) -> dict[str, str]:
-    look = plan_look(number)
-    return {"name": look.name, "fill": look.fill, "line": look.line, "ink": look.ink, "rim": look.rim}
 
 
 def _from_above(row: Sequence[float]) -> list[float]:

@@ -39,12 +39,7 @@ def track_of_call(entry: LlmEntry) -> str | None:
 
 
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:
-    """An event as a sentence without its subject.
-
-    Args:
-        event: the event.
-        plan_name: gives the letters that stand for a plan.
-    """
+    """An event as a sentence without its subject; `plan_name` gives the letters that stand for a plan."""
     detail = event.detail
     match event.kind:
         case "proposed":

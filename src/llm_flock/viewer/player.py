@@ -40,11 +40,9 @@ class CanvasElement(Element, component="static/element.js", esm={"llm-flock-view
 
 
 class Player:
-    """Builds the page and keeps its text in step with the cursor.
+    """Builds the page of one run, or of several with one clock, and keeps its text in step with the cursor.
 
-    Args:
-        runs: one run, or several with one clock.
-        controls: builds the controls of runs that can be steering, None where none can.
+    Where runs can be steered, `controls` builds the controls.
     """
 
     def __init__(self, runs: Sequence[Recording], controls: Callable[[], None] | None = None) -> None:
@@ -77,8 +75,6 @@ class Player:
                 self._build_transport()
                 CanvasElement(canvases.timeline(keys)).on("cursor", self._moved)
             ui.timer(REFRESH_S, self._refresh_stale)
-
-    # ---------------------------------------------------------------- elements
 
     def _build_layers(self) -> None:
         with ui.row().classes("flock-layers"):
@@ -146,8 +142,6 @@ class Player:
         for element in self._arenas:
             element.call(name, *arguments)
 
-    # ---------------------------------------------------------------- events from the browser
-
     def _moved(self, event: events.GenericEventArguments) -> None:
         cursor: dict[str, Any] = event.args
         repeated, self._cursor = cursor == self._cursor, cursor
@@ -186,8 +180,6 @@ class Player:
             chosen = [box.value[1] for box in (self._first, self._second) if box.value and box.value[0] == number]
             element.call("select", chosen)
         self._refresh()
-
-    # ---------------------------------------------------------------- text
 
     def _offer_robots(self) -> None:
         """Fill the selection boxes once the team sizes are known."""

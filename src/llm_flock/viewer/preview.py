@@ -21,11 +21,7 @@ def css() -> str:
 
 
 def preview(runs: Sequence[tuple[str, str]]) -> str:
-    """HTML that covers a page with the canvases of one run, or of two, until the page has drawn its own.
-
-    Args:
-        runs: key and title of each.
-    """
+    """HTML that covers a page with the canvases of runs (key and title of each) until the page has drawn its own."""
     arenas = [canvases.arena(key, title) for key, title in runs]
     pair = len(runs) > 1
     figures = "".join(
@@ -46,7 +42,8 @@ def preview(runs: Sequence[tuple[str, str]]) -> str:
 def preview_page(key: str, title: str) -> bytes:
     """A whole page with nothing but the preview; it contains everything but the data of the run."""
     modules = {
-        MODULES if path.stem == "index" else f"{MODULES}/{path.name}": _inline(path)
+        MODULES if path.stem == "index" else f"{MODULES}/{path.name}": "data:text/javascript;base64,"
+        + b64encode(path.read_bytes()).decode()
         for path in sorted(STATIC.glob("*.js"))
     }
     return PAGE.format(
@@ -55,10 +52,6 @@ def preview_page(key: str, title: str) -> bytes:
         css=css(),
         preview=preview([(key, title)]),
     ).encode()
-
-
-def _inline(path: Path) -> str:
-    return "data:text/javascript;base64," + b64encode(path.read_bytes()).decode()
 
 
 PIECE = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -23,11 +24,7 @@ MODELS = (
 
 
 class StartForm:
-    """The form on the page.
-
-    Args:
-        launcher: starts the runs.
-    """
+    """The form on the page."""
 
     def __init__(self, launcher: Launcher) -> None:
         self.launcher = launcher
@@ -43,10 +40,11 @@ class StartForm:
             self._build_fields()
             self._error = ui.label("").classes("flock-error").mark("form-error").props('role="alert"')
             with ui.row():
-                ui.button("Start", icon="flight_takeoff", on_click=self._start).props("no-caps").mark("start")
-                ui.button("Paper against flock, side by side", icon="compare", on_click=self._start_pair).props(
-                    "outline no-caps"
-                ).mark("start-pair")
+                one = partial(self._launch, None, "/run/{}")
+                ui.button("Start", icon="flight_takeoff", on_click=one).props("no-caps").mark("start")
+                pair = partial(self._launch, ("paper", "flock"), "/pair/{}/{}")
+                both = ui.button("Paper against flock, side by side", icon="compare", on_click=pair)
+                both.props("outline no-caps").mark("start-pair")
 
     def _build_words(self) -> None:
         reader = self.launcher.reader
@@ -82,12 +80,10 @@ class StartForm:
             box.disable()
 
     def _build_fields(self) -> None:
-        shapes = {
-            shape.name: f"{shape.name} - {shape.legal}" for shape in formations.shapes() if shape.name != "points"
-        }
+        shapes = [shape.name for shape in formations.shapes() if shape.name != "points"]
         boxes = self._boxes
         with ui.element("div").classes("flock-form"):
-            boxes["shape"] = ui.input("Shape", value="circle", autocomplete=list(shapes))
+            boxes["shape"] = ui.input("Shape", value="circle", autocomplete=shapes)
             boxes["shape"].tooltip("A name from `llm-flock shapes`, such as circle, polygon:5, text:HI")
             boxes["n_robots"] = ui.number("Robots", value=10, precision=0)
             boxes["center"] = ui.input("Centre", value="50, 50")
@@ -123,21 +119,12 @@ class StartForm:
         fields["stop_when_formed"] = not self._on.value
         return fields
 
-    def _pace_value(self) -> float:
-        pace = float(self._pace.value or 0)
-        if not 0.1 <= pace <= 100:
-            raise InputError("rounds a second", pace, "from 0.1 to 100")
-        return pace
-
-    def _start(self) -> None:
-        self._launch(None, "/run/{}")
-
-    def _start_pair(self) -> None:
-        self._launch(("paper", "flock"), "/pair/{}/{}")
-
     def _launch(self, protocols: Sequence[str] | None, address: str) -> None:
         try:
-            started = self.launcher.start(self._values(), pace=self._pace_value(), protocols=protocols)
+            fields, pace = self._values(), float(self._pace.value or 0)
+            if not 0.1 <= pace <= 100:
+                raise InputError("rounds a second", pace, "from 0.1 to 100")
+            started = self.launcher.start(fields, pace=pace, protocols=protocols)
         except FlockError as error:
             self._error.set_text(f"error: {error}")
             return

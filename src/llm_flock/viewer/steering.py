@@ -17,21 +17,13 @@ if TYPE_CHECKING:
     from llm_flock.viewer.swarm import SwarmSource
 
 ReadFields = Callable[[], dict[str, Any]]
-"""Reads the boxes of a form.
-
-Raises:
-    InputError: a box holds something else than it should.
-"""
+"""Reads the boxes of a form; raises InputError where one holds something else than it should."""
 
 GIVEN = "mission given to robot {}; the others hear of it from there"
 
 
 class RunControls:
-    """The tab that steers one run, or several in the same way.
-
-    Args:
-        runs: the runs.
-    """
+    """The tab that steers one run, or several in the same way."""
 
     def __init__(self, runs: Sequence[SteeredRun]) -> None:
         self.runs = runs
