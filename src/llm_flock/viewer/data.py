@@ -24,7 +24,6 @@ FIGURES = (
     "procrustes_mean",
     "plans_in_use",
     "distinct_goals",
-    "robots_at_goal",
     "segment_separation",
     "model_calls",
     "cost_usd",
@@ -50,7 +49,7 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         case "about":
             return to_json(about(run))
         case "news":
-            return to_json(news(run, number("rounds"), number("plans"), number("missions")))
+            return to_json(news(run, number("rounds"), number("plans")))
         case "frames":
             return to_json(frames(run, number("first"), number("count", 1)))
         case _:
@@ -64,19 +63,16 @@ def about(run: Recording) -> dict[str, Any]:
     fields = run.missions[0].mission
     return {
         "ready": True,
-        "key": run.key,
-        "title": run.title,
         "live": run.live,
-        "simulated": run.simulated,
         "robots": run.n_robots,
-        **{name: fields[name] for name in ("safe_distance", "comm_range", "max_step", "spacing")},
+        **{name: fields[name] for name in ("safe_distance", "comm_range")},
         "arena": [list(corner)[:2] for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }
 
 
-def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
-    """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
+def news(run: Recording, rounds: int, plans: int) -> dict[str, Any]:
+    """What came after the rounds (the start counted) and plans that the page knows, except the robots."""
     last = run.rounds
     rows = run.rows[rounds : last + 1]
     return {
@@ -84,10 +80,6 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
         "open": run.open,
         "failure": run.failure,
         "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
-        "missions": [
-            {"round": m.round, "text": f"{m.mission['shape']} of {m.mission['n_robots']}"}
-            for m in run.missions[missions:]
-        ],
         "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
         "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
     }
@@ -104,7 +96,6 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
         "r": state.round,
         "x": [_from_above(row) for row in state.positions],
         "g": [None if row is None else _from_above(row) for row in state.goals],
-        "s": state.slots,
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
         "i": [round(share, 2) for share in state.influence],
         "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],

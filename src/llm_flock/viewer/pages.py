@@ -49,7 +49,7 @@ def framed(title: str, first: str | None = None) -> Generator[None]:
     dark = ui.dark_mode(None)
     with ui.element("header").classes("flock-header"):
         ui.link("LLM-Flock", "/").classes("flock-brand")
-        ui.label(title).classes("flock-title").mark("title")
+        ui.label(title).classes("flock-title")
         ui.element("span").classes("flock-grow")
         yield
         button = ui.button(icon="contrast").props('flat dense round aria-label="Light or dark"')
@@ -149,7 +149,7 @@ def _export_menu(path: Path) -> None:
     kinds = [("Record (MCAP)", RECORD_NAME), ("Figure (PNG)", "snapshots.png"), ("Animation (GIF)", "animation.gif")]
     if shutil.which("ffmpeg"):
         kinds.append(("Animation (MP4)", "animation.mp4"))
-    with ui.button("Export", icon="download").props("flat dense no-caps").mark("export"), ui.menu():
+    with ui.button("Export", icon="download").props("flat dense no-caps"), ui.menu():
         for label, name in kinds:
             ui.menu_item(label, partial(_save, path, name))
 

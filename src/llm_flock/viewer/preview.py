@@ -41,11 +41,10 @@ def preview(runs: Sequence[tuple[str, str]]) -> str:
 
 def preview_page(key: str, title: str) -> bytes:
     """A whole page with nothing but the preview; it contains everything but the data of the run."""
-    modules = {
-        MODULES if path.stem == "index" else f"{MODULES}/{path.name}": "data:text/javascript;base64,"
-        + b64encode(path.read_bytes()).decode()
-        for path in sorted(STATIC.glob("*.js"))
-    }
+    modules: dict[str, str] = {}
+    for path in sorted(STATIC.glob("*.js")):
+        name = MODULES if path.stem == "index" else f"{MODULES}/{path.name}"
+        modules[name] = "data:text/javascript;base64," + b64encode(path.read_bytes()).decode()
     return PAGE.format(
         title=escape(title),
         imports=json.dumps({"imports": modules}),
