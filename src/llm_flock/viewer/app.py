@@ -36,8 +36,8 @@ def run_viewer(
 
     Args:
         address: where.
-        records: files; with `live`, they are still being written.
-        live: see `records`.
+        records: files.
+        live: whether the records are still being written.
         swarm: a swarm to watch.
         runs: folder for the records of runs that are started from the page.
         models: models, other than simulated ones, that runs started from the page may ask.

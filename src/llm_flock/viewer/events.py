@@ -1,10 +1,10 @@
-"""Recorded events and model calls as marks on the timeline, and in words."""
+"""Recorded events as marks on the timeline, and in words."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from llm_flock.record.schema import LlmEntry, ProtocolEvent
+from llm_flock.record.schema import ProtocolEvent
 
 _TRACKS = {
     "proposed": "plans",
@@ -29,13 +29,6 @@ def track_of_event(event: ProtocolEvent) -> str | None:
     if event.kind == "claimed":
         return "swaps" if event.detail.get("before") is not None else None
     return _TRACKS.get(event.kind)
-
-
-def track_of_call(entry: LlmEntry) -> str | None:
-    """The track that marks a model call; None for a call that went well."""
-    if entry.error is not None:
-        return "faults"
-    return "retries" if entry.rejected is not None else None
 
 
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:

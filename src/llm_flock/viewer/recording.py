@@ -23,7 +23,7 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
-from llm_flock.viewer.events import track_of_call, track_of_event
+from llm_flock.viewer.events import track_of_event
 from llm_flock.viz.style import plan_look, rules
 
 logger = logging.getLogger(__name__)
@@ -59,13 +59,10 @@ class Recording:
 
     Another thread may write: entries are only ever appended, and `rounds` is raised last.
 
-    Args:
+    Attributes:
         key: names the run in addresses of pages.
-        title: shown to people.
         path: its record, None without one.
         live: whether the run goes on while it is watched.
-
-    Attributes:
         open: whether more may come.
         failure: why there is nothing (more) to show.
         rounds: last complete round, -1 before the start.
@@ -115,7 +112,10 @@ class Recording:
                     self._events[number].append(listed)
             case LlmEntry():
                 self._calls[entry.round, entry.robot].append(entry)
-                self._mark(entry.round, track_of_call(entry))
+                if entry.error is not None:
+                    self._mark(entry.round, "faults")
+                elif entry.rejected is not None:
+                    self._mark(entry.round, "retries")
             case State():
                 for plan_id in entry.plan_ids:
                     if plan_id is not None:

@@ -92,12 +92,8 @@ def _free(model: str) -> bool:
 class SteeredRun:
     """One simulated run in its own thread, recorded as any other. Orders take effect with the next round.
 
-    Args:
-        config: the run; its `out` is the folder of the record.
-        recording: shows it.
-        pace: rounds a second.
-
     Attributes:
+        pace: rounds a second.
         paused: set it to hold the run before its next round.
         round: the round in flight.
     """

@@ -182,8 +182,12 @@ function mark(surface, shape, x, y, r) {
     flag: [[-0.7, -1.1], [0.9, -0.5], [-0.4, 0.1], [-0.4, 1.1], [-0.7, 1.1]],
   };
   if (shape === "cross") {
-    surface.line([x - r * 0.8, y - r * 0.8], [x + r * 0.8, y + r * 0.8]);
-    surface.line([x + r * 0.8, y - r * 0.8], [x - r * 0.8, y + r * 0.8]);
+    surface.pen.beginPath();
+    for (const side of [-0.8, 0.8]) {
+      surface.pen.moveTo(x + side * r, y - 0.8 * r);
+      surface.pen.lineTo(x - side * r, y + 0.8 * r);
+    }
+    surface.pen.stroke();
     return;
   }
   if (shape === "circle") surface.circle([x, y], r * 0.8);
