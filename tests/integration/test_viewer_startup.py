@@ -95,7 +95,7 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
         waiting.join(10)
         about = body(early[0])
         assert isinstance(about, dict) and about["robots"] == 4 and about["live"] is False
-        news = body(ask(address, "/data/1/news?rounds=0&plans=0"))
+        news = body(ask(address, "/data/1/news?rounds=0&plans=0&missions=0"))
         assert isinstance(news, dict) and news["last"] == 3 and len(news["figures"]["procrustes_mean"]) == 4
         frames = body(ask(address, "/data/1/frames?first=1&count=2"))
         assert isinstance(frames, list) and [frame["r"] for frame in frames] == [1, 2]

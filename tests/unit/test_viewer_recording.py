@@ -27,14 +27,15 @@ def replayed(path: Path) -> Recording:
 def test_a_record_is_shown_whole(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=4))
     assert (run.rounds, run.open, run.failure, run.n_robots) == (4, False, None, 5)
-    newest = news(run, 0, 0)
+    newest = news(run, 0, 0, 0)
     assert newest["last"] == 4 and len(newest["plans"]) == 5 and len(newest["figures"]["procrustes_mean"]) == 5
     assert newest["marks"]["1"] == {"plans": 5}
     some = frames(run, 3, 100)
     assert [frame["r"] for frame in some] == [3, 4]
     assert len(some[0]["x"]) == 5 and some[1]["p"] == [0] * 5
-    assert news(run, 5, 5) == newest | {
+    assert news(run, 5, 5, 1) == newest | {
         "plans": [],
+        "missions": [],
         "figures": {name: [] for name in newest["figures"]},
         "marks": {},
     }
@@ -139,7 +140,7 @@ def test_a_live_run_shows_no_half_round(tmp_path: Path) -> None:
         fake.write(writer, finish=False)
         writer.write(ProtocolEvent(round=2, comm_round=0, robot=0, kind="killed", detail={}))
         run = replayed(tmp_path / "run.mcap")
-    assert run.rounds == 1 and "2" not in news(run, 0, 0)["marks"]
+    assert run.rounds == 1 and "2" not in news(run, 0, 0, 0)["marks"]
 
 
 def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_path: Path) -> None:
@@ -148,5 +149,5 @@ def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_pa
     run.write(BodySample(round=2, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[3.9], link=[1.0]))
     for robot, kind in ((1, "aloft"), (1, "link_lost"), (None, "abort")):
         run.write(FlightEvent(round=2, time_s=1.0, kind=kind, robot=robot, detail={}))
-    assert news(run, 0, 0)["marks"]["2"]["faults"] == 2
+    assert news(run, 0, 0, 0)["marks"]["2"]["faults"] == 2
     assert [event.kind for event in run.events(2) if event.robot == 1][-2:] == ["aloft", "link_lost"]

@@ -49,7 +49,7 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         case "about":
             return to_json(about(run))
         case "news":
-            return to_json(news(run, number("rounds"), number("plans")))
+            return to_json(news(run, number("rounds"), number("plans"), number("missions")))
         case "frames":
             return to_json(frames(run, number("first"), number("count", 1)))
         case _:
@@ -71,8 +71,8 @@ def about(run: Recording) -> dict[str, Any]:
     }
 
 
-def news(run: Recording, rounds: int, plans: int) -> dict[str, Any]:
-    """What came after the rounds (the start counted) and plans that the page knows, except the robots."""
+def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
+    """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
     last = run.rounds
     rows = run.rows[rounds : last + 1]
     return {
@@ -80,6 +80,10 @@ def news(run: Recording, rounds: int, plans: int) -> dict[str, Any]:
         "open": run.open,
         "failure": run.failure,
         "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
+        "missions": [
+            {"round": m.round, "text": f"{m.mission['shape']} of {m.mission['n_robots']}"}
+            for m in run.missions[missions:]
+        ],
         "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
         "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
     }

@@ -35,6 +35,7 @@ export class Recording {
     this.fresh = true;
     this.failure = null;
     this.plans = [];
+    this.missions = [];
     this.marks = new Map();
     this.figures = {};
     this.frames = new Map();
@@ -62,7 +63,8 @@ export class Recording {
           if (about.ready) this.about = about;
           else this.failure = about.failure;
         }
-        if (this.about) this.take(await this.get(`news?rounds=${this.last + 1}&plans=${this.plans.length}`));
+        const known = `rounds=${this.last + 1}&plans=${this.plans.length}&missions=${this.missions.length}`;
+        if (this.about) this.take(await this.get(`news?${known}`));
         else this.grown();
       } catch (error) {
         if (!(error instanceof TypeError)) this.failure = String(error.message || error);
@@ -76,6 +78,7 @@ export class Recording {
 
   take(news) {
     this.plans.push(...news.plans);
+    this.missions.push(...news.missions);
     for (const [name, values] of Object.entries(news.figures)) (this.figures[name] ||= new Column()).push(values);
     for (const [round, counts] of Object.entries(news.marks)) this.marks.set(Number(round), counts);
     const grew = news.last > this.last || news.open !== this.open || news.failure !== this.failure;
