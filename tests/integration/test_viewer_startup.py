@@ -90,7 +90,7 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
         waiting.join(0.3)
         assert waiting.is_alive(), "data that is not known yet is waited for"
         library = Library()
-        load(record, library.add("one", record, live=False), live=False)
+        load(library.add("one", record, live=False))
         address.startup.answer_data(partial(answer, library))
         waiting.join(10)
         about = body(early[0])
@@ -120,7 +120,7 @@ def test_no_other_sites_page_is_shown_the_run(tmp_path: Path, host: str | None, 
     record = make_record(tmp_path / "run.mcap", n=4, rounds=3)
     address = listen("127.0.0.1", 0, None)
     library = Library()
-    load(record, library.add("one", record), live=False)
+    load(library.add("one", record, live=False))
     address.startup.show(preview_page("1", "one"), address.hosts)
     address.startup.answer_data(partial(answer, library))
     try:

@@ -34,7 +34,12 @@ def ended(flight: SteeredRun) -> RunRecord:
     flight.end()
     until(lambda: flight.over and not flight.recording.open)
     assert flight.recording.failure is None
-    return read_record(flight.path)
+    return record_of(flight)
+
+
+def record_of(flight: SteeredRun) -> RunRecord:
+    assert flight.recording.path is not None
+    return read_record(flight.recording.path)
 
 
 def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -> None:
@@ -88,14 +93,14 @@ def test_a_run_without_orders_is_the_run_of_the_command_line(tmp_path: Path) -> 
     _, flight = launched(tmp_path, rounds=8)
     until(lambda: flight.over and not flight.recording.open)
     again = run(config=flight.config.model_copy(update={"trial": flight.config.trial.model_copy(update={"out": None})}))
-    assert (read_record(flight.path).positions[-1] == again.positions[-1]).all()
+    assert (record_of(flight).positions[-1] == again.positions[-1]).all()
 
 
 def test_two_protocols_start_from_the_same_places(tmp_path: Path) -> None:
     launcher = Launcher(Library(), tmp_path)
     pair = launcher.start({**FIELDS, "rounds": 3}, pace=100.0, protocols=("paper", "flock"))
     until(lambda: all(flight.over and not flight.recording.open for flight in pair))
-    one, other = (read_record(flight.path) for flight in pair)
+    one, other = (record_of(flight) for flight in pair)
     assert (one.positions[0] == other.positions[0]).all()
     assert one.run.config["protocol"]["assignment"] == "nearest"
 

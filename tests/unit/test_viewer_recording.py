@@ -19,8 +19,8 @@ from llm_flock.viewer.recording import Recording
 
 
 def replayed(path: Path) -> Recording:
-    run = Library().add("test", path)
-    load(path, run, live=False)
+    run = Library().add("test", path, live=False)
+    load(run)
     return run
 
 
@@ -89,8 +89,8 @@ def test_records_are_found_where_they_are_named(tmp_path: Path) -> None:
 def test_keys_are_all_that_a_page_can_name() -> None:
     library = Library()
     library.add("a")
-    assert library.get("1") is not None
-    assert library.get("../../etc/passwd") is None and library.get("2") is None
+    assert library.runs.get("1") is not None
+    assert library.runs.get("../../etc/passwd") is None and library.runs.get("2") is None
 
 
 def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:

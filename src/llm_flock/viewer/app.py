@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from llm_flock.errors import InputError
 from llm_flock.viewer.data import answer
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.paths import title_of
 from llm_flock.viewer.recording import Recording
-from llm_flock.viewer.server import Address, serve
+from llm_flock.viewer.server import Address
 from llm_flock.viewer.startup import OPEN
 
 if TYPE_CHECKING:
@@ -22,64 +22,81 @@ if TYPE_CHECKING:
     from llm_flock.runtime.network.config import SwarmConfig
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewerOptions:
-    """What a viewer shows and may do.
-
-    Attributes:
-        records: files.
-        live: whether the records are still being written.
-        swarm: a swarm to watch, None for none.
-        runs: folder for the records of runs that are started from the page.
-        models: models, other than simulated ones, that runs started from the page may ask.
-        base_url: address that replaces the provider's own.
-    """
-
-    records: Sequence[Path] = ()
-    live: bool = False
-    swarm: SwarmConfig | None = None
-    runs: Path = Path("runs")
-    models: Sequence[str] = ()
-    base_url: str | None = None
-
-
-def run_viewer(address: Address, options: ViewerOptions) -> None:
+def run_viewer(
+    address: Address,
+    *,
+    records: Sequence[Path],
+    live: bool,
+    swarm: SwarmConfig | None,
+    runs: Path,
+    models: Sequence[str],
+    base_url: str | None,
+) -> None:
     """Serve the viewer until the process is told to end.
 
     Args:
         address: where.
-        options: what it shows and may do.
+        records: files.
+        live: whether the records are still being written.
+        swarm: a swarm to watch.
+        runs: folder for the records of runs that are started from the page.
+        models: models, other than simulated ones, that runs started from the page may ask.
+        base_url: address that replaces the provider's own.
 
     Raises:
         InputError: a model cannot be asked, or NiceGUI is missing.
     """
     library = Library()
-    found = [(path, library.add(title_of(path), path, live=options.live)) for path in options.records]
-    threading.Thread(target=_load_all, args=(found,), kwargs={"live": options.live}, daemon=True).start()
+    found = [library.add(title_of(path), path, live=live) for path in records]
+    # Growing records are read at the same time, finished ones one after another.
+    for batch in [[run] for run in found] if live else [found]:
+        threading.Thread(target=_load_all, args=(batch,), daemon=True).start()
     address.startup.answer_data(partial(answer, library))
-    serve(address, partial(_build, library, options))
-
-
-def _build(library: Library, options: ViewerOptions, app: FastAPI) -> Callable[[], None]:
-    """Register data and pages; returns what runs beside the server. It loads the heavy libraries, so it comes last."""
+    # The heavy libraries come last: the startup server answers meanwhile.
+    try:
+        import uvicorn
+        from fastapi import FastAPI
+        from nicegui import ui
+    except ImportError as error:
+        allowed = f'the viewer\'s libraries ({error.name} is missing): pip install "llm-flock[view]"'
+        raise InputError("view", "not installed", allowed) from None
+    from llm_flock.viewer.guard import RequestGuard
     from llm_flock.viewer.launcher import Launcher
     from llm_flock.viewer.pages import Pages
 
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.add_middleware(RequestGuard, hosts=address.hosts, token=address.token)
     _serve_data(app, library)
-    reader = None
-    if options.models:
+    reader = source = None
+    if models:
         from llm_flock.viewer.mission_text import MissionReader
 
-        reader = MissionReader(options.models[0], options.base_url)
-    launcher = Launcher(library, options.runs, options.models, options.base_url, reader)
-    if options.swarm is None:
-        Pages(library, launcher).register()
-        return lambda: None
-    from llm_flock.viewer.swarm import SwarmSource
+        reader = MissionReader(models[0], base_url)
+    if swarm is not None:
+        from llm_flock.viewer.swarm import SwarmSource
 
-    swarm = SwarmSource(options.swarm, library.add(f"swarm {options.swarm.network.swarm}"))
-    Pages(library, launcher, swarm).register()
-    return swarm.watch
+        source = SwarmSource(swarm, library.add(f"swarm {swarm.network.swarm}"))
+    Pages(library, Launcher(library, runs, models, base_url, reader), source).register()
+    ui.run_with(  # pyright: ignore[reportUnknownMemberType]
+        app,
+        title="LLM-Flock",
+        dark=None,
+        language="en-US",
+        tailwind=False,
+        show_welcome_message=False,
+        reconnect_timeout=10.0,
+        binding_refresh_interval=None,
+    )
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
+    if source is not None:
+        threading.Thread(target=source.watch, daemon=True).start()
+    address.startup.stop()
+    server.run(sockets=[address.sock])
+
+
+def _load_all(runs: Sequence[Recording]) -> None:
+    for run in runs:
+        load(run)
 
 
 def _serve_data(app: FastAPI, library: Library) -> None:
@@ -100,12 +117,3 @@ def _serve_data(app: FastAPI, library: Library) -> None:
 
     app.add_route(OPEN, is_open)
     app.add_route("/data/{key}/{what}", data)
-
-
-def _load_all(found: Sequence[tuple[Path, Recording]], *, live: bool) -> None:
-    """Read finished records one after another, growing ones at the same time."""
-    for path, run in found:
-        if live:
-            threading.Thread(target=load, args=(path, run), kwargs={"live": True}, daemon=True).start()
-        else:
-            load(path, run, live=False)

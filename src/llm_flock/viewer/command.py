@@ -68,7 +68,7 @@ def view(
     """
     from llm_flock.viewer.paths import FIRST_KEY, RECORD_NAME, newest_in, records_in, title_of
     from llm_flock.viewer.preview import preview_page
-    from llm_flock.viewer.server import listen, open_browser
+    from llm_flock.viewer.server import listen
 
     found = list(records or [])
     if live:
@@ -87,13 +87,15 @@ def view(
     typer.echo(address.url)
     typer.echo("Ctrl-C ends the viewer", err=True)
     if browser:
-        open_browser(address)
+        import threading
+        import webbrowser
+
+        threading.Thread(target=webbrowser.open, args=(address.url,), daemon=True).start()
     # The heavy libraries come last: the browser starts meanwhile, and the startup server answers it.
-    from llm_flock.viewer.app import ViewerOptions, run_viewer
+    from llm_flock.viewer.app import run_viewer
 
     models = tuple(model or ())
-    options = ViewerOptions(records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url)
-    run_viewer(address, options)
+    run_viewer(address, records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url)
 
 
 def main() -> None:

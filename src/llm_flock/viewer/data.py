@@ -24,7 +24,6 @@ FIGURES = (
     "procrustes_mean",
     "plans_in_use",
     "distinct_goals",
-    "robots_at_goal",
     "segment_separation",
     "model_calls",
     "cost_usd",
@@ -33,15 +32,12 @@ FIGURES = (
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
-    """The JSON for a request; None where there is no such run or no such resource.
+    """The JSON for a path such as /data/1/news; None where there is no such run or no such resource.
 
-    Args:
-        library: the runs.
-        path: such as /data/1/news.
-        query: numbers by name; a number that is missing or not valid has its default.
+    A number of the query that is missing or not valid has its default.
     """
     parts = path.strip("/").split("/")
-    run = library.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
+    run = library.runs.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
     if run is None:
         return None
 
@@ -67,33 +63,23 @@ def about(run: Recording) -> dict[str, Any]:
     fields = run.missions[0].mission
     return {
         "ready": True,
-        "key": run.key,
-        "title": run.title,
         "live": run.live,
-        "simulated": run.simulated,
         "robots": run.n_robots,
-        **{name: fields[name] for name in ("safe_distance", "comm_range", "max_step", "spacing")},
+        **{name: fields[name] for name in ("safe_distance", "comm_range")},
         "arena": [list(corner)[:2] for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }
 
 
 def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
-    """What came after the rounds, plans and missions that the page knows, except the robots themselves.
-
-    Args:
-        run: the run.
-        rounds: number of known rounds, the start counted.
-        plans: number of known plans.
-        missions: number of known missions.
-    """
+    """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
     last = run.rounds
     rows = run.rows[rounds : last + 1]
     return {
         "last": last,
         "open": run.open,
         "failure": run.failure,
-        "plans": [_look(number) for number in range(plans, len(run.plan_numbers))],
+        "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
         "missions": [
             {"round": m.round, "text": f"{m.mission['shape']} of {m.mission['n_robots']}"}
             for m in run.missions[missions:]
@@ -114,18 +100,12 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
         "r": state.round,
         "x": [_from_above(row) for row in state.positions],
         "g": [None if row is None else _from_above(row) for row in state.goals],
-        "s": state.slots,
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
         "i": [round(share, 2) for share in state.influence],
         "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],
         "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
         "h": [robot for robot, origin in enumerate(state.origins) if origin in ("shield", "detour", "fallback")],
     }
-
-
-def _look(number: int) -> dict[str, str]:
-    look = plan_look(number)
-    return {"name": look.name, "fill": look.fill, "line": look.line, "ink": look.ink, "rim": look.rim}
 
 
 def _from_above(row: Sequence[float]) -> list[float]:

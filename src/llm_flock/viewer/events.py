@@ -1,10 +1,10 @@
-"""Recorded events and model calls as marks on the timeline, and in words."""
+"""Recorded events as marks on the timeline, and in words."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from llm_flock.record.schema import LlmEntry, ProtocolEvent
+from llm_flock.record.schema import ProtocolEvent
 
 _TRACKS = {
     "proposed": "plans",
@@ -31,20 +31,8 @@ def track_of_event(event: ProtocolEvent) -> str | None:
     return _TRACKS.get(event.kind)
 
 
-def track_of_call(entry: LlmEntry) -> str | None:
-    """The track that marks a model call; None for a call that went well."""
-    if entry.error is not None:
-        return "faults"
-    return "retries" if entry.rejected is not None else None
-
-
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:
-    """An event as a sentence without its subject.
-
-    Args:
-        event: the event.
-        plan_name: gives the letters that stand for a plan.
-    """
+    """An event as a sentence without its subject; `plan_name` gives the letters that stand for a plan."""
     detail = event.detail
     match event.kind:
         case "proposed":

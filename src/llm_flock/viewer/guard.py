@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Iterable
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qsl, urlencode
 
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -57,8 +57,7 @@ class RequestGuard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        refused = self._refused(scope, headers)
+        refused = self._refused(HTTPConnection(scope))
         if refused is None:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
@@ -67,7 +66,8 @@ class RequestGuard:
         else:
             await refused(scope, receive, _with_headers(send))
 
-    def _refused(self, scope: Scope, headers: dict[str, str]) -> Response | None:
+    def _refused(self, asked: HTTPConnection) -> Response | None:
+        scope, headers = asked.scope, asked.headers
         host = headers.get("host", "").lower()
         if self._hosts and host not in self._hosts:
             return PlainTextResponse("unknown host", status_code=421)
@@ -78,13 +78,15 @@ class RequestGuard:
             return PlainTextResponse("no origin", status_code=403)
         if self._token is None:
             return None
-        if self._is_token(_cookie(headers.get("cookie", ""), COOKIE)):
+        if self._is_token(asked.cookies.get(COOKIE)):
             return None
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(dict(query).get("token")):
             rest = urlencode([(name, value) for name, value in query if name != "token"])
+            # Two slashes at the beginning of a path would name another server.
+            path = "/" + scope["path"].lstrip("/\\")
             # Addresses are copied, logged and kept in histories, so the token is taken out of this one.
-            answer = RedirectResponse(_local(scope["path"]) + (f"?{rest}" if rest else ""), status_code=303)
+            answer = RedirectResponse(path + (f"?{rest}" if rest else ""), status_code=303)
             answer.set_cookie(COOKIE, self._token, httponly=True, samesite="strict", path="/")
             return answer
         return PlainTextResponse("This viewer needs the address with its token, as the command printed it.", 401)
@@ -93,19 +95,6 @@ class RequestGuard:
         return (
             given is not None and self._token is not None and hmac.compare_digest(given.encode(), self._token.encode())
         )
-
-
-def _local(path: str) -> str:
-    """A path of this server: two slashes at its beginning would name another one."""
-    return "/" + path.lstrip("/\\")
-
-
-def _cookie(text: str, name: str) -> str | None:
-    try:
-        found = SimpleCookie(text).get(name)
-    except CookieError:
-        return None
-    return None if found is None else found.value
 
 
 def _with_headers(send: Send) -> Send:

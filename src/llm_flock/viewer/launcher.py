@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
 from llm_flock.viewer.library import Library
+from llm_flock.viewer.paths import RECORD_NAME
 
 if TYPE_CHECKING:
     from llm_flock.runtime.config import RunConfig
@@ -26,15 +27,13 @@ MOST_RUNS = 4
 
 @dataclass(slots=True)
 class Launcher:
-    """Starts runs, and knows those that it started.
+    """Starts runs, and knows those that it started, by key.
 
     Attributes:
-        library: takes the runs.
         folder: folder for their records.
-        models: models that cost money or reach out, and that the operator allowed; the first one reads plain words.
+        models: models that cost money or reach out, and that the operator allowed.
         base_url: address that replaces the provider's own.
-        reader: reads plain words, None without a model.
-        runs: runs by key.
+        reader: reads missions in plain words, None without a model.
     """
 
     library: Library
@@ -47,25 +46,16 @@ class Launcher:
     def start(self, fields: dict[str, Any], *, pace: float, protocols: Sequence[str] | None = None) -> list[SteeredRun]:
         """Start a run, or the same run with each of several protocols; nothing starts unless all of them can.
 
-        Args:
-            fields: values of the form, by field name.
-            pace: rounds a second.
-            protocols: presets that replace the form's; one run with the form's own if left out.
+        The fields are the form's, by name; the pace is in rounds a second.
 
         Raises:
             InputError: a value is not allowed, or too many runs fly already.
         """
-        chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
-        configs = [self._config(each) for each in chosen]
-        return [self._launch(config, pace) for config in configs]
-
-    def _config(self, fields: dict[str, Any]) -> RunConfig:
         from llm_flock.viewer.steered_run import config_of
 
-        config = config_of(fields, self.models)
-        if config.model.model not in self.models:
-            return config
-        return config.model_copy(update={"model": config.model.model_copy(update={"base_url": self.base_url})})
+        chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
+        configs = [config_of(each, self.models) for each in chosen]
+        return [self._launch(config, pace) for config in configs]
 
     def _launch(self, config: RunConfig, pace: float) -> SteeredRun:
         from llm_flock.viewer.steered_run import SteeredRun
@@ -76,9 +66,13 @@ class Launcher:
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
         shape = re.sub(r"[^A-Za-z0-9]", "", mission.shape.split(":")[0])
         out = self.folder / f"{stamp}-{shape}-{mission.n_robots}-{protocol}"
-        config = config.model_copy(update={"trial": config.trial.model_copy(update={"out": str(out)})})
+        model = config.model
+        if model.model in self.models:
+            model = model.model_copy(update={"base_url": self.base_url})
+        trial = config.trial.model_copy(update={"out": str(out)})
+        config = config.model_copy(update={"model": model, "trial": trial})
         title = f"{mission.shape} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
-        recording = self.library.add(title, out / "run.mcap")
+        recording = self.library.add(title, out / RECORD_NAME)
         run = self.runs[recording.key] = SteeredRun(config, recording, pace)
         run.start()
         return run

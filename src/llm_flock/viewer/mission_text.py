@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
+from llm_flock.llm.limits import CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.providers import parse_base_urls, parse_model
@@ -37,25 +36,15 @@ class MissionAnswer(BaseModel):
     spacing: Finite | None = Field(default=None, description="Distance between neighbours")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissionDraft:
-    """A mission as the model understood it, not yet confirmed.
-
-    Attributes:
-        fields: values by field name.
-        in_words: the same for people.
-    """
+class MissionDraft(NamedTuple):
+    """A mission as the model understood it, not yet confirmed: values by field name, and the same for people."""
 
     fields: Mapping[str, Any]
     in_words: str
 
 
 class MissionReader:
-    """Turns plain words into a mission draft by asking a model.
-
-    Args:
-        model: `provider:model`.
-        base_url: address that replaces the provider's own.
+    """Turns plain words into a mission draft by asking a model, `provider:model`.
 
     Raises:
         InputError: the model cannot be asked: unknown, a stand-in, or without a key.
@@ -67,12 +56,7 @@ class MissionReader:
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(
-            max_concurrent=1,
-            timeout_s=TIMEOUT_S,
-            retry=RetryPolicy(max_tries=3),
-            meter=BudgetMeter(Budget()),
-            gate=None,
-            rng=np.random.default_rng(0),
+            max_concurrent=1, timeout_s=TIMEOUT_S, retry=RetryPolicy(max_tries=3), rng=np.random.default_rng(0)
         )
 
     async def read(self, text: str) -> MissionDraft:
@@ -117,7 +101,7 @@ def draft_of(answer: str) -> MissionDraft:
     mission = build_mission(**fields)
     center = ", ".join(f"{part:g}" for part in mission.center)
     words = f"{mission.n_robots} robots · {mission.shape} · centre {center} · {mission.spacing:g} units apart"
-    return MissionDraft(fields=fields, in_words=words)
+    return MissionDraft(fields, words)
 
 
 INSTRUCTION = """\

@@ -16,6 +16,7 @@ from nicegui import run, ui
 
 from llm_flock.errors import FlockError
 from llm_flock.viewer.library import Library
+from llm_flock.viewer.paths import RECORD_NAME
 from llm_flock.viewer.player import Player
 from llm_flock.viewer.preview import css, preview
 from llm_flock.viewer.recording import Recording
@@ -40,9 +41,7 @@ body:has(#app > *) #flock-shell {{ display: none; }}
 def framed(title: str, first: str | None = None) -> Generator[None]:
     """The header of a page; elements that are made inside become buttons and links of the header.
 
-    Args:
-        title: shown to people.
-        first: HTML that is painted while the page's scripts load; the title where None.
+    While the page's scripts load, `first` is painted, or the title where it is None.
     """
     ui.add_css(css())
     ui.page_title(f"{title} · LLM-Flock")
@@ -50,7 +49,7 @@ def framed(title: str, first: str | None = None) -> Generator[None]:
     dark = ui.dark_mode(None)
     with ui.element("header").classes("flock-header"):
         ui.link("LLM-Flock", "/").classes("flock-brand")
-        ui.label(title).classes("flock-title").mark("title")
+        ui.label(title).classes("flock-title")
         ui.element("span").classes("flock-grow")
         yield
         button = ui.button(icon="contrast").props('flat dense round aria-label="Light or dark"')
@@ -62,13 +61,7 @@ def framed(title: str, first: str | None = None) -> Generator[None]:
 
 
 class Pages:
-    """Builds the pages.
-
-    Args:
-        library: the runs.
-        launcher: starts runs.
-        swarm: the swarm that is watched, None without one.
-    """
+    """Builds the pages; `swarm` is the one that is watched, None without one."""
 
     def __init__(self, library: Library, launcher: Launcher, swarm: SwarmSource | None = None) -> None:
         self.library = library
@@ -124,7 +117,7 @@ class Pages:
             StartForm(self.launcher).build()
 
     def _found(self, key: str) -> Recording:
-        run = self.library.get(key)
+        run = self.library.runs.get(key)
         if run is None:
             raise HTTPException(404, "no such run")
         return run
@@ -133,8 +126,8 @@ class Pages:
         with framed(" and ".join(run.title for run in runs), preview([(run.key, run.title) for run in runs])):
             ui.link("Runs", "/runs")
             ui.link("Cockpit", "/cockpit")
-            if len(runs) == 1 and runs[0].key in self.library.paths:
-                _export_menu(self.library.paths[runs[0].key])
+            if len(runs) == 1 and runs[0].path is not None:
+                _export_menu(runs[0].path)
         Player(runs, self._controls(runs)).build()
 
     def _controls(self, runs: Sequence[Recording]) -> Callable[[], None] | None:
@@ -153,22 +146,18 @@ class Pages:
 
 def _export_menu(path: Path) -> None:
     """A button with everything that can be saved of a record."""
-    kinds: list[tuple[str, str, Callable[[Path], bytes]]] = [
-        ("Record (MCAP)", "run.mcap", Path.read_bytes),
-        ("Figure (PNG)", "snapshots.png", _figure),
-        ("Animation (GIF)", "animation.gif", partial(_animation, ending=".gif")),
-    ]
+    kinds = [("Record (MCAP)", RECORD_NAME), ("Figure (PNG)", "snapshots.png"), ("Animation (GIF)", "animation.gif")]
     if shutil.which("ffmpeg"):
-        kinds.append(("Animation (MP4)", "animation.mp4", partial(_animation, ending=".mp4")))
-    with ui.button("Export", icon="download").props("flat dense no-caps").mark("export"), ui.menu():
-        for label, name, make in kinds:
-            ui.menu_item(label, partial(_save, path, name, make))
+        kinds.append(("Animation (MP4)", "animation.mp4"))
+    with ui.button("Export", icon="download").props("flat dense no-caps"), ui.menu():
+        for label, name in kinds:
+            ui.menu_item(label, partial(_save, path, name))
 
 
-async def _save(path: Path, name: str, make: Callable[[Path], bytes]) -> None:
-    note = ui.notification("drawing …", spinner=True, timeout=None) if make is not Path.read_bytes else None
+async def _save(path: Path, name: str) -> None:
+    note = None if name == RECORD_NAME else ui.notification("drawing …", spinner=True, timeout=None)
     try:
-        content = await run.io_bound(make, path)
+        content = await run.io_bound(_exported, path, name)
     except (FlockError, OSError) as error:
         ui.notify(f"error: {error}", type="negative")
         return
@@ -179,21 +168,18 @@ async def _save(path: Path, name: str, make: Callable[[Path], bytes]) -> None:
         ui.download.content(content, name)
 
 
-def _figure(record: Path) -> bytes:
+def _exported(record: Path, name: str) -> bytes:
+    """The record itself, or what is drawn from it."""
+    if name == RECORD_NAME:
+        return record.read_bytes()
     from llm_flock.record.reader import read_record
     from llm_flock.viz import figures
-
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "figure.png"
-        figures.save(figures.snapshots(read_record(record), None), target)
-        return target.read_bytes()
-
-
-def _animation(record: Path, *, ending: str) -> bytes:
-    from llm_flock.record.reader import read_record
     from llm_flock.viz.animation import animate
 
     with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / f"animation{ending}"
-        animate(read_record(record), target)
+        target = Path(folder) / name
+        if target.suffix == ".png":
+            figures.save(figures.snapshots(read_record(record)), target)
+        else:
+            animate(read_record(record), target)
         return target.read_bytes()

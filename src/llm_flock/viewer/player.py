@@ -40,11 +40,9 @@ class CanvasElement(Element, component="static/element.js", esm={"llm-flock-view
 
 
 class Player:
-    """Builds the page and keeps its text in step with the cursor.
+    """Builds the page of one run, or of several with one clock, and keeps its text in step with the cursor.
 
-    Args:
-        runs: one run, or several with one clock.
-        controls: builds the controls of runs that can be steering, None where none can.
+    Where runs can be steered, `controls` builds the controls.
     """
 
     def __init__(self, runs: Sequence[Recording], controls: Callable[[], None] | None = None) -> None:
@@ -67,7 +65,7 @@ class Player:
                         with ui.element("figure").classes("flock-arena"):
                             if len(keys) > 1:
                                 ui.label(run.title).classes("flock-caption")
-                            element = CanvasElement(canvases.arena(run.key, run.title)).mark(f"arena-{run.key}")
+                            element = CanvasElement(canvases.arena(run.key, run.title))
                             element.on("select", lambda event, k=number: self._picked(k, event))
                             self._arenas.append(element)
                     self._build_zoom()
@@ -77,8 +75,6 @@ class Player:
                 self._build_transport()
                 CanvasElement(canvases.timeline(keys)).on("cursor", self._moved)
             ui.timer(REFRESH_S, self._refresh_stale)
-
-    # ---------------------------------------------------------------- elements
 
     def _build_layers(self) -> None:
         with ui.row().classes("flock-layers"):
@@ -112,11 +108,11 @@ class Player:
                     self._second.props("dense outlined options-dense")
                     for box in (self._first, self._second):
                         box.on_value_change(self._chosen)
-                self._words = ui.element("div").classes("flock-minds").mark("minds")
+                self._words = ui.element("div").classes("flock-minds")
             with ui.tab_panel(plots).classes("flock-panel flock-plots"):
                 CanvasElement(canvases.plots(keys))
             with ui.tab_panel(happened).classes("flock-panel"):
-                self._events = ui.element("div").mark("events")
+                self._events = ui.element("div")
             if self._controls is not None and steering is not None:
                 with ui.tab_panel(steering).classes("flock-panel"):
                     self._controls()
@@ -130,23 +126,21 @@ class Player:
         with ui.row().classes("flock-transport"):
             button("skip_previous", "To the start (Home)", "seek(0)")
             button("chevron_left", "One round back (left arrow)", "step(-1)")
-            self._play = button("play_arrow", "Play or pause (space)", "toggle()").mark("play")
+            self._play = button("play_arrow", "Play or pause (space)", "toggle()")
             button("chevron_right", "One round on (right arrow)", "step(1)")
             button("skip_next", "To the end (End)", "live()")
             speed = ui.select(SPEEDS, value=4, label="Speed").props("dense outlined options-dense")
             speed.classes("flock-speed").on_value_change(
                 lambda event: ui.run_javascript(f"{CLOCK}.speed = {float(event.value)}")
             )
-            self._simulated = ui.badge("simulated language models", color="grey-8").mark("simulated")
+            self._simulated = ui.badge("simulated language models", color="grey-8")
             self._simulated.set_visibility(False)
-            self._where = ui.label("round 0").classes("flock-where").mark("where").props('aria-live="polite"')
-            self._state = ui.badge("").classes("flock-state").mark("state")
+            self._where = ui.label("round 0").classes("flock-where").props('aria-live="polite"')
+            self._state = ui.badge("").classes("flock-state")
 
     def _call_arenas(self, name: str, *arguments: Any) -> None:
         for element in self._arenas:
             element.call(name, *arguments)
-
-    # ---------------------------------------------------------------- events from the browser
 
     def _moved(self, event: events.GenericEventArguments) -> None:
         cursor: dict[str, Any] = event.args
@@ -186,8 +180,6 @@ class Player:
             chosen = [box.value[1] for box in (self._first, self._second) if box.value and box.value[0] == number]
             element.call("select", chosen)
         self._refresh()
-
-    # ---------------------------------------------------------------- text
 
     def _offer_robots(self) -> None:
         """Fill the selection boxes once the team sizes are known."""

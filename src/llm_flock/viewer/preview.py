@@ -21,11 +21,7 @@ def css() -> str:
 
 
 def preview(runs: Sequence[tuple[str, str]]) -> str:
-    """HTML that covers a page with the canvases of one run, or of two, until the page has drawn its own.
-
-    Args:
-        runs: key and title of each.
-    """
+    """HTML that covers a page with the canvases of runs (key and title of each) until the page has drawn its own."""
     arenas = [canvases.arena(key, title) for key, title in runs]
     pair = len(runs) > 1
     figures = "".join(
@@ -45,20 +41,16 @@ def preview(runs: Sequence[tuple[str, str]]) -> str:
 
 def preview_page(key: str, title: str) -> bytes:
     """A whole page with nothing but the preview; it contains everything but the data of the run."""
-    modules = {
-        MODULES if path.stem == "index" else f"{MODULES}/{path.name}": _inline(path)
-        for path in sorted(STATIC.glob("*.js"))
-    }
+    modules: dict[str, str] = {}
+    for path in sorted(STATIC.glob("*.js")):
+        name = MODULES if path.stem == "index" else f"{MODULES}/{path.name}"
+        modules[name] = "data:text/javascript;base64," + b64encode(path.read_bytes()).decode()
     return PAGE.format(
         title=escape(title),
         imports=json.dumps({"imports": modules}),
         css=css(),
         preview=preview([(key, title)]),
     ).encode()
-
-
-def _inline(path: Path) -> str:
-    return "data:text/javascript;base64," + b64encode(path.read_bytes()).decode()
 
 
 PIECE = """

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from llm_flock.record.schema import (
@@ -21,8 +23,10 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
-from llm_flock.viewer.events import track_of_call, track_of_event
-from llm_flock.viz.style import plan_look
+from llm_flock.viewer.events import track_of_event
+from llm_flock.viz.style import plan_look, rules
+
+logger = logging.getLogger(__name__)
 
 ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "landed"})
 """Flight events that belong to every flight."""
@@ -37,15 +41,9 @@ class PlanOrigin(NamedTuple):
 
 
 class HeardClaim(NamedTuple):
-    """What a robot within radio range claims.
+    """What a robot within radio range claims; a rival claims the same slot of the same plan as the listener.
 
-    Attributes:
-        robot: the robot that claims.
-        plan: letters of its plan.
-        slot: its slot in the plan, None without one.
-        influence: share of the team that hears it.
-        distance: its distance [units].
-        rival: whether it claims the same slot of the same plan as the listening robot.
+    `influence` is the share of the team that hears it, `distance` its distance from the listener [units].
     """
 
     robot: int
@@ -61,22 +59,21 @@ class Recording:
 
     Another thread may write: entries are only ever appended, and `rounds` is raised last.
 
-    Args:
-        key: names the run in addresses of pages.
-        title: shown to people.
-        live: whether the run goes on while it is watched.
-
     Attributes:
-        open: whether more may come; False after `close`.
+        key: names the run in addresses of pages.
+        path: its record, None without one.
+        live: whether the run goes on while it is watched.
+        open: whether more may come.
         failure: why there is nothing (more) to show.
         rounds: last complete round, -1 before the start.
         plan_numbers: number of each plan, in the order in which plans were first seen.
         marks: number of marks on each timeline track, by round.
     """
 
-    def __init__(self, key: str, title: str, *, live: bool = True) -> None:
+    def __init__(self, key: str, title: str, path: Path | None, *, live: bool) -> None:
         self.key = key
         self.title = title
+        self.path = path
         self.live = live
         self.open = True
         self.failure: str | None = None
@@ -102,12 +99,23 @@ class Recording:
             case PlanInfo():
                 self.plan_numbers.setdefault(entry.plan_id, len(self.plan_numbers))
             case ProtocolEvent():
-                self._write_event(entry)
-            case FlightEvent():
-                self._write_flight_event(entry)
+                self._events[entry.round].append(entry)
+                self._mark(entry.round, track_of_event(entry))
+                if entry.kind in ("proposed", "adopted"):
+                    origin = PlanOrigin(entry.round, entry.robot, entry.detail.get("from"))
+                    self._origins[entry.robot, str(entry.detail.get("plan"))].append(origin)
+            case FlightEvent(round=number, robot=robot, kind=kind, detail=detail):
+                if kind not in ROUTINE:
+                    self._mark(number, "faults")
+                if robot is not None:
+                    listed = ProtocolEvent(round=number, comm_round=None, robot=robot, kind=kind, detail=detail)
+                    self._events[number].append(listed)
             case LlmEntry():
                 self._calls[entry.round, entry.robot].append(entry)
-                self._mark(entry.round, track_of_call(entry))
+                if entry.error is not None:
+                    self._mark(entry.round, "faults")
+                elif entry.rejected is not None:
+                    self._mark(entry.round, "retries")
             case State():
                 for plan_id in entry.plan_ids:
                     if plan_id is not None:
@@ -122,29 +130,14 @@ class Recording:
             case _:
                 pass  # positions between rounds are not shown
 
-    def _write_event(self, event: ProtocolEvent) -> None:
-        self._events[event.round].append(event)
-        self._mark(event.round, track_of_event(event))
-        if event.kind in ("proposed", "adopted"):
-            origin = PlanOrigin(event.round, event.robot, event.detail.get("from"))
-            self._origins[event.robot, str(event.detail.get("plan"))].append(origin)
-
-    def _write_flight_event(self, event: FlightEvent) -> None:
-        if event.kind not in ROUTINE:
-            self._mark(event.round, "faults")
-        if event.robot is not None:
-            listed = ProtocolEvent(
-                round=event.round, comm_round=None, robot=event.robot, kind=event.kind, detail=event.detail
-            )
-            self._events[event.round].append(listed)
-
     def _mark(self, number: int, track: str | None) -> None:
         if track is not None:
             self.marks[number][track] += 1
 
-    def close(self) -> None:
-        """No more will come."""
-        self.open = False
+    def fail(self, error: Exception) -> None:
+        """Show why no more comes, and log it."""
+        self.failure = str(error)
+        logger.warning("%s", error)
 
     @property
     def ready(self) -> bool:
@@ -166,10 +159,9 @@ class Recording:
         """Shape, N, rules, model and seed; empty while they are not known."""
         if self.info is None or not self.missions:
             return ""
-        protocol, model = self.info.config.get("protocol", {}), self.info.config.get("model", {})
-        rules = " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
-        fields = self.missions[0].mission
-        parts = (f"{fields['shape']} of {self.n_robots}", rules, model.get("model", ""), f"seed {self.info.seed}")
+        config, shape = self.info.config, self.missions[0].mission["shape"]
+        model = config.get("model", {}).get("model", "")
+        parts = (f"{shape} of {self.n_robots}", rules(config), model, f"seed {self.info.seed}")
         return " · ".join(str(part) for part in parts if part)
 
     def mission_at(self, number: int) -> MissionInfo:

@@ -14,7 +14,7 @@ MOST_CLAIMS = 30
 def show_robot(run: Recording, robot: int, number: int) -> None:
     """Show a robot's plan, its conversation with its model, and the claims it heard in a round."""
     state = run.states[number]
-    with ui.element("article").classes("flock-mind").mark(f"mind-{robot}"):
+    with ui.element("article").classes("flock-mind"):
         ui.label(f"Robot {robot} · round {number}").classes("flock-subtitle")
         slot = "no place" if state.slots[robot] is None else f"place {state.slots[robot]}"
         ui.label(

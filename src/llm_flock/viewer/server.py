@@ -1,33 +1,22 @@
-"""Serves the viewer: one process, one port, everything from this machine."""
+"""The address at which a viewer listens: one port, by default for this machine only."""
 
 from __future__ import annotations
 
 import ipaddress
 import secrets
 import socket
-import threading
-import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
 from llm_flock.viewer.startup import StartupServer
 
-if TYPE_CHECKING:
-    from fastapi import FastAPI
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """The address at which a viewer listens.
+    """The address at which a viewer listens; `startup` answers there until the viewer does.
 
-    Attributes:
-        sock: the listening socket.
-        host: as given on the command line.
-        port: the port.
-        token: a browser must show it; None on a loopback address.
-        startup: answers until the viewer does.
+    A browser must show the `token`; a loopback address needs none.
     """
 
     sock: socket.socket
@@ -88,46 +77,3 @@ def listen(host: str, port: int, token: str | None) -> Address:
     except (OSError, OverflowError) as error:
         raise InputError("host and port", f"{host}:{port}", f"an address that can be listened at ({error})") from None
     return Address(sock=sock, host=host, port=sock.getsockname()[1], token=token, startup=StartupServer(sock))
-
-
-def open_browser(address: Address) -> None:
-    """Open the page in the user's browser, without waiting for it."""
-    threading.Thread(target=webbrowser.open, args=(address.url,), daemon=True).start()
-
-
-def serve(address: Address, build: Callable[[FastAPI], Callable[[], None]]) -> None:
-    """Serve until the process is told to end.
-
-    Args:
-        address: where.
-        build: registers pages and routes; returns a function that runs in a thread beside the server.
-
-    Raises:
-        InputError: NiceGUI is not installed.
-    """
-    try:
-        import uvicorn
-        from fastapi import FastAPI
-        from nicegui import ui
-    except ImportError as error:
-        allowed = f'the viewer\'s libraries ({error.name} is missing): pip install "llm-flock[view]"'
-        raise InputError("view", "not installed", allowed) from None
-    from llm_flock.viewer.guard import RequestGuard
-
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.add_middleware(RequestGuard, hosts=address.hosts, token=address.token)
-    work = build(app)
-    ui.run_with(  # pyright: ignore[reportUnknownMemberType]
-        app,
-        title="LLM-Flock",
-        dark=None,
-        language="en-US",
-        tailwind=False,
-        show_welcome_message=False,
-        reconnect_timeout=10.0,
-        binding_refresh_interval=None,
-    )
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
-    threading.Thread(target=work, daemon=True).start()
-    address.startup.stop()
-    server.run(sockets=[address.sock])

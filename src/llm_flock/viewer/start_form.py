@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -23,11 +24,7 @@ MODELS = (
 
 
 class StartForm:
-    """The form on the page.
-
-    Args:
-        launcher: starts the runs.
-    """
+    """The form on the page."""
 
     def __init__(self, launcher: Launcher) -> None:
         self.launcher = launcher
@@ -41,21 +38,21 @@ class StartForm:
         with ui.element("section").classes("flock-card").props('aria-label="New run"'):
             ui.label("Fly a simulated run").classes("flock-subtitle")
             self._build_fields()
-            self._error = ui.label("").classes("flock-error").mark("form-error").props('role="alert"')
+            self._error = ui.label("").classes("flock-error").props('role="alert"')
             with ui.row():
-                ui.button("Start", icon="flight_takeoff", on_click=self._start).props("no-caps").mark("start")
-                ui.button("Paper against flock, side by side", icon="compare", on_click=self._start_pair).props(
-                    "outline no-caps"
-                ).mark("start-pair")
+                one = partial(self._launch, None, "/run/{}")
+                ui.button("Start", icon="flight_takeoff", on_click=one).props("no-caps")
+                pair = partial(self._launch, ("paper", "flock"), "/pair/{}/{}")
+                words = "Paper against flock, side by side"
+                ui.button(words, icon="compare", on_click=pair).props("outline no-caps")
 
     def _build_words(self) -> None:
         reader = self.launcher.reader
         box = ui.textarea(placeholder="eight drones in a square around 40, 60, 8 apart").props(
             'outlined autogrow dense aria-label="Mission in plain words" maxlength=2000'
         )
-        box.mark("words")
-        note = ui.label("" if reader else NEEDS_A_MODEL).classes("flock-hint").mark("words-note")
-        offer = ui.element("div").mark("offer")
+        note = ui.label("" if reader else NEEDS_A_MODEL).classes("flock-hint")
+        offer = ui.element("div")
 
         async def read() -> None:
             assert reader is not None
@@ -71,23 +68,20 @@ class StartForm:
                 button.enable()
             note.set_text("This is what the model made of it. Nothing flies before you say so.")
             with offer, ui.element("div").classes("flock-call"):
-                ui.label(draft.in_words).classes("flock-said").mark("draft")
-                ui.button("Take it over into the form", on_click=lambda: self._take(dict(draft.fields))).props(
-                    "no-caps outline"
-                ).mark("take")
+                ui.label(draft.in_words).classes("flock-said")
+                take = partial(self._take, draft.fields)
+                ui.button("Take it over into the form", on_click=take).props("no-caps outline")
 
-        button = ui.button("Read", icon="translate", on_click=read).props("no-caps outline").mark("read")
+        button = ui.button("Read", icon="translate", on_click=read).props("no-caps outline")
         if reader is None:
             button.disable()
             box.disable()
 
     def _build_fields(self) -> None:
-        shapes = {
-            shape.name: f"{shape.name} - {shape.legal}" for shape in formations.shapes() if shape.name != "points"
-        }
+        shapes = [shape.name for shape in formations.shapes() if shape.name != "points"]
         boxes = self._boxes
         with ui.element("div").classes("flock-form"):
-            boxes["shape"] = ui.input("Shape", value="circle", autocomplete=list(shapes))
+            boxes["shape"] = ui.input("Shape", value="circle", autocomplete=shapes)
             boxes["shape"].tooltip("A name from `llm-flock shapes`, such as circle, polygon:5, text:HI")
             boxes["n_robots"] = ui.number("Robots", value=10, precision=0)
             boxes["center"] = ui.input("Centre", value="50, 50")
@@ -99,16 +93,14 @@ class StartForm:
             boxes["rounds"] = ui.number("Rounds at most", value=200, precision=0)
             boxes["loss"] = ui.number("Messages lost [share]", value=0, step=0.05)
             boxes["start"] = ui.select(["separated", "uniform", "connected"], label="Starts", value="separated")
-            self._pace = ui.number("Rounds a second", value=4)
+            self._pace = ui.number("Rounds a second", value=4).props("dense outlined")
             self._on = ui.checkbox("Keep flying after it has formed", value=True)
         for name, box in boxes.items():
             box.props("dense outlined options-dense" if name in ("protocol", "start") else "dense outlined")
-            box.mark(f"field-{name}")
         for wide in (boxes["model"], self._on):
             wide.classes("flock-wide")
-        self._pace.props("dense outlined").mark("field-pace")
 
-    def _take(self, fields: dict[str, Any]) -> None:
+    def _take(self, fields: Mapping[str, Any]) -> None:
         for name, value in fields.items():
             shown = ", ".join(f"{part:g}" for part in value) if name == "center" else value
             self._boxes[name].set_value(shown)
@@ -123,21 +115,12 @@ class StartForm:
         fields["stop_when_formed"] = not self._on.value
         return fields
 
-    def _pace_value(self) -> float:
-        pace = float(self._pace.value or 0)
-        if not 0.1 <= pace <= 100:
-            raise InputError("rounds a second", pace, "from 0.1 to 100")
-        return pace
-
-    def _start(self) -> None:
-        self._launch(None, "/run/{}")
-
-    def _start_pair(self) -> None:
-        self._launch(("paper", "flock"), "/pair/{}/{}")
-
     def _launch(self, protocols: Sequence[str] | None, address: str) -> None:
         try:
-            started = self.launcher.start(self._values(), pace=self._pace_value(), protocols=protocols)
+            fields, pace = self._values(), float(self._pace.value or 0)
+            if not 0.1 <= pace <= 100:
+                raise InputError("rounds a second", pace, "from 0.1 to 100")
+            started = self.launcher.start(fields, pace=pace, protocols=protocols)
         except FlockError as error:
             self._error.set_text(f"error: {error}")
             return

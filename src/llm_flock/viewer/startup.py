@@ -70,9 +70,6 @@ class StartupServer:
     """Answers on the viewer's socket until the viewer takes over; starts at once, in a thread.
 
     Any browser gets a page that says that the viewer is starting. After `show`, the viewer's own pages get the run.
-
-    Args:
-        sock: the listening socket.
     """
 
     def __init__(self, sock: socket.socket) -> None:
@@ -90,9 +87,7 @@ class StartupServer:
     def show(self, page: bytes, hosts: Collection[str]) -> None:
         """Answer with a page that draws a run; its requests for data wait until `answer_data`.
 
-        Args:
-            page: the whole page.
-            hosts: accepted values of the Host header: pages of other sites get nothing.
+        Pages of other sites get nothing: their Host header is none of `hosts`.
         """
         self._page, self._hosts = page, frozenset(hosts)
 

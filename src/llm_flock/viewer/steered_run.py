@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import threading
 import time
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.llm.local.weights import is_packaged
 from llm_flock.protocol.events import Note
 from llm_flock.robots.simulated import draw_start
-from llm_flock.runtime.api import RECORD_NAME, run_async
+from llm_flock.runtime.api import run_async
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.planners import TeamPlanners
-from llm_flock.runtime.schedule import Change, Schedule, build_schedule
+from llm_flock.runtime.schedule import Change, build_schedule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.trial import Trial
 from llm_flock.viewer.library import load
 from llm_flock.viewer.recording import Recording
-
-logger = logging.getLogger(__name__)
 
 POLL_S = 0.02
 """Time between two checks of a paused run [s]."""
@@ -54,9 +49,7 @@ FIELDS: tuple[str, ...] = (
 def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunConfig:
     """The configuration of a run that a page asks for, checked as the command line checks it.
 
-    Args:
-        fields: values by field name; None and "" mean: not given.
-        models: models that cost money or reach out, and that the operator allowed on the command line.
+    Values of None and "" are not given; `models` cost money or reach out, and the operator allowed them.
 
     Raises:
         InputError: a value is not allowed, here or anywhere.
@@ -96,31 +89,16 @@ def _free(model: str) -> bool:
     return "=" not in model and (model == "geometry" or provider == "simulated" or packaged)
 
 
-@dataclass(slots=True)
-class _Orders:
-    """Orders that came since the last round."""
-
-    kills: list[int] = field(default_factory=list[int])
-    change: Change | None = None
-    hallucinating: list[int] = field(default_factory=list[int])
-    loss: float | None = None
-
-
 class SteeredRun:
     """One simulated run in its own thread, recorded as any other. Orders take effect with the next round.
 
-    Args:
-        config: the run; its `out` is the folder of the record.
-        recording: shows it.
-        pace: rounds a second.
-
     Attributes:
+        pace: rounds a second.
         paused: set it to hold the run before its next round.
         round: the round in flight.
-        over: whether the run has ended.
     """
 
-    def __init__(self, config: RunConfig, recording: Recording, pace: float = 4.0) -> None:
+    def __init__(self, config: RunConfig, recording: Recording, pace: float) -> None:
         self.config = config
         self.recording = recording
         self.pace = pace
@@ -129,28 +107,22 @@ class SteeredRun:
         self.over = False
         self._kills: list[str] = []
         self._changes: list[Change] = []
-        self._orders = _Orders()
+        self._schedule = config.schedule()
+        self._hallucinating: list[int] = []
+        self._loss: float | None = None
         self._lock = threading.Lock()
         self._end = threading.Event()
         self._due = 0.0
 
-    @property
-    def path(self) -> Path:
-        """Its record."""
-        return Path(str(self.config.trial.out)) / RECORD_NAME
-
     def start(self) -> None:
         """Start the run, and the thread that reads its record."""
         threading.Thread(target=self._fly, daemon=True).start()
-        options = {"live": True, "stopped": lambda: self.over}
-        threading.Thread(target=load, args=(self.path, self.recording), kwargs=options, daemon=True).start()
+        threading.Thread(target=load, args=(self.recording, lambda: self.over), daemon=True).start()
 
     def end(self) -> None:
         """End the run, paused or not; its record can be read."""
         self.paused = False
         self._end.set()
-
-    # ---------------------------------------------------------------- orders
 
     def kill(self, robot: int) -> None:
         """Kill a robot.
@@ -159,29 +131,22 @@ class SteeredRun:
             InputError: there is no such robot, it is dead, or it is the last one.
         """
         with self._lock:
-            kills = [f"{k}@{self.round + 1}" for k in [*self._orders.kills, robot]]
-            self._schedule([*self._kills, *kills], self._changes)
-            self._orders.kills.append(robot)
+            self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
 
     def change(self, fields: dict[str, Any]) -> int:
-        """Give another mission to one robot; the others hear of it from there.
-
-        Args:
-            fields: the fields that change.
-
-        Returns:
-            The robot that gets it.
+        """Change fields of the mission of one robot, and return that robot; the others hear of it from there.
 
         Raises:
             InputError: the mission cannot be changed like that.
         """
         check_shape(fields.get("shape"))
         with self._lock:
-            dead = {int(kill.partition("@")[0]) for kill in self._kills} | set(self._orders.kills)
+            dead = {int(kill.partition("@")[0]) for kill in self._kills}
             taker = next(k for k in range(self.config.mission.n_robots) if k not in dead)
             change = Change(round=self.round + 1, robot=taker, set=fields)
-            self._schedule(self._kills, [*self._changes, change])
-            self._orders.change = change
+            # A second mission for the next round replaces the first.
+            before = [one for one in self._changes if one.round <= self.round]
+            self._reschedule(self._kills, [*before, change])
             return taker
 
     def lose(self, share: float) -> None:
@@ -193,7 +158,7 @@ class SteeredRun:
         if not 0.0 <= share <= 1.0:
             raise InputError("loss", share, "a share from 0 to 1")
         with self._lock:
-            self._orders.loss = share
+            self._loss = share
 
     def hallucinate(self, robot: int) -> None:
         """Replace a robot's model by one that answers nonsense.
@@ -204,21 +169,19 @@ class SteeredRun:
         if not 0 <= robot < self.config.mission.n_robots:
             raise InputError("robot", robot, f"robots from 0 to {self.config.mission.n_robots - 1}")
         with self._lock:
-            self._orders.hallucinating.append(robot)
+            self._hallucinating.append(robot)
 
-    def _schedule(self, kills: Sequence[str], changes: Sequence[Change]) -> Schedule:
-        """Everything that happened and is ordered, checked as the command line checks it."""
+    def _reschedule(self, kills: list[str], changes: list[Change]) -> None:
+        """Take everything that happened and is ordered, if it is as the command line allows it."""
         events = {"kill": ",".join(kills), "join": None, "kill_random": 0, "join_random": 0, "changes": tuple(changes)}
-        return build_schedule(self.config.mission, self.config.trial.model_copy(update=events))
-
-    # ---------------------------------------------------------------- in flight
+        self._schedule = build_schedule(self.config.mission, self.config.trial.model_copy(update=events))
+        self._kills, self._changes = kills, changes
 
     def _fly(self) -> None:
         try:
             asyncio.run(self._run())
         except (FlockError, OSError) as error:
-            self.recording.failure = str(error)
-            logger.warning("%s", error)
+            self.recording.fail(error)
         finally:
             self.over = True
 
@@ -237,21 +200,14 @@ class SteeredRun:
             await asyncio.sleep(POLL_S)
         self._due = time.monotonic() + 1.0 / self.pace
         with self._lock:
-            orders, self._orders = self._orders, _Orders()
             self.round = trial.round + 1
-            self._kills += [f"{robot}@{self.round}" for robot in orders.kills]
-            if orders.change is not None:
-                self._changes.append(orders.change.model_copy(update={"round": self.round}))
-            if orders.kills or orders.change is not None:
-                trial.schedule = self._schedule(self._kills, self._changes)
-        for robot in orders.hallucinating:
+            trial.schedule = self._schedule
+            hallucinating, self._hallucinating = self._hallucinating, []
+            loss, self._loss = self._loss, None
+        for robot in hallucinating:
             trial.planners.replace(robot, HALLUCINATING)
-            self._note(trial, robot, model=HALLUCINATING)
-        if orders.loss is not None:
-            trial.transport.faults = trial.transport.faults.model_copy(update={"loss": orders.loss})
+            trial.journal.note(self.round, None, robot, Note("injected", {"model": HALLUCINATING, "loss": None}))
+        if loss is not None:
+            trial.transport.faults = trial.transport.faults.model_copy(update={"loss": loss})
             for robot in trial.roster.awake:
-                self._note(trial, robot, loss=orders.loss)
-
-    def _note(self, trial: Trial, robot: int, *, model: str | None = None, loss: float | None = None) -> None:
-        """Record a fault that was injected from outside."""
-        trial.journal.note(self.round, None, robot, Note("injected", {"model": model, "loss": loss}))
+                trial.journal.note(self.round, None, robot, Note("injected", {"model": None, "loss": loss}))

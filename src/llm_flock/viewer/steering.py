@@ -17,21 +17,13 @@ if TYPE_CHECKING:
     from llm_flock.viewer.swarm import SwarmSource
 
 ReadFields = Callable[[], dict[str, Any]]
-"""Reads the boxes of a form.
-
-Raises:
-    InputError: a box holds something else than it should.
-"""
+"""Reads the boxes of a form; raises InputError where one holds something else than it should."""
 
 GIVEN = "mission given to robot {}; the others hear of it from there"
 
 
 class RunControls:
-    """The tab that steers one run, or several in the same way.
-
-    Args:
-        runs: the runs.
-    """
+    """The tab that steers one run, or several in the same way."""
 
     def __init__(self, runs: Sequence[SteeredRun]) -> None:
         self.runs = runs
@@ -43,8 +35,8 @@ class RunControls:
         with ui.row().classes("flock-choose flock-acts"):
             pace = ui.number("Rounds / s", value=first.pace, min=0.1, max=100).props("dense outlined")
             pace.on_value_change(lambda event: self._set_pace(event.value))
-            pause = ui.button("Pause", icon="pause").props("no-caps outline dense").mark("pause-flight")
-            ui.button("End run", icon="stop", on_click=self._end).props("no-caps outline dense").mark("end-flight")
+            pause = ui.button("Pause", icon="pause").props("no-caps outline dense")
+            ui.button("End run", icon="stop", on_click=self._end).props("no-caps outline dense")
 
             def toggle() -> None:
                 paused = not first.paused
@@ -61,20 +53,20 @@ class RunControls:
         _mission_form(mission, change, spacing=True)
         ui.label("Faults").classes("flock-subtitle")
         with ui.row().classes("flock-choose flock-acts"):
-            robot = ui.select(list(range(mission.n_robots)), label="Robot", value=0)
-            robot.props("dense outlined options-dense").mark("fault-robot")
+            robot = ui.select(list(range(mission.n_robots)), label="Robot", value=0).props(
+                "dense outlined options-dense"
+            )
             for label, icon, order, done in (
                 ("Kill", "dangerous", SteeredRun.kill, "robot killed"),
                 ("Hallucinate", "psychology_alt", SteeredRun.hallucinate, "nonsense answers from now on"),
             ):
                 inject = partial(self._all, lambda run, order=order: order(run, int(robot.value)), done)
-                button = ui.button(label, icon=icon, on_click=inject)
-                button.props("no-caps outline dense color=negative").mark(label.lower())
+                ui.button(label, icon=icon, on_click=inject).props("no-caps outline dense color=negative")
         ui.label("Messages lost").classes("flock-role")
         loss = ui.slider(min=0, max=0.9, step=0.1, value=first.config.links.loss).props(
             'label snap markers aria-label="Messages lost"'
         )
-        loss.mark("loss").on_value_change(lambda event: self._lose(float(event.value or 0.0)))
+        loss.on_value_change(lambda event: self._lose(float(event.value or 0.0)))
 
     def _lose(self, share: float) -> None:
         self._all(lambda run: run.lose(share), f"{share:.0%} of messages are lost")
@@ -128,7 +120,7 @@ def swarm_controls(swarm: SwarmSource) -> None:
 
 def _status() -> ui.label:
     """The line that reports what came of the last order."""
-    return ui.label("").classes("flock-hint flock-steered").mark("steered").props('role="status"')
+    return ui.label("").classes("flock-hint flock-steered").props('role="status"')
 
 
 def _mission_form(mission: Mission, change: Callable[[ReadFields], Awaitable[None]], *, spacing: bool) -> None:
@@ -141,12 +133,11 @@ def _mission_form(mission: Mission, change: Callable[[ReadFields], Awaitable[Non
         }
         if spacing:
             boxes["spacing"] = ui.number("Spacing [units]", value=mission.spacing)
-    for name, box in boxes.items():
-        box.props("dense outlined").mark(f"change-{name}")
+    for box in boxes.values():
+        box.props("dense outlined")
 
     def read() -> dict[str, Any]:
         fields = {name: box.value for name, box in boxes.items()}
         return {**fields, "center": numbers("center", str(fields["center"]))}
 
-    button = ui.button("Give the mission", icon="flag", on_click=partial(change, read))
-    button.props("no-caps outline").mark("give-mission")
+    ui.button("Give the mission", icon="flag", on_click=partial(change, read)).props("no-caps outline")

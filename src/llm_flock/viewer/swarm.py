@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.runtime.entries import run_info
@@ -11,16 +10,9 @@ from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.watch import give_mission, look, observing
 from llm_flock.viewer.recording import Recording
 
-logger = logging.getLogger(__name__)
-
 
 class SwarmSource:
-    """Feeds a recording from a swarm on the network.
-
-    Args:
-        config: where the swarm is and what it flies.
-        recording: shows it.
-    """
+    """Feeds a recording from a swarm on the network."""
 
     def __init__(self, config: SwarmConfig, recording: Recording) -> None:
         self.config = config
@@ -31,10 +23,9 @@ class SwarmSource:
         try:
             asyncio.run(self._watch())
         except FlockError as error:
-            self.recording.failure = str(error)
-            logger.warning("%s", error)
+            self.recording.fail(error)
         finally:
-            self.recording.close()
+            self.recording.open = False
 
     async def _watch(self) -> None:
         self.recording.write(run_info(self.config, simulated=self.config.simulated))

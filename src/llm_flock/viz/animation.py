@@ -42,10 +42,7 @@ DPI = 100
 def animate(record: RunRecord, path: Path, *, fps: int = 6) -> None:
     """Write a record as an animation; the file's ending decides: .gif or .mp4. Missing folders are made.
 
-    Args:
-        record: the run.
-        path: file to write.
-        fps: frames per second; a round takes two frames.
+    It shows `fps` frames per second; a round takes two.
 
     Raises:
         InputError: another ending, a rate below 1, no ffmpeg for .mp4, or a place that cannot be written to.

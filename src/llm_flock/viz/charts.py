@@ -7,43 +7,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
-from llm_flock.viz.chart_parts import (
-    LETTER_INCHES,
-    Look,
-    Numbers,
-    bins_for,
-    folded,
-    frame,
-    legend,
-    legend_inches,
-    look_of,
-    new_figure,
-    shortened,
-)
-from llm_flock.viz.style import FAINT, GRID, INK, house_style
+from llm_flock.viz.style import FAINT, GRID, INK, LINES, MARKERS, SERIES, house_style
 
 MOST_COLUMNS = 4
+DPI = 160
+LETTER_INCHES = 0.062
+"""Width of a letter of a tick label, about."""
+
+Numbers = NDArray[np.float64]
+
+
+class Look(NamedTuple):
+    """How a series is drawn: never by colour alone."""
+
+    colour: str
+    line: str
+    marker: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Curve:
-    """A mean and its interval, over rounds or along an axis.
-
-    Attributes:
-        series: its series, which looks the same in all panels.
-        x: rounds, or values of the axis.
-        mean: the means there.
-        low: lower ends of the intervals, NaN without.
-        high: upper ends.
-    """
+    """A mean and the ends of its interval (NaN without), over rounds or along an axis."""
 
     series: str
     x: Numbers
@@ -54,15 +50,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dot:
-    """A value and its interval; None where they are not known.
-
-    Attributes:
-        series: its series.
-        row: its row in the panel.
-        value: the value.
-        low: lower end of its interval.
-        high: upper end.
-    """
+    """A value and the ends of its interval in a row of a panel; None where they are not known."""
 
     series: str
     row: str
@@ -73,44 +61,27 @@ class Dot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """Many values of a series.
-
-    Attributes:
-        series: their series.
-        row: their row in the panel; empty in histograms.
-        values: in any order.
-        note: a text beside them.
-    """
+    """Many values of a series, in any order, and a text beside them; histograms have no rows."""
 
     series: str
     row: str = ""
-    values: Sequence[float] = ()
+    values: Sequence[float]
     note: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facet:
-    """One panel.
-
-    Attributes:
-        title: its title.
-        marks: the curves, dots or samples in it.
-        edge: a value that a line marks.
-    """
+    """One panel with its curves, dots or samples; a line marks the value `edge`."""
 
     title: str
-    marks: Sequence[Any] = field(default_factory=tuple[Any, ...])
+    marks: Sequence[Any]
     edge: float | None = None
 
 
 def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x: str, y: str) -> Figure:
-    """Small multiples of curves with their bands; a row of panels for each entry of `rows`.
+    """Small multiples of curves with their bands; each of `rows` has a title and its panels.
 
-    Args:
-        rows: title of a row, and its panels with `Curve`s.
-        series: all series in their order, which gives each its look.
-        x: label along.
-        y: label upward.
+    The place of a name in `series` gives it its look, here and in the other charts.
     """
     with house_style():
         columns = max(len(panels) for _, panels in rows)
@@ -157,7 +128,7 @@ def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks:
         return figure
 
 
-def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float | None, float | None]) -> Figure:
+def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float, float]) -> Figure:
     """A line of dots with intervals for every row and series; panels stand side by side and share their rows."""
 
     def draw(axes: Axes, mark: Dot, at: float, look: Look) -> None:
@@ -171,7 +142,7 @@ def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[f
     return _lined(panels, series, x, limits, draw)
 
 
-def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float | None, float | None]) -> Figure:
+def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float, float]) -> Figure:
     """Quartiles, a sign for the median, whiskers to the ends, and every value as a dot (up to 300 of them)."""
 
     def draw(axes: Axes, mark: Sample, at: float, look: Look) -> None:
@@ -219,11 +190,7 @@ def _panels(
 ) -> tuple[Figure, list[Axes]]:
     """A figure with titled panels in rows of four at most, and their axes.
 
-    Args:
-        panels: the panels.
-        series: all series, for which the legend needs room.
-        width: width beside all panels, and of each [inches].
-        height: height above and below all panels, and of each [inches].
+    `width` and `height` are those beside all panels, and of each [inches]; the legend needs room for all `series`.
     """
     columns = min(MOST_COLUMNS, len(panels))
     lines = math.ceil(len(panels) / columns)
@@ -238,12 +205,31 @@ def _panels(
     return figure, grid[: len(panels)]
 
 
-def _finish(figure: Figure, series: Sequence[str], columns: int, x: str, y: str = "", **options: bool) -> None:
-    """Label the axes, and put the legend above the panels."""
+def _finish(
+    figure: Figure,
+    series: Sequence[str],
+    columns: int,
+    x: str,
+    y: str = "",
+    *,
+    band: bool = False,
+    line_only: bool = False,
+    solid: bool = False,
+) -> None:
+    """Label the axes, and put a legend with the names of all series above the panels."""
     figure.supxlabel(x, size=8)
     if y:
         figure.supylabel(y, size=8)
-    legend(figure, series, min(MOST_COLUMNS, columns), **options)
+    handles: list[Line2D | Patch] = []
+    for name in series:
+        look = look_of(series, name)
+        style: dict[str, Any] = {"lw": 1.4, "ms": 4.5, "mec": INK, "mew": 0.4}
+        style |= {"ls": "-" if solid else look.line, "marker": "" if line_only else look.marker}
+        handles.append(Line2D([], [], color=look.colour, label=shortened(name, 44), **style))
+    if band:
+        handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
+    columns = legend_columns(series, min(MOST_COLUMNS, columns))
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns)
 
 
 def _curve(axes: Axes, curve: Curve, series: Sequence[str]) -> None:
@@ -278,7 +264,7 @@ def _lined(
     panels: Sequence[Facet],
     series: Sequence[str],
     x: str,
-    limits: tuple[float | None, float | None],
+    limits: tuple[float, float],
     draw: Callable[[Axes, Any, float, Look], None],
 ) -> Figure:
     """Panels side by side with the same rows, in each row a line for every series."""
@@ -304,3 +290,61 @@ def _lined(
             axes.set_xlim(*limits)
         _finish(figure, series, len(panels), x, solid=True)
         return figure
+
+
+def look_of(series: Sequence[str], name: str) -> Look:
+    """The look of one of all series: the same in all panels."""
+    number = series.index(name)
+    return Look(SERIES[number % len(SERIES)], LINES[number % len(LINES)], MARKERS[number % len(MARKERS)])
+
+
+def frame(axes: Axes, grid: str = "both") -> None:
+    """A quiet frame with a grid."""
+    which: Any = grid
+    axes.grid(axis=which, color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(length=2)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend_columns(series: Sequence[str], columns: int) -> int:
+    """Names that fit beside each other above the given columns of panels."""
+    room = 2.3 * columns / (0.55 + LETTER_INCHES * max(map(len, series), default=1))
+    return max(1, min(len(series) + 1, int(room)))
+
+
+def legend_inches(series: Sequence[str], columns: int) -> float:
+    """Height of the legend."""
+    return 0.15 + 0.2 * math.ceil((len(series) + 1) / legend_columns(series, columns))
+
+
+def bins_for(values: Sequence[float], edge: float | None) -> Numbers:
+    """Edges of about thirty bins of equal width, one of which is the given edge."""
+    top = max([*values, 1e-9 if edge is None else edge]) * 1.02
+    step = top / 30
+    if edge:
+        step = edge / max(1, round(edge / step))
+    return np.arange(0.0, top + step, step)
+
+
+def folded(text: str, width: int) -> str:
+    """A label on two lines at most, broken after a separator where there is one."""
+    if "\n" in text:
+        return "\n".join(folded(line, width) for line in text.split("\n"))
+    if len(text) <= width:
+        return text
+    cut = max(text.rfind(sign, 0, width) for sign in " ,:/·-") + 1
+    cut = cut if cut > width // 4 else width
+    return f"{text[:cut].rstrip()}\n{shortened(text[cut:].lstrip(), width)}"
+
+
+def shortened(text: str, most: int) -> str:
+    """A text, cut to at most this many letters."""
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of a size [inches]."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure

@@ -19,7 +19,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
-from llm_flock.viz.chart_parts import DPI, new_figure
+from llm_flock.viz.charts import DPI, new_figure
 from llm_flock.viz.panel import Box, Panel, view
 from llm_flock.viz.style import GRID, INK, LINES, MARKERS, fitted, heading, house_style, model_names, shapes
 
@@ -33,16 +33,15 @@ UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"Creation
 def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
     """The team at chosen rounds: paths, discs by plan, influence, radio links and goals (paper, section 4.1).
 
-    Args:
-        record: the run.
-        rounds: which rounds; the start, the first, half-way and the last if left out.
+    By default, these are the start, the first (when there are plans to see), half-way and the last.
 
     Raises:
         InputError: the record has no such round, or no round is asked for.
     """
-    chosen = _default_rounds(record.rounds) if rounds is None else list(rounds)
-    if not chosen or any(not 0 <= k <= record.rounds for k in chosen):
-        raise InputError("rounds", chosen, f"rounds of this record: 0 to {record.rounds}")
+    last = record.rounds
+    chosen = sorted({0, min(1, last), last // 2, last}) if rounds is None else list(rounds)
+    if not chosen or any(not 0 <= k <= last for k in chosen):
+        raise InputError("rounds", chosen, f"rounds of this record: 0 to {last}")
     with house_style():
         columns = min(PANELS_A_ROW, len(chosen))
         rows = -(-len(chosen) // columns)
@@ -64,10 +63,6 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
     """Mean shape error of all records that share a label, with 95 % Student-t intervals (paper, section 4.2).
 
     A run that ended early keeps its last error, so that all means are over the same runs.
-
-    Args:
-        records: runs of shapes with a known ideal.
-        labels: one a record; records with equal labels are averaged.
 
     Raises:
         InputError: no records, not one label a record, or a record without errors.
@@ -93,7 +88,8 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
     _check_labels(records, labels)
     known = all(_error_known(record) for record in records)
     with house_style():
-        window = _union([view(record) for record in records])
+        lefts, rights, bottoms, tops = zip(*(view(record) for record in records), strict=True)
+        window = (min(lefts), max(rights), min(bottoms), max(tops))
         columns = len(records)
         tall = PANEL_INCHES * _tallness(window)
         width = max(columns * (PANEL_INCHES + 0.2), 5.5)
@@ -146,11 +142,7 @@ def outcome(record: RunRecord) -> str:
 def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]:
     """Mean of runs of different length, and the ends of its 95 % Student-t interval (NaN for one run).
 
-    Args:
-        curves: one error a round for each run, shapes (rounds_i + 1,) [units].
-
-    Returns:
-        Three arrays of shape (max rounds + 1,) [units]; a run that ended early keeps its last value.
+    Each curve has an error a round, shape (rounds + 1,) [units]; a run that ended early keeps its last one.
     """
     longest = max(len(curve) for curve in curves)
     return mean_bands(np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves]))
@@ -211,11 +203,6 @@ def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, li
     return groups
 
 
-def _default_rounds(last: int) -> list[int]:
-    """The start, the first round (when there are plans to see), half-way and the end."""
-    return sorted({0, min(1, last), last // 2, last})
-
-
 def _moment(record: RunRecord, k: int) -> str:
     error = record.metrics[k].procrustes_mean
     name = "start" if k == 0 else f"round {k}"
@@ -226,8 +213,3 @@ def _tallness(window: Box) -> float:
     """Height of a window in widths, kept within reason."""
     left, right, bottom, top = window
     return min(2.0, max(0.4, (top - bottom) / (right - left)))
-
-
-def _union(windows: Sequence[Box]) -> Box:
-    lefts, rights, bottoms, tops = zip(*windows, strict=True)
-    return (min(lefts), max(rights), min(bottoms), max(tops))

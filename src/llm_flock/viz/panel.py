@@ -54,27 +54,18 @@ class Panel:
         self._path = record.positions[:, :, :2]
 
     def draw(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
-        """Draw the team on clean axes.
-
-        Args:
-            axes: where to draw.
-            round_number: which round; 0 is the start.
-            part: how much of the round has been flown; robots fly straight from one round to the next.
-        """
+        """Draw the team on clean axes, after a `part` of the round; robots fly straight from round to round."""
         self.frame(axes)
         self.draw_team(axes, round_number, part)
 
     def frame(self, axes: Axes) -> None:
-        """Prepare the axes: this panel's window, walls and obstacles."""
+        """Prepare the axes: this panel's window, the arena's walls, and the obstacles."""
         left, right, bottom, top = self.window
         axes.set_xlim(left, right)
         axes.set_ylim(bottom, top)
         axes.set_aspect("equal")
         axes.tick_params(length=2)
-        self._surroundings(axes)
-
-    def _surroundings(self, axes: Axes) -> None:
-        """The arena's walls, and the obstacles; those of 3D space by their projection on the plane."""
+        # Obstacles of 3D space are shown by their projection on the plane.
         mission = self.record.mission.mission
         (left, bottom, *_), (right, top, *_) = mission["arena"]
         look: dict[str, Any] = {"edgecolor": FAINT, "linewidth": 0.8, "zorder": 0.5}

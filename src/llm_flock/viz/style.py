@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
@@ -142,7 +142,7 @@ def heading(record: RunRecord, inches: float) -> str:
     """Shape, N, rules and model, and whether the model was simulated; broken to fit a width."""
     n = record.mission.mission["n_robots"]
     robots = "1 robot" if n == 1 else f"{n} robots"
-    parts = (shapes(record), robots, rules(record), model_names([record]))
+    parts = (shapes(record), robots, rules(record.run.config), model_names([record]))
     return fitted(" · ".join(part for part in parts if part), inches)
 
 
@@ -160,9 +160,9 @@ def fitted(text: str, inches: float) -> str:
     return textwrap.fill(text, max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 
-def rules(record: RunRecord) -> str:
-    """The rules that chose plan and slots, where the record has them."""
-    protocol = record.run.config.get("protocol", {})
+def rules(config: Mapping[str, Any]) -> str:
+    """The rules that chose plan and slots, where a run's configuration has them."""
+    protocol = config.get("protocol", {})
     return " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
 
 

@@ -14,8 +14,8 @@ export class Arena {
     this.emit = emit;
     this.layers = { ...options.layers };
     this.selected = options.selected || [];
-    this.surface = new Surface(element, `Arena of ${options.title}. Keys: brackets choose a robot, plus, minus and zero zoom, shift and arrows pan.`);
-    this.surface.redraw = () => this.draw();
+    const keys = "Keys: brackets choose a robot, plus, minus and zero zoom, shift and arrows pan.";
+    this.surface = new Surface(element, `Arena of ${options.title}. ${keys}`, () => this.draw());
     this.view = null; // centre and pixels a unit; null fits all
     this.drawn = 0;
     this.pointers = new Map();
@@ -23,8 +23,6 @@ export class Arena {
     this.listen();
     this.surface.fit();
   }
-
-  // ------------------------------------------------------------- controls
 
   listen() {
     const canvas = this.surface.canvas;
@@ -144,8 +142,6 @@ export class Arena {
     this.draw();
   }
 
-  // ------------------------------------------------------------- geometry of the view
-
   place() {
     const [[left, bottom], [right, top]] = this.run.about.arena;
     const { width, height } = this.surface;
@@ -172,8 +168,6 @@ export class Arena {
     ];
   }
 
-  // ------------------------------------------------------------- drawing
-
   draw() {
     const { surface, run, clock } = this;
     if (!surface.width) return;
@@ -189,7 +183,6 @@ export class Arena {
     const ended = round >= run.last;
     this.picture(clock.part > 0 && after && !ended ? between(found, after, clock.part) : found);
     this.drawn += 1;
-    this.shown = round;
     surface.canvas.dataset.round = String(round);
     surface.canvas.dataset.drawn = String(this.drawn);
   }
@@ -236,13 +229,8 @@ export class Arena {
     pen.strokeRect(left, top, right - left, bottom - top);
     pen.fillStyle = theme().faint;
     for (const obstacle of about.obstacles) {
-      pen.beginPath();
-      if (obstacle.polygon) {
-        obstacle.polygon.forEach((corner, k) => pen[k ? "lineTo" : "moveTo"](...this.pixel(corner)));
-        pen.closePath();
-      } else {
-        pen.arc(...this.pixel(obstacle.center), obstacle.radius * this.scale, 0, 2 * Math.PI);
-      }
+      if (obstacle.polygon) this.surface.polygon(obstacle.polygon.map((corner) => this.pixel(corner)));
+      else this.surface.circle(this.pixel(obstacle.center), obstacle.radius * this.scale);
       pen.fill();
     }
   }
@@ -254,9 +242,7 @@ export class Arena {
     const silent = new Set([...frame.d, ...frame.z]);
     cells(frame.x, about.safe_distance, about.arena).forEach((cell, robot) => {
       if (cell.length < 3 || silent.has(robot)) return;
-      pen.beginPath();
-      cell.forEach((corner, k) => pen[k ? "lineTo" : "moveTo"](...this.pixel(corner)));
-      pen.closePath();
+      this.surface.polygon(cell.map((corner) => this.pixel(corner)));
       const { line } = look(this.run, frame.p[robot]);
       pen.globalAlpha = 0.1;
       pen.fillStyle = line;
@@ -318,8 +304,7 @@ export class Arena {
       const { line, rim } = look(this.run, frame.p[robot]);
       pen.strokeStyle = line;
       pen.setLineDash(dash(rim));
-      pen.beginPath();
-      pen.arc(...this.pixel(goal), this.radius * 1.25, 0, 2 * Math.PI);
+      this.surface.circle(this.pixel(goal), this.radius * 1.25);
       pen.stroke();
     });
     pen.setLineDash([]);
@@ -328,10 +313,7 @@ export class Arena {
       pen.strokeStyle = theme().ink;
       pen.lineWidth = 1.5;
       pen.setLineDash([4, 4]);
-      pen.beginPath();
-      pen.moveTo(...this.pixel(frame.x[robot]));
-      pen.lineTo(...this.pixel(frame.g[robot]));
-      pen.stroke();
+      this.surface.line(this.pixel(frame.x[robot]), this.pixel(frame.g[robot]));
     }
     pen.setLineDash([]);
   }
@@ -342,8 +324,7 @@ export class Arena {
     pen.lineWidth = 1;
     pen.setLineDash([3, 3]);
     for (const at of frame.x) {
-      pen.beginPath();
-      pen.arc(...this.pixel(at), (about.safe_distance / 2) * this.scale, 0, 2 * Math.PI);
+      this.surface.circle(this.pixel(at), (about.safe_distance / 2) * this.scale);
       pen.stroke();
     }
     pen.setLineDash([]);
@@ -360,8 +341,7 @@ export class Arena {
     frame.x.forEach((at, robot) => {
       const [x, y] = this.pixel(at);
       const { fill, ink, rim } = look(this.run, frame.p[robot]);
-      pen.beginPath();
-      pen.arc(x, y, this.radius, 0, 2 * Math.PI);
+      this.surface.circle([x, y], this.radius);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
       pen.fill();
       if (few || this.selected.includes(robot)) {
@@ -375,7 +355,7 @@ export class Arena {
       if (!few && !this.selected.includes(robot)) return;
       const size = Math.max(10, Math.min(16, this.radius * 1.05));
       pen.font = `600 ${size}px ${FONT}`;
-      pen.fillStyle = dead.has(robot) ? theme().paper : asleep.has(robot) ? theme().paper : ink;
+      pen.fillStyle = dead.has(robot) || asleep.has(robot) ? theme().paper : ink;
       pen.fillText(dead.has(robot) ? "×" : String(robot), x, y + 0.5);
     });
   }
@@ -406,8 +386,7 @@ export class Arena {
   ring(x, y) {
     const { pen } = this.surface;
     for (const [wide, ink] of [[6, theme().paper], [3, theme().accent]]) {
-      pen.beginPath();
-      pen.arc(x, y, this.radius + 5, 0, 2 * Math.PI);
+      this.surface.circle([x, y], this.radius + 5);
       pen.lineWidth = wide;
       pen.strokeStyle = ink;
       pen.stroke();
@@ -422,10 +401,7 @@ export class Arena {
     const units = power * (rough / power >= 5 ? 5 : rough / power >= 2 ? 2 : 1);
     pen.strokeStyle = pen.fillStyle = theme().soft;
     pen.lineWidth = 2;
-    pen.beginPath();
-    pen.moveTo(14, height - 12);
-    pen.lineTo(14 + units * this.scale, height - 12);
-    pen.stroke();
+    this.surface.line([14, height - 12], [14 + units * this.scale, height - 12]);
     pen.font = `11px ${FONT}`;
     pen.textAlign = "left";
     pen.textBaseline = "bottom";

@@ -10,22 +10,14 @@ export class Plots {
     this.runs = runs;
     this.clock = clock;
     this.charts = options.charts;
-    this.surface = new Surface(element, `Plots over rounds: ${this.charts.map((chart) => chart.title).join(", ")}`);
-    this.surface.redraw = () => this.draw();
+    this.surface = new Surface(element, `Plots over rounds: ${this.charts.map((chart) => chart.title).join(", ")}`, () => this.draw());
     this.forget = clock.listen(() => this.draw());
-    const canvas = this.surface.canvas;
     const seek = (event) => {
       clock.playing = false;
       const share = (event.offsetX - LEFT) / Math.max(1, this.surface.width - LEFT - RIGHT);
       clock.seek(Math.round(Math.max(0, Math.min(1, share)) * Math.max(1, clock.last)));
     };
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.dragging = true;
-      seek(event);
-    });
-    canvas.addEventListener("pointermove", (event) => this.dragging && seek(event));
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { this.dragging = false; });
+    this.surface.drag(seek, seek);
     this.surface.fit();
   }
 
@@ -68,10 +60,7 @@ export class Plots {
     if (edge) {
       pen.strokeStyle = colours.warn;
       pen.setLineDash([4, 3]);
-      pen.beginPath();
-      pen.moveTo(LEFT, y(edge));
-      pen.lineTo(width - RIGHT, y(edge));
-      pen.stroke();
+      this.surface.line([LEFT, y(edge)], [width - RIGHT, y(edge)]);
     }
     const inks = [colours.accent, colours.warn, colours.ink];
     pen.lineWidth = 1.8;
@@ -106,10 +95,7 @@ export class Plots {
     const round = this.clock.round;
     pen.strokeStyle = theme().accent;
     pen.lineWidth = 1.5;
-    pen.beginPath();
-    pen.moveTo(x(round), y0);
-    pen.lineTo(x(round), y1);
-    pen.stroke();
+    this.surface.line([x(round), y0], [x(round), y1]);
     let right = width - RIGHT;
     pen.textAlign = "right";
     for (const one of [...series].reverse()) {
@@ -121,10 +107,7 @@ export class Plots {
       pen.strokeStyle = inks[one.stroke % 3];
       pen.lineWidth = 2;
       pen.setLineDash(STROKES[one.stroke % 3]);
-      pen.beginPath();
-      pen.moveTo(right - wide - 20, top + 10);
-      pen.lineTo(right - wide - 5, top + 10);
-      pen.stroke();
+      this.surface.line([right - wide - 20, top + 10], [right - wide - 5, top + 10]);
       pen.setLineDash([]);
       right -= wide + 30;
     }

@@ -63,7 +63,8 @@ export class Recording {
           if (about.ready) this.about = about;
           else this.failure = about.failure;
         }
-        if (this.about) this.take(await this.get(this.question()));
+        const known = `rounds=${this.last + 1}&plans=${this.plans.length}&missions=${this.missions.length}`;
+        if (this.about) this.take(await this.get(`news?${known}`));
         else this.grown();
       } catch (error) {
         if (!(error instanceof TypeError)) this.failure = String(error.message || error);
@@ -73,10 +74,6 @@ export class Recording {
       if (!this.open) return;
       await new Promise((done) => setTimeout(done, Math.max(10, (this.about ? LIVE_MS : FIRST_MS) - (performance.now() - began))));
     }
-  }
-
-  question() {
-    return `news?rounds=${this.last + 1}&plans=${this.plans.length}&missions=${this.missions.length}`;
   }
 
   take(news) {

@@ -1,13 +1,13 @@
 // A canvas as sharp as the screen, redrawn when its size or the page's colours change.
 
-const DARK = { ink: "#e8eaed", soft: "#a9afb8", faint: "#5b6470", grid: "#2b323b", paper: "#12161b", panel: "#1b2129",
+const DARK = { ink: "#e8eaed", soft: "#a9afb8", faint: "#5b6470", grid: "#2b323b", paper: "#12161b",
   warn: "#ff8b4d", accent: "#5ab0ee", none: "#2b323b" };
-const LIGHT = { ink: "#1d232a", soft: "#56606b", faint: "#9aa3ad", grid: "#e3e6ea", paper: "#ffffff", panel: "#f6f7f9",
+const LIGHT = { ink: "#1d232a", soft: "#56606b", faint: "#9aa3ad", grid: "#e3e6ea", paper: "#ffffff",
   warn: "#c2410c", accent: "#0063a8", none: "#ffffff" };
 
 export const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
 
-export function isDark() {
+function isDark() {
   return document.body.classList.contains("body--dark");
 }
 
@@ -29,7 +29,8 @@ export function dash(rim) {
 }
 
 export class Surface {
-  constructor(element, label) {
+  constructor(element, label, redraw) {
+    this.redraw = redraw;
     this.canvas = document.createElement("canvas");
     this.canvas.className = "flock-canvas";
     this.canvas.tabIndex = 0;
@@ -43,7 +44,6 @@ export class Surface {
     this.classes.observe(document.body, { attributes: true, attributeFilter: ["class"] });
     this.element = element;
     this.width = this.height = 0;
-    this.redraw = () => {};
   }
 
   fit() {
@@ -60,6 +60,39 @@ export class Surface {
 
   clear() {
     this.pen.clearRect(0, 0, this.width, this.height);
+  }
+
+  line([x0, y0], [x1, y1]) {
+    this.pen.beginPath();
+    this.pen.moveTo(x0, y0);
+    this.pen.lineTo(x1, y1);
+    this.pen.stroke();
+  }
+
+  /** Begin a path along a circle, to be filled or stroked. */
+  circle([x, y], radius) {
+    this.pen.beginPath();
+    this.pen.arc(x, y, radius, 0, 2 * Math.PI);
+  }
+
+  /** Begin a closed path through corners, to be filled or stroked. */
+  polygon(corners) {
+    this.pen.beginPath();
+    corners.forEach((corner, k) => this.pen[k ? "lineTo" : "moveTo"](...corner));
+    this.pen.closePath();
+  }
+
+  /** Listen to the pointer: where it goes down, is dragged to, and hovers. */
+  drag(down, drag, hover = () => {}) {
+    const { canvas } = this;
+    let dragging = false;
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      dragging = true;
+      down(event);
+    });
+    canvas.addEventListener("pointermove", (event) => (dragging ? drag : hover)(event));
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { dragging = false; });
   }
 
   close() {

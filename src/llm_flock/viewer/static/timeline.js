@@ -11,24 +11,12 @@ export class Timeline {
     this.clock = clock;
     this.tracks = options.tracks;
     this.emit = emit;
-    this.surface = new Surface(element, "Time line: rounds and what happened in them. Left and right arrows step.");
+    const label = "Time line: rounds and what happened in them. Left and right arrows step.";
+    this.surface = new Surface(element, label, () => this.draw());
     this.surface.canvas.setAttribute("role", "slider");
-    this.surface.redraw = () => this.draw();
     this.forget = clock.listen(() => this.draw());
     this.sent = null;
-    const canvas = this.surface.canvas;
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.dragging = true;
-      this.jump(event, true);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (this.dragging) this.jump(event, false);
-      else this.hover(event);
-    });
-    for (const name of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(name, () => { this.dragging = false; });
-    }
+    this.surface.drag((event) => this.jump(event, true), (event) => this.jump(event, false), (event) => this.hover(event));
     this.keys = (event) => this.key(event);
     document.addEventListener("keydown", this.keys);
     this.surface.fit();
@@ -110,20 +98,14 @@ export class Timeline {
       pen.fillText(track.name, 4, y);
       pen.strokeStyle = colours.grid;
       pen.lineWidth = 1;
-      pen.beginPath();
-      pen.moveTo(LEFT, y);
-      pen.lineTo(width - RIGHT, y);
-      pen.stroke();
+      this.surface.line([LEFT, y], [width - RIGHT, y]);
       this.marks(track, y, Math.min(5, row / 2 - 1));
     });
     this.axis(height - AXIS);
     const x = this.x(Math.min(this.clock.cursor, this.span));
     pen.strokeStyle = colours.accent;
     pen.lineWidth = 2;
-    pen.beginPath();
-    pen.moveTo(x, 0);
-    pen.lineTo(x, height - AXIS + 4);
-    pen.stroke();
+    this.surface.line([x, 0], [x, height - AXIS + 4]);
     const canvas = this.surface.canvas;
     canvas.setAttribute("aria-valuemin", "0");
     canvas.setAttribute("aria-valuemax", String(this.clock.last));
@@ -165,7 +147,7 @@ export class Timeline {
         const x = this.x(round);
         if (Math.abs(x - before) < 1.5) continue;
         before = x;
-        mark(pen, track.mark, x, y, size);
+        mark(this.surface, track.mark, x, y, size);
       }
       before = -Infinity;
     }
@@ -191,7 +173,7 @@ export class Timeline {
   }
 }
 
-function mark(pen, shape, x, y, r) {
+function mark(surface, shape, x, y, r) {
   const paths = {
     diamond: [[0, -1], [1, 0], [0, 1], [-1, 0]],
     triangle: [[0, -1], [1, 0.9], [-1, 0.9]],
@@ -199,19 +181,16 @@ function mark(pen, shape, x, y, r) {
     bolt: [[0.3, -1.2], [-0.8, 0.2], [0, 0.2], [-0.3, 1.2], [0.8, -0.2], [0, -0.2]],
     flag: [[-0.7, -1.1], [0.9, -0.5], [-0.4, 0.1], [-0.4, 1.1], [-0.7, 1.1]],
   };
-  pen.beginPath();
-  if (shape === "circle") {
-    pen.arc(x, y, r * 0.8, 0, 2 * Math.PI);
-    pen.fill();
-  } else if (shape === "cross") {
-    pen.moveTo(x - r * 0.8, y - r * 0.8);
-    pen.lineTo(x + r * 0.8, y + r * 0.8);
-    pen.moveTo(x + r * 0.8, y - r * 0.8);
-    pen.lineTo(x - r * 0.8, y + r * 0.8);
-    pen.stroke();
-  } else {
-    paths[shape].forEach(([a, b], k) => pen[k ? "lineTo" : "moveTo"](x + a * r, y + b * r));
-    pen.closePath();
-    pen.fill();
+  if (shape === "cross") {
+    surface.pen.beginPath();
+    for (const side of [-0.8, 0.8]) {
+      surface.pen.moveTo(x + side * r, y - 0.8 * r);
+      surface.pen.lineTo(x - side * r, y + 0.8 * r);
+    }
+    surface.pen.stroke();
+    return;
   }
+  if (shape === "circle") surface.circle([x, y], r * 0.8);
+  else surface.polygon(paths[shape].map(([a, b]) => [x + a * r, y + b * r]));
+  surface.pen.fill();
 }
