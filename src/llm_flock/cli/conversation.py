@@ -9,7 +9,6 @@ from rich.text import Text
 
 from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.schema import LlmEntry
 from llm_flock.record.words import verdict
 
 
@@ -53,20 +52,12 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         raise InputError("robot/round", f"{robot}/{round_number}", "a robot and round with model calls in this record")
     console = Console()
     for entry in found:
-        _show(console, entry)
-
-
-def _show(console: Console, entry: LlmEntry) -> None:
-    title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
-    for message in entry.messages:
-        console.print(Panel(Text(message.text), title=Text(f"{title} · {message.role}"), title_align="left"))
-    if entry.text is not None:
-        console.print(
-            Panel(Text(entry.text), title=Text(f"{title} · answer"), title_align="left", border_style="green")
-        )
-    console.print(
-        Text(
-            f"{verdict(entry)} · {entry.usage.input} tokens in, {entry.usage.output} out · {entry.latency_s:.3f} s"
-            + (f" · faults: {', '.join(entry.faults)}" if entry.faults else "")
-        )
-    )
+        title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
+        for message in entry.messages:
+            console.print(Panel(Text(message.text), title=Text(f"{title} · {message.role}"), title_align="left"))
+        if entry.text is not None:
+            answer = Text(f"{title} · answer")
+            console.print(Panel(Text(entry.text), title=answer, title_align="left", border_style="green"))
+        faults = f" · faults: {', '.join(entry.faults)}" if entry.faults else ""
+        tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
+        console.print(Text(f"{verdict(entry)} · {tokens} · {entry.latency_s:.3f} s{faults}"))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
@@ -16,48 +15,37 @@ if TYPE_CHECKING:
     from llm_flock.runtime.trial import TrialProgress
 
 
-class LiveLine:
-    """Round, formed robots, plans, calls, tokens and cost, on stderr so that stdout stays clean.
+def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialProgress], None]]:
+    """A context manager that shows a run on stderr while it is open, and a function to call after each round.
 
     A terminal redraws one line; a log or a pipe gets a line per round.
     """
+    console = Console(stderr=True)
+    redraws = enabled and console.is_terminal
+    bar = Progress(
+        SpinnerColumn(),
+        # A field without markup: the user's label may hold brackets and braces.
+        TextColumn("{task.fields[label]}", style="bold", markup=False),
+        BarColumn(bar_width=20),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not redraws,
+    )
+    task = bar.add_task("asking every model for a plan ...", total=None, label=label)
 
-    def __init__(self, label: str, *, enabled: bool) -> None:
-        self._console = Console(stderr=True)
-        self._redraw = enabled and self._console.is_terminal
-        self._plain = enabled and not self._redraw
-        self._bar = Bar(
-            SpinnerColumn(),
-            # A field without markup: the user's label may hold brackets and braces.
-            TextColumn("{task.fields[label]}", style="bold", markup=False),
-            BarColumn(bar_width=20),
-            TextColumn("{task.description}"),
-            TimeElapsedColumn(),
-            console=self._console,
-            disable=not self._redraw,
-        )
-        self._task = self._bar.add_task("asking every model for a plan ...", total=None, label=label)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def update(self, now: TrialProgress) -> None:
-        """Show the state after a round."""
+    def show(now: TrialProgress) -> None:
         error = "" if now.error is None else f" · error {now.error:.2f}"
         cost = "" if not now.cost_usd else f" · {now.cost_usd:.4f} USD"
         text = (
             f"round {now.round} · at goal {now.at_goal}/{now.n_robots} · plans {now.plans_in_use} · "
             f"goals {now.distinct_goals}{error} · calls {now.model_calls} · tokens {now.tokens:,}{cost}"
         )
-        self._bar.update(self._task, description=text, completed=now.at_goal, total=now.n_robots)
-        if self._plain:
-            self._console.print(text, highlight=False, soft_wrap=True)
+        bar.update(task, description=text, completed=now.at_goal, total=now.n_robots)
+        if enabled and not redraws:
+            console.print(text, highlight=False, soft_wrap=True)
+
+    return bar, show
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
@@ -67,7 +55,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()
-    rows: list[tuple[str, str]] = [
+    rows = [
         ("protocol", f"{summary.consensus} + {summary.assignment}, shield {'on' if summary.shield else 'off'}"),
         ("formed", _formed(summary)),
         ("stopped", f"{summary.stopped}, after {summary.rounds} rounds"),
@@ -81,33 +69,24 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("cost", _number(summary.cost_usd, "{:.4f} USD") if not summary.simulated else "none (simulated)"),
         ("time", f"{summary.wall_s:.2f} s"),
     ]
-    rows += _in_flight(summary)
-    if summary.faults:
-        rows.append(("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())))
-    if summary.robots_without_plan:
-        rows.append(("without a plan", f"{summary.robots_without_plan} robots"))
-    if summary.record:
-        rows.append(("record", escape(summary.record)))
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def _in_flight(summary: Summary) -> list[tuple[str, str]]:
-    """Events in flight, and places or robots left over."""
     given = [
         f"{m.shape} {'not formed' if m.formed is None else f'formed in round {m.formed}'}"
         + (f" (given in round {m.round})" if m.round else "")
         for m in summary.missions
     ]
-    rows = [
+    special = [
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
         ("empty places", str(summary.gaps or "")),
         ("spare robots", str(summary.spares or "")),
+        ("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())),
+        ("without a plan", f"{summary.robots_without_plan} robots" if summary.robots_without_plan else ""),
+        ("record", escape(summary.record or "")),
     ]
-    return [row for row in rows if row[1]]
+    for name, value in rows + [row for row in special if row[1]]:
+        table.add_row(name, value)
+    return table
 
 
 def _formed(summary: Summary) -> str:

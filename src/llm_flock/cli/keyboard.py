@@ -9,7 +9,10 @@ import signal
 import sys
 import threading
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.flight.flight import Flight
 
 LAND_KEYS = frozenset("lL ")
 """Keys that land all drones: l, or the space bar."""
@@ -41,29 +44,14 @@ async def ask(question: str) -> str:
     return await answer
 
 
-class Controllable(Protocol):
-    """The flight that the keys control."""
-
-    def abort(self) -> bool:
-        """Land all drones; returns False if the flight has not begun."""
-        ...
-
-    def emergency(self) -> bool:
-        """Cut all motors; returns False if the flight has not begun."""
-        ...
-
-
 class Keyboard:
     """Handles a terminal's keys and signals while the event loop runs; leaves the terminal as it was.
 
     Ctrl-C and SIGTERM land all drones, a second one cuts all motors. Before a flight begins they end the program. Call
     `listen` once the flight has begun: until then, typing answers a question.
-
-    Args:
-        flight: to control.
     """
 
-    def __init__(self, flight: Controllable) -> None:
+    def __init__(self, flight: Flight) -> None:
         self._flight = flight
         self._signals = 0
         self._terminal: list[Any] | None = None
