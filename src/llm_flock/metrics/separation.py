@@ -24,12 +24,7 @@ def min_separation(positions: ArrayLike) -> float:
     Args:
         positions: shape (n, d) [units].
     """
-    rows = np.asarray(positions, dtype=np.float64)
-    if not 2 <= len(rows) <= ALL_PAIRS_UP_TO:
-        return formations.smallest_distance(rows)
-    one, two = _pairs(len(rows))
-    apart = rows[one] - rows[two]
-    return math.sqrt(float((apart * apart).sum(axis=1).min()))
+    return formations.smallest_distance(positions)
 
 
 def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[tuple[int, int]] = frozenset()) -> float:
