@@ -316,23 +316,22 @@ class Mission(BaseModel):
             )
 
 
+def _unchecked(mission: Mission, **fields: Any) -> Mission:
+    """A changed copy without validation, and without the values of cached properties."""
+    return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
+
+
 @lru_cache(maxsize=256)
 def _at(mission: Mission, round_: int) -> Mission:
-    """`Mission.at` without validation: a valid mission stays valid as it moves. Cached properties are not copied."""
     center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
-    stopped = round_ - mission.since >= mission.travel_rounds
-    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
-    fields.update(center=center, since=max(round_, mission.since))
-    if stopped:
-        fields.update(velocity=None, since=0)
-    return Mission.model_construct(**fields)
+    if round_ - mission.since >= mission.travel_rounds:
+        return _unchecked(mission, center=center, velocity=None, since=0)
+    return _unchecked(mission, center=center, since=max(round_, mission.since))
 
 
 @lru_cache(maxsize=256)
 def _resized(mission: Mission, places: int) -> Mission:
-    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
-    fields["places"] = None if places == mission.n_robots else places
-    resized = Mission.model_construct(**fields)
+    resized = _unchecked(mission, places=None if places == mission.n_robots else places)
     # Only the shape depends on the number. Obstacles are not checked: a moving formation may be anywhere among them.
     resized.check_shape()
     return resized

@@ -17,11 +17,7 @@ PAIRWISE_UP_TO = 500
 
 
 def smallest_distance(points: ArrayLike) -> float:
-    """Distance of the closest pair [units]; infinite for fewer than two points.
-
-    Args:
-        points: shape (n, d) [units].
-    """
+    """Distance of the closest pair of points, shape (n, d) [units]; infinite for fewer than two."""
     rows = np.asarray(points, dtype=np.float64)
     if len(rows) < 2:
         return math.inf
@@ -43,14 +39,10 @@ def rotated(points: ArrayLike, center: Sequence[float], angle_rad: float) -> Poi
 
 
 def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
-    """Largest k such that a rotation by 360/k degrees about the mean maps the set of points to itself.
+    """Largest k such that a rotation by 360/k degrees about the mean maps the set of points, shape (n, d), to itself.
 
-    Args:
-        points: shape (n, d) [units].
-        tolerance: largest distance of an image from a point, as a share of the largest radius.
-
-    Returns:
-        1 without symmetry, for a single point, and in dimensions other than two.
+    It is 1 without symmetry, for a single point, and in dimensions other than two. `tolerance` is the largest distance
+    of an image from a point, as a share of the largest radius.
     """
     rows = np.asarray(points, dtype=np.float64)
     n, dim = rows.shape

@@ -74,7 +74,7 @@ class Obstacle(BaseModel):
         if self.polygon is None:
             center, radius = self._disc()
             return math.dist(point, center) - radius
-        gap = math.dist(point, polygons.nearest_on_boundary(self.polygon, point))
+        gap = min(math.dist(point, polygons.nearest_on_segment(point, a, b)) for a, b in polygons.edges(self.polygon))
         return -gap if polygons.contains(self.polygon, point) else gap
 
     def nearest(self, point: Point) -> list[Nearest]:
