@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from sample_records import llm_entry, make_record
 
-from llm_flock.cli.conversation import show_conversation, show_overview
-from llm_flock.cli.display import live_line
+from llm_flock.cli.display import live_line, show_conversation, show_overview
 from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.runtime.trial import TrialProgress
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.comparison import compare
-from llm_flock.cli.display import live_line, summary_table
+from llm_flock.cli.display import live_line, show_conversation, show_overview, summary_table
 from llm_flock.cli.distill import distill
 from llm_flock.cli.fly import fly
 from llm_flock.cli.options import (
@@ -145,7 +145,6 @@ def inspect(
     round_number: Annotated[int | None, typer.Option("--round", min=0, help="Show only this round")] = None,
 ) -> None:
     """Show a record: its summary, or the conversation of a robot with its model."""
-    from llm_flock.cli.conversation import show_conversation, show_overview
     from llm_flock.record.reader import read_record
 
     found = read_record(_record_file(record))

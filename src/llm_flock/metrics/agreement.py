@@ -109,7 +109,7 @@ class FormedTracker:
     in_order: bool = field(default=False, init=False)
     formed_at: int | None = field(default=None, init=False)
     _since: int | None = field(default=None, init=False)
-    _last: int | None = field(default=None, init=False)
+    _last: int = field(default=-1, init=False)
 
     def update(
         self,
@@ -134,8 +134,7 @@ class FormedTracker:
         Returns:
             Whether the team has formed.
         """
-        assert self._last is None or round_number > self._last, f"round {round_number} after round {self._last}"
-        consecutive = self._last is not None and round_number == self._last + 1
+        assert round_number > self._last, f"round {round_number} after round {self._last}"
         n = len(plan_ids)
         owners = sum(slot is not None for slot in slots)
         self.in_order = (
@@ -148,7 +147,7 @@ class FormedTracker:
         )
         if not self.in_order:
             self._since = None
-        elif self._since is None or not consecutive:
+        elif self._since is None or round_number != self._last + 1:
             self._since = round_number
         self._last = round_number
         if self.formed_at is None and self._since is not None and round_number - self._since + 1 >= HELD_ROUNDS:

@@ -23,12 +23,7 @@ TOUCHING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """Distance and direction of the nearest point of a convex set.
-
-    Attributes:
-        distance: distance of its surface [units]; negative inside.
-        outward: unit vector in which the distance grows.
-    """
+    """The nearest point of a convex set: its distance [units; negative inside], and the unit vector outward."""
 
     distance: float
     outward: Point

@@ -20,13 +20,7 @@ from llm_flock.record.schema import CHANNELS, FORMAT_VERSION, ROUND_NS, Entry, R
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawMessage:
-    """One message as it stands in the file.
-
-    Attributes:
-        topic: its channel.
-        round: the round at which it was logged.
-        data: its JSON.
-    """
+    """One message as it stands in the file: its channel, the round at which it was logged, and its JSON."""
 
     topic: str
     round: int
@@ -40,8 +34,7 @@ class RawMessage:
 class RecordStream:
     """Reads a record from its start; `messages` and `entries` go on where the last call stopped.
 
-    Args:
-        path: the file. It may be created later, and may still grow.
+    The file may be created later, and may still grow.
 
     Attributes:
         ended: whether the file's proper end was reached, so that no more will come.

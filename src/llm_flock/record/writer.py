@@ -68,10 +68,7 @@ class Tee:
 
 
 class RecordWriter:
-    """A sink that writes one MCAP file; a context manager.
-
-    Args:
-        path: file to write; missing folders are made, an existing file is never overwritten.
+    """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
 
     Raises:
         InputError: the file exists, or cannot be made.
