@@ -72,8 +72,7 @@ def is_simple(polygon: Sequence[Point]) -> bool:
     if abs(signed_area(polygon)) <= FLAT * size * size:
         return False
     sides = list(edges(polygon))
-    for i in range(n):
-        a, b = sides[i]
+    for i, (a, b) in enumerate(sides):
         c = sides[(i + 1) % n][1]
         forward = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
         if a == b or (cross(a, b, c) == 0.0 and forward < 0.0):
