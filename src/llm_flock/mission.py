@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import formations
-from llm_flock.arrays import MAX_COORDINATE, Point, Points
+from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 
@@ -154,15 +154,14 @@ class Mission(BaseModel):
             )
         if self.points is not None and any(len(p) != len(self.center) for p in self.points):
             raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
-        ideal = self._ideal_points()
-        if ideal is None:
+        if self.ideal is None:
             return
-        nearest = formations.smallest_distance(ideal)
+        nearest = formations.smallest_distance(self.ideal)
         if nearest < self.safe_distance - 1e-9:
             raise InputError(
                 "shape", self.shape, f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
             )
-        reach = formations.circumradius(ideal, self.center)
+        reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
@@ -195,15 +194,6 @@ class Mission(BaseModel):
             f"least safe_distance / 2 = {self.body_radius:g} from every obstacle",
         )
 
-    def _ideal_points(self) -> Points | None:
-        """The points of `ideal`, shape (n_places, d). An error about the number names the field that sets it."""
-        try:
-            return formations.ideal_points(self.shape, self.n_places, self.center, self.spacing, self.points)
-        except InputError as error:
-            if error.field != "n_robots" or self.places is None:
-                raise
-            raise InputError("places", error.value, error.allowed) from None
-
     @property
     def n_places(self) -> int:
         """Number of places in the formation. Fewer than robots leave spare robots, more leave empty places."""
@@ -233,8 +223,13 @@ class Mission(BaseModel):
     @cached_property
     def ideal(self) -> tuple[Point, ...] | None:
         """Ideal target points of the shape in its reference orientation [units]; None for a shape in words."""
-        points = self._ideal_points()
-        return None if points is None else tuple(tuple(float(x) for x in row) for row in points)
+        try:
+            points = formations.ideal_points(self.shape, self.n_places, self.center, self.spacing, self.points)
+        except InputError as error:
+            if error.field != "n_robots" or self.places is None:
+                raise
+            raise InputError("places", error.value, error.allowed) from None  # the field that sets the number
+        return None if points is None else tuple(tuple(row) for row in points.tolist())
 
     @cached_property
     def digest(self) -> str:
@@ -316,23 +311,22 @@ class Mission(BaseModel):
             )
 
 
+def _unchecked(mission: Mission, **fields: Any) -> Mission:
+    """A changed copy without validation, and without the values of cached properties."""
+    return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
+
+
 @lru_cache(maxsize=256)
 def _at(mission: Mission, round_: int) -> Mission:
-    """`Mission.at` without validation: a valid mission stays valid as it moves. Cached properties are not copied."""
     center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
-    stopped = round_ - mission.since >= mission.travel_rounds
-    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
-    fields.update(center=center, since=max(round_, mission.since))
-    if stopped:
-        fields.update(velocity=None, since=0)
-    return Mission.model_construct(**fields)
+    if round_ - mission.since >= mission.travel_rounds:
+        return _unchecked(mission, center=center, velocity=None, since=0)
+    return _unchecked(mission, center=center, since=max(round_, mission.since))
 
 
 @lru_cache(maxsize=256)
 def _resized(mission: Mission, places: int) -> Mission:
-    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
-    fields["places"] = None if places == mission.n_robots else places
-    resized = Mission.model_construct(**fields)
+    resized = _unchecked(mission, places=None if places == mission.n_robots else places)
     # Only the shape depends on the number. Obstacles are not checked: a moving formation may be anywhere among them.
     resized.check_shape()
     return resized

@@ -17,8 +17,8 @@ VALUES: Mapping[str, Mapping[str, str]] = {
 }
 """Values of settings, by setting: old name to new name."""
 
-RECORD_FIELDS: Mapping[str, Mapping[str, str]] = {"/protocol": {"tick": "comm_round"}}
-"""Fields of recorded messages, by channel: old name to new name. Newer records have the new names only."""
+RECORD_FIELDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {"/protocol": {"comm_round": ("tick",)}}
+"""Fields of recorded messages, by channel: new name to old names. Newer records have the new names only."""
 
 
 def current(settings: Mapping[str, Any]) -> dict[str, Any]:

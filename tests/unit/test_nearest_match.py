@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from llm_flock import formations, metrics
-from llm_flock.metrics import nearest_match, shape_error
-from llm_flock.metrics.nearest_match import proven_match
-from llm_flock.metrics.plane import longest
+from llm_flock.metrics import plane, shape_error
+from llm_flock.metrics.plane import longest, proven_match
 from llm_flock.mission import Mission
 
 
@@ -45,7 +44,7 @@ def test_a_crowd_has_no_proven_match() -> None:
     assert proven_match(np.random.default_rng(0).uniform(0, 40, target.shape), target) is None
     assert proven_match(np.full((16, 2), 50.0), target) is None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nearest_match, "MAX_INTERVALS", 10)
+        patch.setattr(plane, "MAX_INTERVALS", 10)
         assert proven_match(target, target) is None
     assert proven_match(target, target) is not None
 

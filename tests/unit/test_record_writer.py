@@ -225,8 +225,7 @@ def test_a_state_needs_a_mission_before_it(tmp_path: Path) -> None:
 
 def test_null_writer_takes_everything_and_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with NullWriter() as writer:
-        FakeRun(n=3, rounds=2).write(writer)
+    FakeRun(n=3, rounds=2).write(NullWriter())
     assert not list(tmp_path.iterdir())
 
 

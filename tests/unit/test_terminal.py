@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from sample_records import llm_entry, make_record
 
-from llm_flock.cli.conversation import show_conversation, show_overview
-from llm_flock.cli.display import LiveLine
+from llm_flock.cli.display import live_line, show_conversation, show_overview
 from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.runtime.trial import TrialProgress
 
@@ -39,8 +38,9 @@ def test_the_live_line_shows_any_label_on_a_terminal(
         tokens=100,
         cost_usd=None,
     )
-    with LiveLine(shape, enabled=True) as line:
-        line.update(now)
+    bar, show = live_line(shape, enabled=True)
+    with bar:
+        show(now)
     assert shape in capsys.readouterr().err
 
 

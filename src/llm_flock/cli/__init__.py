@@ -14,10 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.comparison import compare
-from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.display import live_line, show_conversation, show_overview, summary_table
 from llm_flock.cli.distill import distill
 from llm_flock.cli.fly import fly
-from llm_flock.cli.keys import keys
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INPUT,
@@ -34,9 +33,9 @@ from llm_flock.cli.report import export, report
 from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
-from llm_flock.cli.view import view
 from llm_flock.errors import FlockError, InputError
 from llm_flock.renamed import current_flag
+from llm_flock.viewer.command import view
 
 app = typer.Typer(
     name="llm-flock",
@@ -66,10 +65,10 @@ def run(
     from llm_flock.runtime.config import RunConfig
 
     settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record)
-    live = not quiet and not json_output
+    bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
     try:
-        with LiveLine(settings.mission.shape, enabled=live) as line:
-            result = run_trial(config=settings, on_round=line.update)
+        with bar:
+            result = run_trial(config=settings, on_round=on_round)
     except KeyboardInterrupt:
         where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""
         print(f"interrupted{where}", file=sys.stderr)
@@ -83,10 +82,7 @@ def run(
         raise typer.Exit(EXIT_FAILED)
 
 
-app.command()(compare)
-app.command()(sweep)
-app.command()(fly)
-for command in (swarm, robot, world, mission, watch):
+for command in (compare, sweep, fly, swarm, robot, world, mission, watch):
     app.command()(command)
 
 
@@ -149,7 +145,6 @@ def inspect(
     round_number: Annotated[int | None, typer.Option("--round", min=0, help="Show only this round")] = None,
 ) -> None:
     """Show a record: its summary, or the conversation of a robot with its model."""
-    from llm_flock.cli.conversation import show_conversation, show_overview
     from llm_flock.record.reader import read_record
 
     found = read_record(_record_file(record))
@@ -159,12 +154,27 @@ def inspect(
         show_conversation(found, robot, round_number)
 
 
-app.command()(keys)
+@app.command()
+def keys(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder", show_default=False)],
+    robots: Annotated[int, typer.Option(min=1, help="Number of robots", show_default=False)],
+    days: Annotated[int, typer.Option(min=1, help="Validity of the certificates [days]")] = 365,
+) -> None:
+    """Make the keys and certificates of a team whose robots are separate processes.
+
+    No file is overwritten. Each robot gets a folder: its machine needs that folder, team.json and ca.pem.
+    """
+    try:
+        from llm_flock.trust.keys import make_keys
+    except ImportError:
+        raise InputError("command", "keys", "possible once installed: pip install 'llm-flock[network]'") from None
+    make_keys(folder, robots, days=days)
+    print(f"keys of {robots} robots, operator, world and watcher in {folder}; keep {folder / 'authority'} offline")
+
+
 app.add_typer(distill)
-app.command()(view)
-app.command()(report)
-app.command()(export)
-app.command()(stand_ins)
+for command in (view, report, export, stand_ins):
+    app.command()(command)
 
 
 @app.command()

@@ -1,63 +1,57 @@
-"""Shows a run in the terminal: a live line while it flies, a table when it is over."""
+"""Shows a run in the terminal: a live line while it flies, a table when it is over, and what its record holds."""
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
+from rich.panel import Panel
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
+
+from llm_flock.errors import InputError
+from llm_flock.record.words import verdict
 
 if TYPE_CHECKING:
+    from llm_flock.record.reader import RunRecord
     from llm_flock.runtime.result import Summary
     from llm_flock.runtime.trial import TrialProgress
 
 
-class LiveLine:
-    """Round, formed robots, plans, calls, tokens and cost, on stderr so that stdout stays clean.
+def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialProgress], None]]:
+    """A context manager that shows a run on stderr while it is open, and a function to call after each round.
 
     A terminal redraws one line; a log or a pipe gets a line per round.
     """
+    console = Console(stderr=True)
+    redraws = enabled and console.is_terminal
+    bar = Progress(
+        SpinnerColumn(),
+        # A field without markup: the user's label may hold brackets and braces.
+        TextColumn("{task.fields[label]}", style="bold", markup=False),
+        BarColumn(bar_width=20),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not redraws,
+    )
+    task = bar.add_task("asking every model for a plan ...", total=None, label=label)
 
-    def __init__(self, label: str, *, enabled: bool) -> None:
-        self._console = Console(stderr=True)
-        self._redraw = enabled and self._console.is_terminal
-        self._plain = enabled and not self._redraw
-        self._bar = Bar(
-            SpinnerColumn(),
-            # A field without markup: the user's label may hold brackets and braces.
-            TextColumn("{task.fields[label]}", style="bold", markup=False),
-            BarColumn(bar_width=20),
-            TextColumn("{task.description}"),
-            TimeElapsedColumn(),
-            console=self._console,
-            disable=not self._redraw,
-        )
-        self._task = self._bar.add_task("asking every model for a plan ...", total=None, label=label)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def update(self, now: TrialProgress) -> None:
-        """Show the state after a round."""
+    def show(now: TrialProgress) -> None:
         error = "" if now.error is None else f" · error {now.error:.2f}"
         cost = "" if not now.cost_usd else f" · {now.cost_usd:.4f} USD"
         text = (
             f"round {now.round} · at goal {now.at_goal}/{now.n_robots} · plans {now.plans_in_use} · "
             f"goals {now.distinct_goals}{error} · calls {now.model_calls} · tokens {now.tokens:,}{cost}"
         )
-        self._bar.update(self._task, description=text, completed=now.at_goal, total=now.n_robots)
-        if self._plain:
-            self._console.print(text, highlight=False, soft_wrap=True)
+        bar.update(task, description=text, completed=now.at_goal, total=now.n_robots)
+        if enabled and not redraws:
+            console.print(text, highlight=False, soft_wrap=True)
+
+    return bar, show
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
@@ -67,7 +61,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()
-    rows: list[tuple[str, str]] = [
+    rows = [
         ("protocol", f"{summary.consensus} + {summary.assignment}, shield {'on' if summary.shield else 'off'}"),
         ("formed", _formed(summary)),
         ("stopped", f"{summary.stopped}, after {summary.rounds} rounds"),
@@ -81,33 +75,24 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("cost", _number(summary.cost_usd, "{:.4f} USD") if not summary.simulated else "none (simulated)"),
         ("time", f"{summary.wall_s:.2f} s"),
     ]
-    rows += _in_flight(summary)
-    if summary.faults:
-        rows.append(("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())))
-    if summary.robots_without_plan:
-        rows.append(("without a plan", f"{summary.robots_without_plan} robots"))
-    if summary.record:
-        rows.append(("record", escape(summary.record)))
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def _in_flight(summary: Summary) -> list[tuple[str, str]]:
-    """Events in flight, and places or robots left over."""
     given = [
         f"{m.shape} {'not formed' if m.formed is None else f'formed in round {m.formed}'}"
         + (f" (given in round {m.round})" if m.round else "")
         for m in summary.missions
     ]
-    rows = [
+    special = [
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
         ("empty places", str(summary.gaps or "")),
         ("spare robots", str(summary.spares or "")),
+        ("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())),
+        ("without a plan", f"{summary.robots_without_plan} robots" if summary.robots_without_plan else ""),
+        ("record", escape(summary.record or "")),
     ]
-    return [row for row in rows if row[1]]
+    for name, value in rows + [row for row in special if row[1]]:
+        table.add_row(name, value)
+    return table
 
 
 def _formed(summary: Summary) -> str:
@@ -122,3 +107,54 @@ def _formed(summary: Summary) -> str:
 
 def _number(value: float | None, form: str) -> str:
     return "not known" if value is None else form.format(value)
+
+
+def show_overview(record: RunRecord) -> None:
+    """Print the mission, and its progress round by round."""
+    console = Console()
+    mission = record.mission.mission
+    simulated = " · simulated language models" if record.run.simulated else ""
+    state = "complete" if record.complete else "ends early (the run was stopped)"
+    # Text(...) keeps brackets in names, answers and templates from being read as markup.
+    console.print(
+        Text(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
+    )
+    table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
+    for row in record.metrics:
+        table.add_row(
+            str(row.round),
+            str(row.robots_at_goal),
+            str(row.plans_in_use),
+            str(row.distinct_goals),
+            "-" if row.procrustes_mean is None else f"{row.procrustes_mean:.3f}",
+            "-" if row.min_separation is None else f"{row.min_separation:.2f}",
+            str(row.model_calls),
+            str(row.tokens),
+        )
+    console.print(table)
+
+
+def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
+    """Print every call of one robot, of one round, or both.
+
+    Raises:
+        InputError: the record holds no such call.
+    """
+    found = [
+        entry
+        for entry in record.llm
+        if (robot is None or entry.robot == robot) and (round_number is None or entry.round == round_number)
+    ]
+    if not found:
+        raise InputError("robot/round", f"{robot}/{round_number}", "a robot and round with model calls in this record")
+    console = Console()
+    for entry in found:
+        title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
+        for message in entry.messages:
+            console.print(Panel(Text(message.text), title=Text(f"{title} · {message.role}"), title_align="left"))
+        if entry.text is not None:
+            answer = Text(f"{title} · answer")
+            console.print(Panel(Text(entry.text), title=answer, title_align="left", border_style="green"))
+        faults = f" · faults: {', '.join(entry.faults)}" if entry.faults else ""
+        tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
+        console.print(Text(f"{verdict(entry)} · {tokens} · {entry.latency_s:.3f} s{faults}"))

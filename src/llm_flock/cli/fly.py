@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from llm_flock.cli.display import LiveLine, summary_table
+from llm_flock.cli.display import live_line, summary_table
 from llm_flock.cli.keyboard import Keyboard, ask
 from llm_flock.cli.options import (
     EXIT_FAILED,
@@ -93,11 +93,11 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
             print(stage, file=sys.stderr)
         if stage == TAKING_OFF:  # until then the terminal belongs to the question
             keyboard.listen()
-            stack.enter_context(line)
+            stack.enter_context(bar)
 
-    line = LiveLine(settings.mission.shape, enabled=live)
+    bar, on_round = live_line(settings.mission.shape, enabled=live)
     with ExitStack() as stack:
-        flight = Flight(settings, build_fleet(settings), on_round=line.update, on_stage=on_stage)
+        flight = Flight(settings, build_fleet(settings), on_round=on_round, on_stage=on_stage)
         with Keyboard(flight) as keyboard:
             try:
                 result = await flight.run(confirm)

@@ -8,8 +8,10 @@ import os
 import signal
 import sys
 import threading
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.flight.flight import Flight
 
 LAND_KEYS = frozenset("lL ")
 """Keys that land all drones: l, or the space bar."""
@@ -41,32 +43,17 @@ async def ask(question: str) -> str:
     return await answer
 
 
-class Controllable(Protocol):
-    """The flight that the keys control."""
-
-    def abort(self) -> bool:
-        """Land all drones; returns False if the flight has not begun."""
-        ...
-
-    def emergency(self) -> bool:
-        """Cut all motors; returns False if the flight has not begun."""
-        ...
-
-
-class Keyboard:
+class Keyboard(contextlib.ExitStack):
     """Handles a terminal's keys and signals while the event loop runs; leaves the terminal as it was.
 
     Ctrl-C and SIGTERM land all drones, a second one cuts all motors. Before a flight begins they end the program. Call
     `listen` once the flight has begun: until then, typing answers a question.
-
-    Args:
-        flight: to control.
     """
 
-    def __init__(self, flight: Controllable) -> None:
+    def __init__(self, flight: Flight) -> None:
+        super().__init__()
         self._flight = flight
         self._signals = 0
-        self._terminal: list[Any] | None = None
 
     def __enter__(self) -> Self:
         loop = asyncio.get_running_loop()
@@ -75,19 +62,21 @@ class Keyboard:
         self._task = task
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._signalled)
+            self.callback(loop.remove_signal_handler, number)
         return self
 
     def listen(self) -> None:
         """Treat keys as commands from now on; does nothing without a terminal."""
-        if not sys.stdin.isatty() or self._terminal is not None:
+        if not sys.stdin.isatty():
             return
         import termios
         import tty
 
-        number = sys.stdin.fileno()
-        self._terminal = termios.tcgetattr(number)
+        number, loop = sys.stdin.fileno(), asyncio.get_running_loop()
+        self.callback(termios.tcsetattr, number, termios.TCSADRAIN, termios.tcgetattr(number))
         tty.setcbreak(number)
-        asyncio.get_running_loop().add_reader(number, self._pressed)
+        loop.add_reader(number, self._pressed)
+        self.callback(loop.remove_reader, number)
 
     def _pressed(self) -> None:
         for key in os.read(sys.stdin.fileno(), 64).decode(errors="ignore"):
@@ -102,13 +91,3 @@ class Keyboard:
             self._flight.emergency()
         elif not self._flight.abort():
             self._task.cancel()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.remove_signal_handler(number)
-        if self._terminal is not None:
-            import termios
-
-            loop.remove_reader(sys.stdin.fileno())
-            termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._terminal)

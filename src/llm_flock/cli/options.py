@@ -64,31 +64,13 @@ PANELS = {
 }
 
 
-def flag(field: str) -> str:
-    """The flag of a configuration field."""
-    return SHORT.get(field, "--" + field.replace("_", "-"))
-
-
-def config_parameters(
-    without: frozenset[str] = frozenset(), kind: type[RunConfig] = RunConfig
-) -> list[inspect.Parameter]:
-    """One keyword parameter for each field of the configuration except some; None means not given."""
-    found: list[inspect.Parameter] = []
-    for name, section_info in kind.model_fields.items():
-        section = section_info.annotation
-        assert isinstance(section, type) and issubclass(section, BaseModel)
-        for field, info in section.model_fields.items():
-            if field not in NOT_FLAGS | without:
-                found.append(_parameter(field, info, PANELS[name]))
-    return found
-
-
 def _parameter(field: str, info: FieldInfo, panel: str) -> inspect.Parameter:
+    """A flag as the keyword parameter of a command; None means not given."""
     kind, metavar = (str, "JSON|FILE") if field in JSON_LISTS else _flag_type(info.annotation)
-    names = [f"{flag(field)}/--no-{flag(field)[2:]}"] if kind is bool else [flag(field)]
+    flag = SHORT.get(field, "--" + field.replace("_", "-"))
     shown = info.get_default(call_default_factory=True)
     option = typer.Option(
-        *names,
+        f"{flag}/--no-{flag[2:]}" if kind is bool else flag,
         help=info.description,
         metavar=metavar,
         rich_help_panel=panel,
@@ -127,10 +109,16 @@ def with_config_flags(
     without: frozenset[str] = frozenset(), kind: type[RunConfig] = RunConfig
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add a flag for each field of the configuration except some to a command that takes them as `**flags`."""
+    left_out = NOT_FLAGS | without
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD]
-        parameters = own + config_parameters(without, kind)
+        given = inspect.signature(command, eval_str=True).parameters.values()
+        parameters = [p for p in given if p.kind is not p.VAR_KEYWORD]
+        for name, section_info in kind.model_fields.items():
+            section = section_info.annotation
+            assert isinstance(section, type) and issubclass(section, BaseModel)
+            fields = section.model_fields.items()
+            parameters += [_parameter(field, info, PANELS[name]) for field, info in fields if field not in left_out]
         vars(command)["__signature__"] = inspect.Signature(parameters)
         command.__annotations__ = {p.name: p.annotation for p in parameters}
         return command

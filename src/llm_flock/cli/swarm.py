@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from llm_flock.cli.display import LiveLine
+from llm_flock.cli.display import live_line
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -76,9 +76,10 @@ def swarm(
 
     settings = with_output_folder(SwarmConfig.load(config, **parse_flags(flags)), "swarm-", record=record)
     shape, n_robots = settings.mission.shape, settings.mission.n_robots
+    bar, on_round = live_line(shape, enabled=not quiet and not json_output)
     try:
-        with LiveLine(shape, enabled=not quiet and not json_output) as line:
-            result = asyncio.run(run_swarm(settings, line.update))
+        with bar:
+            result = asyncio.run(run_swarm(settings, on_round))
     except KeyboardInterrupt:
         print(f"interrupted; all {n_robots} robots have ended", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED) from None
@@ -101,8 +102,9 @@ def watch(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None
     from llm_flock.runtime.network.watch import run_watch
 
     settings = SwarmConfig.load(config, **parse_flags(flags))
-    with LiveLine(settings.network.swarm, enabled=not quiet) as line:
-        _run_until_stopped(run_watch(settings, settings.record, line.update))
+    bar, on_round = live_line(settings.network.swarm, enabled=not quiet)
+    with bar:
+        _run_until_stopped(run_watch(settings, settings.record, on_round))
 
 
 def mission(

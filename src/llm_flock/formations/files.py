@@ -15,11 +15,8 @@ from llm_flock.errors import InputError
 def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
     """Read rows of coordinates from a file: JSON (a list of lists) if its name ends in `.json`, CSV otherwise.
 
-    Each line of a CSV file holds x,y or x,y,z. A first line without numbers is a header; empty lines are skipped.
-
-    Args:
-        path: the file, in UTF-8.
-        field: name of the setting, for errors.
+    Each line of a CSV file holds x,y or x,y,z. A first line without numbers is a header; empty lines are skipped. Files
+    are in UTF-8; `field` names the setting in errors.
 
     Raises:
         InputError: the file cannot be read, or its rows are not all 2 or all 3 finite numbers.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
@@ -17,24 +17,13 @@ PAIRWISE_UP_TO = 500
 
 
 def smallest_distance(points: ArrayLike) -> float:
-    """Distance of the closest pair [units]; infinite for fewer than two points.
-
-    Args:
-        points: shape (n, d) [units].
-    """
+    """Distance of the closest pair of points, shape (n, d) [units]; infinite for fewer than two."""
     rows = np.asarray(points, dtype=np.float64)
     if len(rows) < 2:
         return math.inf
     if len(rows) <= PAIRWISE_UP_TO:
         return float(pdist(rows).min())
-    distance, _ = _nearest(KDTree(rows), rows, 2)
-    return float(distance[:, 1].min())
-
-
-def _nearest(tree: KDTree, points: Points, k: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Distances and indices of the k nearest points of the tree, shape (n,) for k = 1 and (n, k) otherwise."""
-    distance, index = tree.query(points, k=k)
-    return np.asarray(distance), np.asarray(index)
+    return float(np.asarray(KDTree(rows).query(rows, k=2)[0])[:, 1].min())
 
 
 def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
@@ -50,14 +39,10 @@ def rotated(points: ArrayLike, center: Sequence[float], angle_rad: float) -> Poi
 
 
 def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
-    """Largest k such that a rotation by 360/k degrees about the mean maps the set of points to itself.
+    """Largest k such that a rotation by 360/k degrees about the mean maps the set of points, shape (n, d), to itself.
 
-    Args:
-        points: shape (n, d) [units].
-        tolerance: largest distance of an image from a point, as a share of the largest radius.
-
-    Returns:
-        1 without symmetry, for a single point, and in dimensions other than two.
+    It is 1 without symmetry, for a single point, and in dimensions other than two. `tolerance` is the largest distance
+    of an image from a point, as a share of the largest radius.
     """
     rows = np.asarray(points, dtype=np.float64)
     n, dim = rows.shape
@@ -70,7 +55,7 @@ def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
     for k in range(n, 1, -1):
         if n % k > 1:
             continue
-        offset, image = _nearest(tree, rotated(rows, (0.0, 0.0), 2 * math.pi / k), 1)
+        offset, image = map(np.asarray, tree.query(rotated(rows, (0.0, 0.0), 2 * math.pi / k)))
         if offset.max() <= allowed and len(np.unique(image)) == n:
             return k
     return 1

@@ -16,7 +16,7 @@ from llm_flock.errors import InputError
 from llm_flock.formations import layouts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ShapeInfo:
     """Description of a shape for operators.
 
@@ -33,95 +33,75 @@ class ShapeInfo:
     examples: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Shape:
-    """A shape's description and layout. Both functions take n and the argument K (0 for shapes without one)."""
+@dataclass(frozen=True, slots=True)
+class _Shape(ShapeInfo):
+    """A shape with its layout, and the test of a team size; both take n and the argument K (0 without one)."""
 
-    info: ShapeInfo
-    is_legal: Callable[[int, int], bool]
-    layout: Callable[[int, int], Points] | None
-
-
-def _any(n: int, _: int = 0) -> bool:
-    return n >= 1
+    layout: Callable[[int, int], Points] | None = None
+    is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1
 
 
-def _shape(
-    name: str,
-    legal: str,
-    description: str,
-    examples: tuple[int, ...],
-    is_legal: Callable[[int, int], bool],
-    layout: Callable[[int, int], Points] | None,
-) -> tuple[str, _Shape]:
-    info = ShapeInfo(name=name, legal=legal, description=description, examples=examples)
-    return name.partition(":")[0], _Shape(info=info, is_legal=is_legal, layout=layout)
-
-
-_SHAPES: dict[str, _Shape] = dict(
-    [
-        _shape("line", "any number", "a straight line", (2, 5, 10), _any, layouts.line),
-        _shape(
-            "triangle",
-            "divisible by 3",
-            "an equilateral triangle (robots along its perimeter)",
-            (3, 6, 9),
-            lambda n, _: n % 3 == 0,
-            layouts.triangle,
-        ),
-        _shape(
-            "square",
-            "divisible by 4",
-            "a square (robots along its perimeter)",
-            (4, 8, 12),
-            lambda n, _: n % 4 == 0,
-            layouts.square,
-        ),
-        _shape("circle", "any number", "a circle", (3, 5, 10), _any, layouts.circle),
-        _shape(
-            "polygon:K",
-            "divisible by K",
-            "a regular polygon with K sides (robots along its perimeter)",
-            (5, 10, 15),
-            lambda n, sides: n % sides == 0,
-            layouts.polygon,
-        ),
-        _shape(
-            "cross",
-            "5, 9, 13, ... (the centre and four equal arms)",
-            "a cross with four equal arms at right angles and one robot at its centre",
-            (5, 9, 13),
-            lambda n, _: n >= 5 and n % 4 == 1,
-            layouts.cross,
-        ),
-        _shape(
-            "wedge",
-            "at least 3",
-            "a wedge like the letter V (two straight arms that meet at 90 degrees, one robot at the tip)",
-            (3, 5, 10),
-            lambda n, _: n >= 3,
-            layouts.wedge,
-        ),
-        _shape(
-            "grid", "any number", "a square grid (rows and columns at right angles)", (4, 9, 12), _any, layouts.grid
-        ),
-        _shape(
-            "star",
-            "divisible by 10",
-            "a five-pointed star (robots along its outline: ten equal edges, tips of 60 degrees)",
-            (10, 20, 30),
-            lambda n, _: n % 10 == 0,
-            layouts.star,
-        ),
-        _shape("points", "as many as there are points", "a custom shape given by its points", (3, 10), _any, None),
-        _shape("text:DESCRIPTION", "any number", "whatever the words say", (4, 10), _any, None),
-    ]
+_LISTED = (
+    _Shape("line", "any number", "a straight line", (2, 5, 10), layouts.line),
+    _Shape(
+        "triangle",
+        "divisible by 3",
+        "an equilateral triangle (robots along its perimeter)",
+        (3, 6, 9),
+        layouts.triangle,
+        lambda n, _: n % 3 == 0,
+    ),
+    _Shape(
+        "square",
+        "divisible by 4",
+        "a square (robots along its perimeter)",
+        (4, 8, 12),
+        layouts.square,
+        lambda n, _: n % 4 == 0,
+    ),
+    _Shape("circle", "any number", "a circle", (3, 5, 10), layouts.circle),
+    _Shape(
+        "polygon:K",
+        "divisible by K",
+        "a regular polygon with K sides (robots along its perimeter)",
+        (5, 10, 15),
+        layouts.polygon,
+        lambda n, sides: n % sides == 0,
+    ),
+    _Shape(
+        "cross",
+        "5, 9, 13, ... (the centre and four equal arms)",
+        "a cross with four equal arms at right angles and one robot at its centre",
+        (5, 9, 13),
+        layouts.cross,
+        lambda n, _: n >= 5 and n % 4 == 1,
+    ),
+    _Shape(
+        "wedge",
+        "at least 3",
+        "a wedge like the letter V (two straight arms that meet at 90 degrees, one robot at the tip)",
+        (3, 5, 10),
+        layouts.wedge,
+        lambda n, _: n >= 3,
+    ),
+    _Shape("grid", "any number", "a square grid (rows and columns at right angles)", (4, 9, 12), layouts.grid),
+    _Shape(
+        "star",
+        "divisible by 10",
+        "a five-pointed star (robots along its outline: ten equal edges, tips of 60 degrees)",
+        (10, 20, 30),
+        layouts.star,
+        lambda n, _: n % 10 == 0,
+    ),
+    _Shape("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
+    _Shape("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
 )
+_SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
 
 
 def shapes() -> tuple[ShapeInfo, ...]:
     """All shapes, in the order in which the command line lists them."""
-    return tuple(shape.info for shape in _SHAPES.values())
+    return _LISTED
 
 
 def shape_name(spec: str) -> str:
@@ -132,7 +112,7 @@ def shape_name(spec: str) -> str:
     """
     name = spec.partition(":")[0]
     if name not in _SHAPES:
-        raise InputError("shape", spec, "one of " + ", ".join(shape.info.name for shape in _SHAPES.values()))
+        raise InputError("shape", spec, "one of " + ", ".join(shape.name for shape in _LISTED))
     return name
 
 
@@ -160,15 +140,11 @@ def describe(spec: str) -> str:
     sides, name = _argument(spec), shape_name(spec)
     if name == "text":
         return " ".join(spec.partition(":")[2].split())
-    return _SHAPES[name].info.description.replace(" K ", f" {sides} ")
+    return _SHAPES[name].description.replace(" K ", f" {sides} ")
 
 
 def ideal_points(
-    spec: str,
-    n: int,
-    center: Sequence[float],
-    spacing: float,
-    custom: Sequence[Sequence[float]] | None = None,
+    spec: str, n: int, center: Sequence[float], spacing: float, custom: Sequence[Sequence[float]] | None = None
 ) -> Points | None:
     """Ideal target points of a shape in its reference orientation, with their mean at `center`.
 
@@ -191,7 +167,7 @@ def ideal_points(
         points = _custom(n, len(center), custom)
     else:
         if not (n >= 1 and shape.is_legal(n, argument)):
-            legal = shape.info.legal.replace(" K", f" {argument}")
+            legal = shape.legal.replace(" K", f" {argument}")
             raise InputError("n_robots", n, f"{legal} for shape {spec!r}")
         if shape.layout is None:
             return None

@@ -1,4 +1,8 @@
-"""Metrics of a run: shape error, separation, agreement, and whether the team has formed."""
+"""Metrics of a run: shape error, separation, agreement, and whether the team has formed.
+
+Points have the shape (n, d), lengths are in mission units. Lists have an item for each robot: None for a robot without
+a plan or a slot, an infinite distance for a robot without a goal.
+"""
 
 from llm_flock.metrics.agreement import (
     AT_GOAL,
@@ -12,7 +16,7 @@ from llm_flock.metrics.agreement import (
     robots_at_goal,
     within_limit,
 )
-from llm_flock.metrics.nearest_match import quick_error
+from llm_flock.metrics.plane import quick_error
 from llm_flock.metrics.separation import StartSeparation, min_separation, segment_separation
 from llm_flock.metrics.shape_error import ShapeError, ShapeTarget, procrustes
 

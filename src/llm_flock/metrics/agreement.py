@@ -39,12 +39,7 @@ def distinct_goals(plan_ids: Sequence[str | None], slots: Sequence[int | None]) 
 
 
 def robots_at_goal(goal_distances: Sequence[float], spacing: float) -> int:
-    """Number of robots whose distance from their goal is at most 5 % of the spacing.
-
-    Args:
-        goal_distances: each robot's distance from its goal [units]; infinite for a robot without one.
-        spacing: desired distance between neighbouring robots [units].
-    """
+    """Number of robots whose distance from their goal is at most 5 % of the spacing."""
     return sum(distance <= AT_GOAL * spacing for distance in goal_distances)
 
 
@@ -52,10 +47,6 @@ def bottleneck_distance(start: ArrayLike, goals: ArrayLike) -> float:
     """Smallest distance D for which all robots can have different goals within D [units], exactly.
 
     With more robots than goals, the smallest D for which all goals can have different robots.
-
-    Args:
-        start: positions of the robots, shape (n, d) [units].
-        goals: positions of the goals, shape (m, d) [units].
     """
     apart = cdist(np.asarray(start, dtype=np.float64), np.asarray(goals, dtype=np.float64))
     robots, places = apart.shape
@@ -80,9 +71,9 @@ def lower_bound_rounds(
     """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and free paths.
 
     Args:
-        start: positions at the start, shape (n, d) [units].
-        plan_points: places of the plan, shape (m, d) [units].
-        max_step: longest move in one round [units].
+        start: positions at the start.
+        plan_points: places of the plan, as many or not.
+        max_step: longest move in one round.
         drift: displacement of the plan after a number of rounds [units], at most max_step / 2 per round; None for a
             plan that stands still.
     """
@@ -110,7 +101,6 @@ class FormedTracker:
     the three counts, and later disorder does not change it.
 
     Attributes:
-        spacing: desired distance between neighbouring robots [units].
         in_order: whether the team was in order in the last round.
         formed_at: first of the first three consecutive rounds in order; None before.
     """
@@ -119,7 +109,7 @@ class FormedTracker:
     in_order: bool = field(default=False, init=False)
     formed_at: int | None = field(default=None, init=False)
     _since: int | None = field(default=None, init=False)
-    _last: int | None = field(default=None, init=False)
+    _last: int = field(default=-1, init=False)
 
     def update(
         self,
@@ -134,18 +124,17 @@ class FormedTracker:
         """Add the state at the end of a round. All lists leave out robots that are not awake.
 
         Args:
-            round_number: number of the round, higher than in the last call; a missing round breaks the series.
-            plan_ids: each robot's plan; None for a robot without one.
-            slots: each robot's slot in its plan; None for a robot without one.
-            goal_distances: each robot's distance from its goal [units]; infinite without one.
+            round_number: higher than in the last call; a missing round breaks the series.
+            plan_ids: each robot's plan.
+            slots: each robot's slot in its plan.
+            goal_distances: each robot's distance from its goal [units].
             residual: mean error to the ideal shape [units]; None if no ideal is known.
             usable: number of places of the plan that robots can take; None for one per robot.
 
         Returns:
             Whether the team has formed.
         """
-        assert self._last is None or round_number > self._last, f"round {round_number} after round {self._last}"
-        consecutive = self._last is not None and round_number == self._last + 1
+        assert round_number > self._last, f"round {round_number} after round {self._last}"
         n = len(plan_ids)
         owners = sum(slot is not None for slot in slots)
         self.in_order = (
@@ -158,7 +147,7 @@ class FormedTracker:
         )
         if not self.in_order:
             self._since = None
-        elif self._since is None or not consecutive:
+        elif self._since is None or round_number != self._last + 1:
             self._since = round_number
         self._last = round_number
         if self.formed_at is None and self._since is not None and round_number - self._since + 1 >= HELD_ROUNDS:

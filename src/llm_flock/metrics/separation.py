@@ -19,29 +19,16 @@ ALL_PAIRS_UP_TO = 200
 
 
 def min_separation(positions: ArrayLike) -> float:
-    """Distance of the closest pair [units]; infinite for a single robot.
-
-    Args:
-        positions: shape (n, d) [units].
-    """
-    rows = np.asarray(positions, dtype=np.float64)
-    if not 2 <= len(rows) <= ALL_PAIRS_UP_TO:
-        return formations.smallest_distance(rows)
-    one, two = _pairs(len(rows))
-    apart = rows[one] - rows[two]
-    return math.sqrt(float((apart * apart).sum(axis=1).min()))
+    """Distance of the closest pair [units]; infinite for a single robot."""
+    return formations.smallest_distance(positions)
 
 
 def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[tuple[int, int]] = frozenset()) -> float:
     """Smallest distance of any pair during a lockstep round [units]; infinite for a single robot.
 
     All robots start and arrive together, on straight segments at constant speed. A pair with offset p and change of
-    offset v over the round is nearest after the share t = -<p, v> / |v|^2 of the round, clipped to 0 .. 1.
-
-    Args:
-        before: positions at the start of the round, shape (n, d) [units].
-        after: positions at its end, shape (n, d) [units].
-        without: pairs (lower id, higher id) to leave out.
+    offset v over the round is nearest after the share t = -<p, v> / |v|^2 of the round, clipped to 0 .. 1. Pairs
+    (lower id, higher id) in `without` are left out.
     """
     start, end = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
     if len(start) < 2:
@@ -87,9 +74,6 @@ class StartSeparation:
 
     A pair that starts nearer than the safe distance is left out until it has first been separated.
 
-    Args:
-        safe_distance: smallest allowed distance between two robots [units].
-
     Attributes:
         start_violations: number of pairs that are too close at the start.
         separated_at: first round after which all of these pairs have been separated; 0 without such pairs, None before.
@@ -98,27 +82,19 @@ class StartSeparation:
 
     def __init__(self, safe_distance: float) -> None:
         self._limit = safe_distance - ROUNDING
-        self._together: frozenset[tuple[int, int]] | None = None
+        self._together: frozenset[tuple[int, int]] = frozenset()
         self._before: NDArray[np.float64] | None = None
         self.start_violations = 0
         self.separated_at: int | None = None
         self.smallest = math.inf
 
     def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
-        """Add a round.
-
-        Args:
-            round_number: number of the round; 0 is the start.
-            positions: positions at its end, shape (n, d) [units].
-            closest: smallest distance of any pair in it, including along segments [units].
-        """
-        if self._together is None:
-            near = KDTree(positions).query_pairs(self._limit) if len(positions) > 1 else set[tuple[int, int]]()
-            self._together = frozenset(near)
-            self.start_violations = len(near)
+        """Add a round (0 is the start), its last positions, and the smallest distance in it, segments included."""
+        if self._before is None:
+            self._before, self._together = positions, frozenset(KDTree(positions).query_pairs(self._limit))
+            self.start_violations = len(self._together)
         if self._together:
-            before = positions if self._before is None else self._before
-            closest = segment_separation(before, positions, self._together)
+            closest = segment_separation(self._before, positions, self._together)
         self.smallest = min(self.smallest, closest)
         self._together = frozenset(
             (i, j) for i, j in self._together if math.dist(positions[i], positions[j]) < self._limit

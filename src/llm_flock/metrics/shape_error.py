@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from llm_flock import formations
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.metrics.nearest_match import proven_match
-from llm_flock.metrics.plane import longest
+from llm_flock.metrics.plane import as_complex, longest, proven_match
 from llm_flock.metrics.space import best_in_space
 
 SYMMETRY_TOLERANCE = 1e-12
@@ -56,10 +55,8 @@ class ShapeTarget:
 
     def __init__(self, target: ArrayLike) -> None:
         rows = _rows("target", target)
-        self._shape = rows.shape
         self._target = rows - rows.mean(axis=0)
         self._symmetry = formations.rotational_symmetry(rows, SYMMETRY_TOLERANCE)
-        self._complex = _as_complex(self._target)
 
     def error(self, positions: ArrayLike) -> ShapeError:
         """The team's distance from the shape: the global minimum for d = 2, a local minimum for d = 3.
@@ -73,9 +70,9 @@ class ShapeTarget:
         Raises:
             InputError: the positions do not have this shape, or are not finite.
         """
-        rows = _rows("positions", positions)
-        if rows.shape != self._shape:
-            raise InputError("positions", rows.shape, f"an array of shape {self._shape}, the shape of the target")
+        rows, shape = _rows("positions", positions), self._target.shape
+        if rows.shape != shape:
+            raise InputError("positions", rows.shape, f"an array of shape {shape}, the shape of the target")
         rows = rows - rows.mean(axis=0)
         columns, rotation = self._best_in_plane(rows) if rows.shape[1] == 2 else best_in_space(rows, self._target)
         squared = ((rows @ rotation.T - self._target[columns]) ** 2).sum(axis=1)
@@ -89,18 +86,14 @@ class ShapeTarget:
     def _best_in_plane(self, rows: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         best = proven_match(rows, self._target, self._symmetry) if len(rows) > LARGE else None
         if best is None:
-            best = longest(np.conj(_as_complex(rows))[:, None] * self._complex, self._symmetry)
+            best = longest(np.conj(as_complex(rows))[:, None] * as_complex(self._target), self._symmetry)
         angle = cmath.phase(best.z)
         cos, sin = math.cos(angle), math.sin(angle)
         return best.columns, np.array([[cos, -sin], [sin, cos]])
 
 
 def procrustes(positions: ArrayLike, target: ArrayLike) -> ShapeError:
-    """The team's distance from an ideal shape. To compare many teams with one shape, use `ShapeTarget`.
-
-    Args:
-        positions: shape (n, d) [units], d = 2 or 3.
-        target: shape (n, d) [units].
+    """The team's distance from an ideal shape, d = 2 or 3. To compare many teams with one shape, use `ShapeTarget`.
 
     Raises:
         InputError: the arrays do not have this shape, or are not finite.
@@ -115,7 +108,3 @@ def _rows(field: str, values: ArrayLike) -> Points:
     if not np.isfinite(rows).all():
         raise InputError(field, rows.tolist(), "finite numbers")
     return rows
-
-
-def _as_complex(rows: Points) -> NDArray[np.complex128]:
-    return rows[:, 0] + 1j * rows[:, 1]

@@ -23,12 +23,7 @@ TOUCHING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """Distance and direction of the nearest point of a convex set.
-
-    Attributes:
-        distance: distance of its surface [units]; negative inside.
-        outward: unit vector in which the distance grows.
-    """
+    """The nearest point of a convex set: its distance [units; negative inside], and the unit vector outward."""
 
     distance: float
     outward: Point
@@ -74,7 +69,7 @@ class Obstacle(BaseModel):
         if self.polygon is None:
             center, radius = self._disc()
             return math.dist(point, center) - radius
-        gap = math.dist(point, polygons.nearest_on_boundary(self.polygon, point))
+        gap = min(math.dist(point, polygons.nearest_on_segment(point, a, b)) for a, b in polygons.edges(self.polygon))
         return -gap if polygons.contains(self.polygon, point) else gap
 
     def nearest(self, point: Point) -> list[Nearest]:

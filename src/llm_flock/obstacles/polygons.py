@@ -48,11 +48,6 @@ def nearest_on_segment(point: Point, a: Point, b: Point) -> Point:
     return tuple(x + share * d for x, d in zip(a, along, strict=True))
 
 
-def nearest_on_boundary(polygon: Sequence[Point], point: Point) -> Point:
-    """The point of the boundary nearest to `point`."""
-    return min((nearest_on_segment(point, a, b) for a, b in edges(polygon)), key=lambda q: math.dist(q, point))
-
-
 def segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool:
     """Whether the segments a .. b and c .. d have a point in common."""
     one, two, three, four = cross(a, b, c), cross(a, b, d), cross(c, d, a), cross(c, d, b)
@@ -77,8 +72,7 @@ def is_simple(polygon: Sequence[Point]) -> bool:
     if abs(signed_area(polygon)) <= FLAT * size * size:
         return False
     sides = list(edges(polygon))
-    for i in range(n):
-        a, b = sides[i]
+    for i, (a, b) in enumerate(sides):
         c = sides[(i + 1) % n][1]
         forward = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
         if a == b or (cross(a, b, c) == 0.0 and forward < 0.0):

@@ -36,16 +36,10 @@ class RunRecord:
     """One run, read into memory: its complete rounds, and the summary of a clean end.
 
     Attributes:
-        path: the file.
-        run: configuration, versions and seed.
         missions: every mission, oldest first.
         plans: every plan, in the order in which they were first seen.
         states: the team after each round; the first is the start.
-        events: what robots decided or met.
-        llm: model calls.
-        metrics: the measurements of each round.
         bodies: of a real flight, every drone about ten times a second, measured and commanded [m].
-        flight: of a real flight, its events.
         result: the run's summary; None when it did not end cleanly.
         positions: true positions, shape (rounds + 1, n, d) [units; world frame].
     """

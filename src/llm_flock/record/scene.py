@@ -16,7 +16,6 @@ from llm_flock import graph
 from llm_flock.record.palette import NO_PLAN, PALETTE
 from llm_flock.record.schema import DEAD, SILENT, MissionInfo, State
 
-SCHEMA_NAME = "foxglove.SceneUpdate"
 FRAME = "world"
 DECIMALS = 3
 
@@ -39,11 +38,7 @@ _LINE_LIST = 2
 
 
 class SceneDrawer:
-    """Turns states into scenes, and keeps the colour of every plan.
-
-    Args:
-        mission: has the robots' size and the radio range.
-    """
+    """Turns states into scenes, and keeps the colour of every plan; robots and links are as the mission says."""
 
     def __init__(self, mission: MissionInfo) -> None:
         self._diameter = float(mission.mission["safe_distance"])
@@ -61,43 +56,34 @@ class SceneDrawer:
         self.know(state.plan_ids)
         points = [_xyz(row) for row in state.positions]
         colours = [None if p is None else self._plans[p] % len(PALETTE) for p in state.plan_ids]
-        time = {"sec": state.round, "nsec": 0}
-        entities = (
-            _entity("robots", time, spheres=self._robots(state, points, colours), texts=self._ids(points)),
-            _entity("goals", time, spheres=self._goals(state, colours)),
-            _entity("links", time, lines=self._links(state, points)),
-        )
-        return to_json({"deletions": (), "entities": entities})
-
-    def _robots(self, state: State, points: list[dict[str, float]], colours: list[int | None]) -> list[dict[str, Any]]:
-        size = _cube(self._diameter)
         looks = [
             _BLACK if phase == DEAD else _WHITE if colour is None else _SOLID[colour]
             for phase, colour in zip(state.phases, colours, strict=True)
         ]
-        return [{"pose": _pose(point), "size": size, "color": look} for point, look in zip(points, looks, strict=True)]
-
-    def _ids(self, points: list[dict[str, float]]) -> list[dict[str, Any]]:
-        height = self._diameter
-        return [
+        robots = [_sphere(point, self._diameter, look) for point, look in zip(points, looks, strict=True)]
+        goals = [
+            _sphere(_xyz(goal), self._diameter / 2, _WHITE if colour is None else _FAINT[colour])
+            for goal, colour in zip(state.goals, colours, strict=True)
+            if goal is not None
+        ]
+        ids = [
             {
-                "pose": _pose({"x": p["x"], "y": p["y"], "z": p["z"] + height}),
+                "pose": _pose({**point, "z": point["z"] + self._diameter}),
                 "billboard": True,
-                "font_size": height / 2,
+                "font_size": self._diameter / 2,
                 "scale_invariant": False,
                 "color": _BLACK,
                 "text": str(robot),
             }
-            for robot, p in enumerate(points)
+            for robot, point in enumerate(points)
         ]
-
-    def _goals(self, state: State, colours: list[int | None]) -> list[dict[str, Any]]:
-        size = _cube(self._diameter / 2)
-        return [
-            {"pose": _pose(_xyz(goal)), "size": size, "color": _WHITE if colour is None else _FAINT[colour]}
-            for goal, colour in zip(state.goals, colours, strict=True)
-            if goal is not None
-        ]
+        time = {"sec": state.round, "nsec": 0}
+        entities = (
+            _entity("robots", time, spheres=robots, texts=ids),
+            _entity("goals", time, spheres=goals),
+            _entity("links", time, lines=self._links(state, points)),
+        )
+        return to_json({"deletions": (), "entities": entities})
 
     def _links(self, state: State, points: list[dict[str, float]]) -> list[dict[str, Any]]:
         adjacent = graph.adjacency(np.array(state.positions), self._comm_range)
@@ -121,19 +107,16 @@ class SceneDrawer:
 
 
 def _xyz(row: list[float]) -> dict[str, float]:
-    return {
-        "x": round(row[0], DECIMALS),
-        "y": round(row[1], DECIMALS),
-        "z": round(row[2], DECIMALS) if len(row) > 2 else 0.0,
-    }
+    x, y, z = (round(value, DECIMALS) for value in (*row, 0.0)[:3])
+    return {"x": x, "y": y, "z": z}
 
 
 def _pose(position: dict[str, float]) -> dict[str, Any]:
     return {"position": position, "orientation": _UPRIGHT}
 
 
-def _cube(edge: float) -> dict[str, float]:
-    return {"x": edge, "y": edge, "z": edge}
+def _sphere(at: dict[str, float], diameter: float, color: dict[str, float]) -> dict[str, Any]:
+    return {"pose": _pose(at), "size": {"x": diameter, "y": diameter, "z": diameter}, "color": color}
 
 
 def _entity(name: str, time: dict[str, int], **primitives: list[dict[str, Any]]) -> dict[str, Any]:
@@ -183,7 +166,7 @@ def scene_schema() -> dict[str, Any]:
         models=_array(_object("foxglove.ModelPrimitive", pose=pose, **model)),
     )
     deletion = _object("foxglove.SceneEntityDeletion", timestamp=time, type=_choice("MATCHING_ID", "ALL"), id=text)
-    return _object(SCHEMA_NAME, deletions=_array(deletion), entities=_array(entity))
+    return _object("foxglove.SceneUpdate", deletions=_array(deletion), entities=_array(entity))
 
 
 def _object(title: str, **properties: Any) -> dict[str, Any]:

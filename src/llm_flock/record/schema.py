@@ -9,12 +9,6 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from llm_flock.renamed import RECORD_FIELDS
 
-
-def renamed_field(topic: str, name: str) -> AliasChoices:
-    """A field under its name and its former names."""
-    return AliasChoices(name, *(old for old, new in RECORD_FIELDS[topic].items() if new == name))
-
-
 FORMAT_VERSION = 1
 """Increased whenever a reader of older records would misread a newer one."""
 
@@ -99,7 +93,7 @@ class ProtocolEvent(Entry):
     round: int = Field(description="Motion round")
     comm_round: int | None = Field(
         None,
-        validation_alias=renamed_field("/protocol", "comm_round"),
+        validation_alias=AliasChoices("comm_round", *RECORD_FIELDS["/protocol"]["comm_round"]),
         description="Communication round within the motion round; left out between two of them",
     )
     robot: int = Field(description="Whose event it is")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
 from mcap.records import Channel, Footer, Message
@@ -17,18 +17,10 @@ from pydantic import ValidationError
 from llm_flock.errors import RecordError
 from llm_flock.record.schema import CHANNELS, FORMAT_VERSION, ROUND_NS, Entry, RunInfo
 
-E = TypeVar("E", bound=Entry)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawMessage:
-    """One message as it stands in the file.
-
-    Attributes:
-        topic: its channel.
-        round: the round at which it was logged.
-        data: its JSON.
-    """
+    """One message as it stands in the file: its channel, the round at which it was logged, and its JSON."""
 
     topic: str
     round: int
@@ -42,8 +34,7 @@ class RawMessage:
 class RecordStream:
     """Reads a record from its start; `messages` and `entries` go on where the last call stopped.
 
-    Args:
-        path: the file. It may be created later, and may still grow.
+    The file may be created later, and may still grow.
 
     Attributes:
         ended: whether the file's proper end was reached, so that no more will come.
@@ -63,8 +54,18 @@ class RecordStream:
         """
         for message in self.messages():
             model = CHANNELS.get(message.topic)
-            if model is not None:
-                yield parse_entry(self.path, model, message)
+            if model is None:
+                continue
+            if model is RunInfo and (version := message.decoded().get("format_version")) != FORMAT_VERSION:
+                says = f"format version {version!r}; this release reads version {FORMAT_VERSION}"
+                raise RecordError(f"{self.path}: {says}")
+            try:
+                yield model.model_validate_json(message.data)
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+                where = ".".join(str(part) for part in first["loc"])
+                says = f"{message.topic} of round {message.round} is not valid ({where}: {first['msg']})"
+                raise RecordError(f"{self.path}: {says}") from None
 
     def messages(self) -> Iterator[RawMessage]:
         """Every message that was completed since the last call; none while there is no file.
@@ -100,26 +101,6 @@ class RecordStream:
             raise RecordError(f"{self.path}: cannot be read ({error.strerror})") from None
         except (McapError, KeyError, UnicodeDecodeError) as error:
             raise RecordError(f"{self.path}: not a readable MCAP file ({error})") from error
-
-
-def parse_entry(path: Path, model: type[E], message: RawMessage) -> E:
-    """A message as the entry that it holds.
-
-    Raises:
-        RecordError: it is not valid, or of a newer format.
-    """
-    if model is RunInfo:
-        version = message.decoded().get("format_version")
-        if version != FORMAT_VERSION:
-            raise RecordError(f"{path}: format version {version!r}; this release reads version {FORMAT_VERSION}")
-    try:
-        return model.model_validate_json(message.data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise RecordError(
-            f"{path}: {message.topic} of round {message.round} is not valid ({where}: {first['msg']})"
-        ) from None
 
 
 class _WholeReads:

@@ -44,11 +44,8 @@ def _place(at: object) -> str:
     """A point as people write it; anything else unchanged, since a record may come from anywhere."""
     if not isinstance(at, list):
         return str(at)
-    parts = cast("list[object]", at)
-    numbers = [part for part in parts if isinstance(part, int | float)]
-    if len(numbers) != len(parts):
-        return str(parts)
+    parts = cast("list[Any]", at)
     try:
-        return f"({', '.join(f'{round(part, 2):g}' for part in numbers)})"
-    except OverflowError:  # a whole number of hundreds of digits
+        return f"({', '.join(f'{round(part, 2):g}' for part in parts)})"
+    except (TypeError, OverflowError):  # no number, or a whole number of hundreds of digits
         return str(parts)

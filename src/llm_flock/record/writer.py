@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from mcap.writer import IndexType, Writer
 
 from llm_flock.errors import InputError, RecordError
-from llm_flock.record.scene import SCHEMA_NAME, SceneDrawer, scene_schema
+from llm_flock.record.scene import SceneDrawer, scene_schema
 from llm_flock.record.schema import (
     CHANNELS,
     ROUND_NS,
@@ -52,12 +51,6 @@ class RecordSink(Protocol):
 class NullWriter:
     """A sink that ignores everything, for runs without a record."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        pass
-
     def write(self, entry: Entry) -> None:
         """Ignore an entry."""
 
@@ -75,10 +68,7 @@ class Tee:
 
 
 class RecordWriter:
-    """A sink that writes one MCAP file; a context manager.
-
-    Args:
-        path: file to write; missing folders are made, an existing file is never overwritten.
+    """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
 
     Raises:
         InputError: the file exists, or cannot be made.
@@ -100,10 +90,12 @@ class RecordWriter:
         self._mcap.start(library=LIBRARY)
         self._sequence: Counter[str] = Counter()
         self._channels: dict[str, int] = {}
-        for topic, model in CHANNELS.items():
-            schema = channel_schema(model)
-            self._channels[topic] = self._register(topic, f"llm_flock.{schema['title']}", schema)
-        self._channels[SCENE_TOPIC] = self._register(SCENE_TOPIC, SCHEMA_NAME, scene_schema())
+        schemas = {topic: channel_schema(model) for topic, model in CHANNELS.items()}
+        for topic, schema in {**schemas, SCENE_TOPIC: scene_schema()}.items():
+            name = schema["title"] if topic == SCENE_TOPIC else f"llm_flock.{schema['title']}"
+            text = json.dumps(schema, separators=(",", ":")).encode()
+            number = self._mcap.register_schema(name, "jsonschema", text)
+            self._channels[topic] = self._mcap.register_channel(topic, "json", number)
         self._scene: SceneDrawer | None = None
         self._last_round = 0
 
@@ -125,13 +117,16 @@ class RecordWriter:
         if self._scene is None and isinstance(entry, State):
             raise RecordError(f"{self.path}: a state comes before the mission")
         number: int = getattr(entry, "round", self._last_round)
-        self._put(TOPICS[type(entry)], entry.encoded(), number)
-        if self._scene is not None and isinstance(entry, State):
-            self._put(SCENE_TOPIC, self._scene.draw(entry), number)
-        elif isinstance(entry, RoundEnd | SummaryMessage | FlightEvent):
-            self._last_round = number
-            self._flush()
-        elif isinstance(entry, MissionInfo):
+        try:
+            self._put(TOPICS[type(entry)], entry.encoded(), number)
+            if self._scene is not None and isinstance(entry, State):
+                self._put(SCENE_TOPIC, self._scene.draw(entry), number)
+            elif isinstance(entry, RoundEnd | SummaryMessage | FlightEvent):
+                self._last_round = number
+                self._file.flush()
+        except OSError as error:
+            raise self._failure(error) from error
+        if isinstance(entry, MissionInfo):
             # Plans keep their colours in the next mission; sizes and ranges never change.
             self._scene = self._scene or SceneDrawer(entry)
         elif isinstance(entry, PlanInfo) and self._scene is not None:
@@ -142,36 +137,15 @@ class RecordWriter:
         if self._file.closed:
             return
         try:
-            self._mcap.finish()
+            with self._file:
+                self._mcap.finish()
         except OSError as error:
             raise self._failure(error) from error
-        finally:
-            self._close_file()
-
-    def _close_file(self) -> None:
-        try:
-            self._file.close()
-        except OSError as error:
-            raise self._failure(error) from error
-
-    def _register(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
-        number = self._mcap.register_schema(name, "jsonschema", json.dumps(schema, separators=(",", ":")).encode())
-        return self._mcap.register_channel(topic, "json", number)
 
     def _put(self, topic: str, data: bytes, number: int) -> None:
         time = number * ROUND_NS
-        sequence = self._sequence[topic]
-        self._sequence[topic] = sequence + 1
-        try:
-            self._mcap.add_message(self._channels[topic], time, data, time, sequence)
-        except OSError as error:
-            raise self._failure(error) from error
-
-    def _flush(self) -> None:
-        try:
-            self._file.flush()
-        except OSError as error:
-            raise self._failure(error) from error
+        self._mcap.add_message(self._channels[topic], time, data, time, self._sequence[topic])
+        self._sequence[topic] += 1
 
     def _failure(self, error: OSError) -> RecordError:
         return RecordError(f"{self.path}: cannot be written ({error.strerror})")

@@ -114,7 +114,7 @@ def open_outputs(
         if cassette is not None:
             planners.listen(stack.enter_context(CassetteWriter(Path(cassette))))
         try:
-            writer = stack.enter_context(NullWriter() if path is None else RecordWriter(path))
+            writer = NullWriter() if path is None else stack.enter_context(RecordWriter(path))
         except InputError:
             if cassette is not None:
                 Path(cassette).unlink()  # created just now, and still empty

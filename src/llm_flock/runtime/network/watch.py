@@ -62,7 +62,7 @@ async def run_watch(
         InputError: the record exists already.
     """
     with ExitStack() as stack:
-        writer = stack.enter_context(NullWriter() if record is None else RecordWriter(record))
+        writer = NullWriter() if record is None else stack.enter_context(RecordWriter(record))
         writer.write(run_info(config, simulated=config.simulated))
         observer = stack.enter_context(observing(config, writer, on_row))
         await until_stopped(look(observer))
