@@ -24,7 +24,7 @@ class SmallestBox:
     name: str = "smallest-box"
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
-        """Adopt the smallest plan heard, if it is smaller than the own one."""
+        """Adopt the smallest plan heard, if it is smaller than this robot's own."""
         best: Message | None = None
         for message in heard:
             if message.plan is None:

@@ -63,7 +63,7 @@ class Mission(BaseModel):
     velocity: tuple[Coordinate, ...] | None = Field(
         default=None, description="Velocity of the centre [units per round]; the formation stands still if unset"
     )
-    since: int = Field(default=0, ge=0, description="Round in which a moving formation has its centre at `center`")
+    since: int = Field(default=0, ge=0, description="Round at which a moving formation's centre is at `center`")
     spacing: Length = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
     safe_distance: Length = Field(default=3.0, description="Smallest allowed distance between two robots d_s [units]")
     max_step: Length = Field(default=6.0, description="Longest move in one round v_m [units]")

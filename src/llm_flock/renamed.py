@@ -1,10 +1,13 @@
-"""Old names of flags, settings and record fields. They work for one more version, with a warning."""
+"""Old names of flags, settings, labels and record fields. They work for one more version, with a warning."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import Any
+from functools import cache
+from typing import Any, cast
+
+from llm_flock.errors import InputError
 
 logger = logging.getLogger(__name__)
 
@@ -21,18 +24,49 @@ RECORD_FIELDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {"/protocol": {"com
 """Fields of recorded messages, by channel: new name to old names. Newer records have the new names only."""
 
 
-def current(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings under their current names. Call on all settings from outside; logs a warning for each old name."""
+def current(settings: Mapping[str, Any], *, warn: bool = True) -> dict[str, Any]:
+    """Settings under their current names. Call on all settings from outside; warns once of each old name.
+
+    Raises:
+        InputError: a setting is given under both names.
+    """
     found: dict[str, Any] = {}
     for name, value in settings.items():
         field = FIELDS.get(name, name)
-        if field != name:
-            logger.warning("%s is now called %s; the old name will go with the next version", name, field)
+        if field != name and settings.get(field) is not None:
+            raise InputError(name, value, f"not given together with {field}, its present name")
         new = VALUES.get(field, {}).get(value, value) if isinstance(value, str) else value
-        if new is not value:
-            logger.warning("%s = %s is now called %s; the old name will go with the next version", field, value, new)
+        if warn and field != name:
+            _warn(name, field)
+        if warn and new is not value:
+            _warn(f"{field} = {value}", new)
         found[field] = new
     return found
+
+
+def current_config(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A stored configuration under current names, section by section. Call on what an older version has written."""
+    return {
+        name: current(cast("Mapping[str, Any]", section), warn=False) if isinstance(section, Mapping) else section
+        for name, section in config.items()
+    }
+
+
+def current_label(label: str) -> str:
+    """The label of a cell with current names. Call before labels of different versions are compared or shown."""
+    return " ".join(map(_current_word, label.split(" ")))
+
+
+def _current_word(word: str) -> str:
+    name, equals, value = word.partition("=")
+    if equals:
+        return "=".join(*current({name: value}, warn=False).items())
+    return VALUES["consensus"].get(word, word)
+
+
+@cache
+def _warn(old: str, new: str) -> None:
+    logger.warning("%s is now called %s; the old name will go with the next version", old, new)
 
 
 def former(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -52,5 +86,5 @@ def current_flag(token: str) -> str:
     if field is None:
         return token
     new = "--" + field.replace("_", "-")
-    logger.warning("%s is now called %s; the old name will go with the next version", name, new)
+    _warn(name, new)
     return new + equals + value

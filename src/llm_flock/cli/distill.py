@@ -51,7 +51,7 @@ def train(
     steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all")] = 3000,
     rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
     rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
-    tokens: Annotated[int, typer.Option(min=1, help="Size of a step's batches [tokens], about")] = 600,
+    tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
     threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,

@@ -16,7 +16,9 @@ Results = Annotated[
 def report(
     folder: Results,
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
-    interval: Annotated[Literal["student", "bootstrap"], typer.Option(help="Intervals of means: method")] = "student",
+    interval: Annotated[
+        Literal["student", "bootstrap"], typer.Option(help="Method for confidence intervals of means")
+    ] = "student",
     reference: Annotated[
         str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
     ] = None,

@@ -17,12 +17,14 @@ from llm_flock.robots.base import Position
 def stand_ins(
     count: Annotated[int, typer.Argument(min=1, help="Number of drones; with --crazyflies, those of the file")] = 1,
     port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the first; the others follow")] = 19850,
-    spacing: Annotated[float, typer.Option(min=0.01, help="Spacing of the square grid in which they stand [m]")] = 1.0,
+    spacing: Annotated[float, typer.Option(min=0.01, help="Spacing of the drones' square grid [m]")] = 1.0,
     crazyflies: Annotated[
         Path | None, typer.Option(help="Stand in for each enabled udp:// robot of this crazyflies.yaml")
     ] = None,
     loss: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of packets lost, in each direction")] = 0.0,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time, not only on Ctrl-C [s]")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after this time [default: run until Ctrl-C] [s]")
+    ] = None,
 ) -> None:
     """Stand in for Crazyflies: point masses that speak their protocol over UDP, for flights without hardware."""
     from llm_flock.testing.crtp import StandIns

@@ -46,7 +46,7 @@ def robot(
     config: ConfigPath = None,
     **flags: Any,
 ) -> None:
-    """Be one robot of a swarm, until the process is told to end."""
+    """Run one robot of a swarm until the process is stopped."""
     from llm_flock.runtime.network.robot import run_robot
 
     _run_until_stopped(run_robot(SwarmConfig.load(config, **parse_flags(flags)), robot_id))
@@ -119,7 +119,7 @@ def mission(
     connect: Annotated[str | None, typer.Option(help="Endpoint of a peer of the swarm [the configuration's]")] = None,
     swarm_name: Annotated[str | None, typer.Option("--swarm", help="Name of the swarm [the configuration's]")] = None,
 ) -> None:
-    """Give a running swarm another mission: one robot takes it and tells the others."""
+    """Give a running swarm another mission: one robot receives it and passes it on."""
     from llm_flock.runtime.network.watch import give_mission
 
     settings = SwarmConfig.load(config, connect=connect, swarm=swarm_name)

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import msgspec
 
+from llm_flock import renamed
 from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments.trial import FORMAT, TrialResult
 from llm_flock.llm.limits import Spent
@@ -151,7 +152,7 @@ def trial_files(folder: Path) -> Iterator[Path]:
 
 
 def read_trial(path: Path) -> TrialResult:
-    """Read one finished trial.
+    """Read one finished trial; names of an earlier version appear as their present ones.
 
     Raises:
         RecordError: the file cannot be read, is damaged, or of a newer format.
@@ -164,7 +165,12 @@ def read_trial(path: Path) -> TrialResult:
         raise RecordError(f"{path}: not a trial ({error})") from None
     if found.format != FORMAT:
         raise RecordError(f"{path}: format {found.format}; this release reads format {FORMAT}")
-    return found
+    return msgspec.structs.replace(
+        found,
+        cell=renamed.current_label(found.cell),
+        axes=renamed.current(found.axes, warn=False),
+        config=renamed.current_config(found.config),
+    )
 
 
 def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:

@@ -23,6 +23,7 @@ from llm_flock.llm.limits import Budget
 from llm_flock.llm.models import check_priced
 from llm_flock.llm.providers import parse_base_urls
 from llm_flock.llm.sharing import Rate
+from llm_flock.renamed import current_label
 from llm_flock.runtime.planners import TeamPlanners
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
@@ -134,18 +135,23 @@ def fly_sweep(
 def _register(sweep: Sweep, store: Store) -> None:
     """Write into the directory which sweep it belongs to. A sweep may gain trials later, but not lose any."""
     plan = {spec.id: [spec.cell, str(spec.seed)] for spec in sweep.trials}
+    labels = {spec.id: [current_label(spec.cell), str(spec.seed)] for spec in sweep.trials}
     path = store.folder / PLAN_NAME
     with store.wait_for("plan"):
         if path.exists():
             known = msgspec.json.decode(path.read_bytes(), type=dict[str, list[str]])
-            gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != [cell, seed]]
+            gone = [
+                f"{cell}, seed {seed}"
+                for trial, (cell, seed) in known.items()
+                if labels.get(trial) != [current_label(cell), seed]
+            ]
             if gone:
                 shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")
                 raise InputError(
                     "out",
                     str(store.folder),
                     f"a directory of this sweep: {len(gone)} of its {len(known)} trials are not in what was given, or "
-                    f"there under another name ({shown}). A sweep may get more trials; others need another directory",
+                    f"stored under another label ({shown}). A sweep may get more trials; others need another directory",
                 )
         write_whole(path, msgspec.json.encode(plan))
         write_whole(store.folder / SWEEP_NAME, sweep.text.encode())

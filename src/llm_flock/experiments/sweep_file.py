@@ -12,6 +12,7 @@ from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from llm_flock import renamed
 from llm_flock.errors import InputError
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, parse_teams
 from llm_flock.experiments.trial import KeepRecords
@@ -36,7 +37,7 @@ class SweepTable(_Table):
     """`[sweep]`: the sweep as a whole."""
 
     name: str = Field(pattern=r"^[\w.-]+$", description="Name; results go to runs/NAME by default")
-    about: str = Field(default="", description="Its subject in a sentence; reports begin with it")
+    about: str = Field(default="", description="One sentence about the sweep; reports open with it")
     seeds: Positive | tuple[Annotated[int, Field(ge=0)], ...] = Field(
         description="Number of seeds for each cell, or a list of them; the same for all cells"
     )
@@ -136,8 +137,9 @@ def _trials(
     for name in variables:
         if name not in file.variables:
             raise InputError("set", name, f"one of the variables {', '.join(file.variables) or '(there are none)'}")
-    given = {field: value for field, value in overrides.items() if value is not None}
-    axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in file.grid.items()}
+    given = renamed.current({field: value for field, value in overrides.items() if value is not None})
+    grid = renamed.current(file.grid)
+    axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in grid.items()}
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
     cells = [_cell(file, given, dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values())]
     count, first = file.sweep.seeds, file.sweep.first_seed
@@ -181,11 +183,12 @@ def _point(axis: str, value: Any) -> _Point:
         label = fields.pop("name", None)
         if not isinstance(label, str) or not label:
             raise InputError(f"grid.{axis}", fields, "tables with a `name`")
-        return _Point(label, fields)
+        return _Point(label, renamed.current(fields))
     if axis == "team":
         ((shape, n_robots),) = parse_teams(str(value))
         return _Point(str(value), {"shape": shape, "n_robots": n_robots})
-    return _Point(str(value), {axis: value})
+    fields = renamed.current({axis: value})
+    return _Point(str(fields[axis]), fields)
 
 
 def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Point]) -> Cell:

@@ -17,7 +17,6 @@ from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock.experiments.store import read_trial, trial_files, write_whole
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.protocol.events import Origin
-from llm_flock.renamed import VALUES
 
 TRIALS_NAME = "trials.parquet"
 ROUNDS_NAME = "rounds.parquet"
@@ -237,7 +236,6 @@ def _row(trial: TrialResult) -> dict[str, Any]:
     """The values of one trial, by column; names that are no columns are ignored."""
     config, costs = trial.config, [earlier.cost_usd for earlier in trial.earlier]
     summary: Mapping[str, Any] = trial.summary or {}
-    consensus = config["protocol"]["consensus"]
     own = ("cell", "simulated", "stopped", "formed", "cut", "error", "code", "record")
     return {
         **summary,
@@ -249,8 +247,7 @@ def _row(trial: TrialResult) -> dict[str, Any]:
         "seed": config["trial"]["seed"],
         "model": config["model"]["model"],
         **{name: config["mission"][name] for name in ("shape", "n_robots", "safe_distance", "spacing")},
-        **{name: config["protocol"][name] for name in ("protocol", "assignment", "shield")},
-        "consensus": VALUES["consensus"].get(consensus, consensus),
+        **{name: config["protocol"][name] for name in ("protocol", "consensus", "assignment", "shield")},
         **{name: getattr(trial, name) for name in own},
         "earlier_tries": len(costs),
         "earlier_cost_usd": None if None in costs else sum(cost for cost in costs if cost is not None),

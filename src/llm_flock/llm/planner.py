@@ -109,7 +109,9 @@ class LanguagePlanner:
         frame: FrameName = "world",
     ) -> None:
         if frame == "own" and history != 0:
-            raise InputError("frame", frame, "world where history is kept: every question has its own frame otherwise")
+            raise InputError(
+                "frame", frame, "world while history is kept, because with own each question has a different frame"
+            )
         self._robot = robot
         self._model = model
         self._prompts = prompts

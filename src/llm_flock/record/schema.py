@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Annotated, Any, cast
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field
 
-from llm_flock.renamed import RECORD_FIELDS
+from llm_flock.renamed import RECORD_FIELDS, current_config
 
 FORMAT_VERSION = 1
 """Increased whenever a reader of older records would misread a newer one."""
@@ -46,7 +46,9 @@ class RunInfo(Entry):
     """Where the run came from. Written once, first."""
 
     format_version: int = Field(FORMAT_VERSION, description="Version of this format")
-    config: dict[str, Any] = Field(description="The resolved configuration, every field of it")
+    config: Annotated[dict[str, Any], AfterValidator(current_config)] = Field(
+        description="The resolved configuration, every field of it"
+    )
     versions: dict[str, str] = Field(description="Versions of the packages that can change a result")
     git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
     seed: int = Field(description="Seed of the run")

@@ -40,7 +40,7 @@ def seconds(default: float, description: str, *, most: float | None = None) -> A
 class ProtocolConfig(ConfigSection):
     """Rules by which the robots agree on one plan and on distinct places."""
 
-    protocol: Literal["flock", "paper", "baseline"] = Field(default="flock", description="Preset of the options below")
+    protocol: Literal["flock", "paper", "baseline"] = Field(default="flock", description="Preset for the options below")
     consensus: str | None = Field(
         default=None, description="Plan consensus: none, influence, provenance, or package.module:Class [preset's]"
     )
@@ -54,7 +54,7 @@ class ProtocolConfig(ConfigSection):
     )
     fallback: Literal["hold", "geometry"] = Field(
         default="hold",
-        description="If a model's answer stays unusable: hold (wait for a neighbour's plan), or use plain geometry",
+        description="If an answer stays unusable: hold (wait for a neighbour's plan) or geometry (compute the answer)",
     )
     comm_rounds: Count | None = Field(default=None, description="Communication rounds per motion round [preset's]")
     gaps: Literal["report", "replan"] = Field(
@@ -93,7 +93,7 @@ class ModelConfig(ConfigSection):
     history: str = Field(default="none", description="Conversation to keep between questions: none, last:K or full")
     decide: Literal["every-round", "on-event"] = Field(
         default="every-round",
-        description="When to ask a model for a way: a step every round, or a path and again when something changes",
+        description="When to ask a model: for a step every round, or for a path, and again when something changes",
     )
     observe: Literal["in-range", "all"] = Field(
         default="in-range", description="Robots whose positions the model is given"
@@ -120,9 +120,9 @@ class ModelConfig(ConfigSection):
 class LimitConfig(ConfigSection):
     """Limits of a run's model calls, and its budget."""
 
-    max_concurrent: Count = Field(default=1000, description="Largest number of model calls at once")
+    max_concurrent: Count = Field(default=1000, description="Maximum number of concurrent model calls")
     timeout_s: float = seconds(120.0, "Time-out of one try of a model call")
-    max_tries: Count = Field(default=8, description="Largest number of tries of a model call when the provider fails")
+    max_tries: Count = Field(default=8, description="Maximum attempts per model call if the provider fails")
     max_calls: Count | None = Field(default=None, description="Budget: model calls of the whole run")
     max_tokens: Count | None = Field(default=None, description="Budget: tokens in and out of the whole run")
     max_cost: float | None = Field(
@@ -138,7 +138,7 @@ class TrialConfig(ConfigSection):
     seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
     start: Literal["separated", "uniform", "connected"] = Field(
         default="separated",
-        description="Random starts: at least safe_distance apart; the paper's raw draw; or all in radio contact",
+        description="Random starts: at least safe_distance apart; uniform, as in the paper; or all in radio contact",
     )
     start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Start positions, instead of random ones [units]"
@@ -154,7 +154,7 @@ class TrialConfig(ConfigSection):
     changes: tuple[Change, ...] = Field(
         default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
     )
-    noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Largest localisation error [units]")
+    noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
     out: str | None = Field(default=None, description="Folder for the record (run.mcap) and the figures drawn from it")
 
 

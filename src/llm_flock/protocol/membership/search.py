@@ -25,7 +25,7 @@ PATIENCE = 1
 """Rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain."""
 
 NEXT_TO = 1.5
-"""A vacant slot within this many spacings of the own one is next to it."""
+"""A vacant slot within this many spacings of the robot's own slot is next to it."""
 
 PATIENCE_PER_PLACE = 4
 """Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""

@@ -171,7 +171,7 @@ class RobotProcess:
 
 
 async def run_robot(config: SwarmConfig, robot: int) -> None:
-    """Be one robot until the process is told to end.
+    """Run one robot until the process is stopped.
 
     Raises:
         InputError: no such robot, or an endpoint that cannot be opened.

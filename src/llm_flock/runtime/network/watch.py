@@ -56,7 +56,7 @@ async def look(observer: Observer) -> None:
 async def run_watch(
     config: SwarmConfig, record: Path | None, on_row: Callable[[TrialProgress], None] | None = None
 ) -> None:
-    """Watch, and with a path write a record, until the process is told to end.
+    """Watch, and with a path write a record, until the process is stopped.
 
     Raises:
         InputError: the record exists already.

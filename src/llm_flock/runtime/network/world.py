@@ -120,7 +120,7 @@ class WorldBodies:
 
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
-    """Simulate the bodies until the process is told to end; `on_ready` is called once the endpoint is open.
+    """Simulate the bodies until the process is stopped; `on_ready` is called once the endpoint is open.
 
     Raises:
         InputError: the endpoint cannot be opened, or there is no room for the starts.
