@@ -52,13 +52,6 @@ def suite_of(path: Path) -> str:
     return path.relative_to(TESTS).parts[0]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave coverage off in random cases: examples cover the same lines, and tracing doubles the time."""
-    for item in items:
-        if suite_of(item.path) == "property" and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
-            item.add_marker("no_cover")
-
-
 @pytest.fixture(autouse=True)
 def no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hide the keys of real providers, so that a test gives the same result everywhere."""

@@ -9,8 +9,6 @@ import pytest
 
 import llm_flock
 
-pytestmark = pytest.mark.no_cover  # dozens of whole runs through the same lines
-
 CIRCLE = llm_flock.Mission(shape="circle", n_robots=8)
 SEEDS = range(6)
 SAFE = 3 - 1e-6

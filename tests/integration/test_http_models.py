@@ -145,7 +145,6 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
     assert stats["most_open"] <= 20 + 1  # and the one that asks for the counts
 
 
-@pytest.mark.no_cover
 def test_two_hundred_calls_run_at_once() -> None:
     async def scenario(server: Server) -> float:
         limits = CallLimits(rng=np.random.default_rng(0))

@@ -16,7 +16,6 @@ from llm_flock.runtime import planners
 MODEL = "openai-compatible:test"
 
 
-@pytest.mark.no_cover
 def test_circle_of_ten_against_a_faulty_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The run ends with a readable record, and every fault that the server sent is counted, kind by kind."""
     monkeypatch.setattr(planners, "RetryPolicy", partial(RetryPolicy, first_wait_s=0.01))
@@ -69,7 +68,6 @@ def test_a_server_that_is_down_makes_every_robot_hold(tmp_path: Path) -> None:
     assert all(entry.error is not None and entry.error.startswith("connection") for entry in record.llm)
 
 
-@pytest.mark.no_cover
 def test_fifty_robots_do_not_wait_for_each_other() -> None:
     """A server that takes 0.3 s: a round of fifty takes little more, because all ask at once."""
     side = 200.0

@@ -24,7 +24,6 @@ def slowness(summary: Summary) -> float:
     return (summary.rounds_to_formed or 0) / max(1, summary.lower_bound_rounds or 0)
 
 
-@pytest.mark.no_cover
 def test_a_third_of_the_calls_as_fast_and_as_safe() -> None:
     frugal = [fly(seed) for seed in SEEDS]
     asked = [fly(seed, decide="every-round") for seed in SEEDS]

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from llm_flock.record.reader import read_record
 TESTS = Path(__file__).parents[1]
 
 WRITER = """
-import sys
+import os, signal, sys
 from pathlib import Path
 from sample_records import FakeRun
 from llm_flock.record.schema import RoundEnd
@@ -31,26 +32,54 @@ class Telling(RecordWriter):
         if isinstance(entry, RoundEnd):
             print(entry.round, flush=True)
 
-with Telling(Path(sys.argv[1])) as writer:
-    fake = FakeRun(n=10, rounds=10_000)
-    fake.write(writer)
+def write(path, rounds):
+    with Telling(Path(path)) as writer:
+        print(os.getpid(), flush=True)
+        if not int(rounds):
+            os.kill(os.getpid(), signal.SIGKILL)
+        FakeRun(n=10, rounds=int(rounds)).write(writer)
+
+for line in sys.stdin:
+    child = os.fork()
+    if child == 0:
+        write(*line.rsplit(maxsplit=1))
+    print("ended", os.waitpid(child, 0)[1], flush=True)
 """
+"""Forks a writer for each path and number of rounds that it reads. The writer says its id, and each finished round."""
+
+
+@pytest.fixture(scope="module")
+def writers() -> Iterator[subprocess.Popen[str]]:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent / "src")])}
+    command = [sys.executable, "-c", WRITER]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True
+    ) as process:
+        yield process
+
+
+def lines(process: subprocess.Popen[str], path: Path, rounds: int) -> Iterator[list[str]]:
+    """What the writer of this path says, until it has ended."""
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.write(f"{path} {rounds}\n")
+    process.stdin.flush()
+    while True:
+        yield (line := process.stdout.readline().split())
+        if line[0] == "ended":
+            return
 
 
 @pytest.mark.parametrize("trial", range(6))
-def test_all_rounds_that_were_finished_can_be_read(tmp_path: Path, trial: int) -> None:
+def test_all_rounds_that_were_finished_can_be_read(writers: subprocess.Popen[str], tmp_path: Path, trial: int) -> None:
     path = tmp_path / "run.mcap"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent / "src")])}
-    process = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment, text=True
-    )
-    assert process.stdout is not None
-    told = [int(process.stdout.readline())]  # started, and round 0 is finished
+    said = lines(writers, path, 10_000)
+    (pid,) = next(said)
+    told = [int(*next(said))]  # round 0 is finished
     time.sleep(random.Random(trial).uniform(0.0, 0.3))
-    process.send_signal(signal.SIGKILL)
-    told += [int(line) for line in process.stdout.read().splitlines()]
-    process.stdout.close()
-    assert process.wait() == -signal.SIGKILL
+    os.kill(int(pid), signal.SIGKILL)
+    *rounds, ended = said
+    told += [int(*line) for line in rounds]
+    assert ended == ["ended", str(int(signal.SIGKILL))]
 
     record = read_record(path)
     assert not record.complete
@@ -61,11 +90,10 @@ def test_all_rounds_that_were_finished_can_be_read(tmp_path: Path, trial: int) -
     assert json.loads(record.states[-1].encoded())["round"] == record.rounds
 
 
-def test_a_writer_killed_before_its_first_round_leaves_a_clear_error(tmp_path: Path) -> None:
+def test_a_writer_killed_before_its_first_round_leaves_a_clear_error(
+    writers: subprocess.Popen[str], tmp_path: Path
+) -> None:
     path = tmp_path / "run.mcap"
-    code = WRITER.replace("fake.write(writer)", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent / "src")])}
-    done = subprocess.run([sys.executable, "-c", code, str(path)], env=environment, check=False)
-    assert done.returncode == -signal.SIGKILL
+    assert list(lines(writers, path, 0))[-1] == ["ended", str(int(signal.SIGKILL))]
     with pytest.raises(RecordError, match=r"empty file|nothing to show"):
         read_record(path)

@@ -1,14 +1,11 @@
 """Comparisons in a pool of processes: the same as single runs, in order, and no trial lost."""
 
-import json
 import multiprocessing
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 import llm_flock
-from llm_flock.cli import app
 from llm_flock.errors import FlockError, InputError
 from llm_flock.experiments.compare import build_cells, compare
 from llm_flock.experiments.grid import Cell
@@ -23,17 +20,18 @@ def timeless(summary: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def test_a_pool_gives_what_single_runs_give_in_the_order_of_cells_and_seeds() -> None:
-    cells = build_cells([("square", 8), ("triangle", 3)], ["flock"], loss=0.2)
+    cells = build_cells([("square", 8), ("triangle", 3), ("triangle", 3)], ["flock"], loss=0.2)
     told: list[tuple[str, int, TrialResult]] = []
     rows = compare(
         cells, trials=2, first_seed=3, jobs=2, on_result=lambda cell, *rest: told.append((cell.shape, *rest))
     )
-    order = [("square", 8, 3), ("square", 8, 4), ("triangle", 3, 3), ("triangle", 3, 4)]
+    order = [("square", 8, 3), ("square", 8, 4), *2 * [("triangle", 3, 3), ("triangle", 3, 4)]]
     assert [(shape, seed) for shape, seed, _ in told] == [(shape, seed) for shape, _, seed in order]
     for (_, _, result), (shape, n, seed) in zip(told, order, strict=True):
         alone = llm_flock.run(config=build_config(shape=shape, n_robots=n, seed=seed, loss=0.2)).summary
         assert timeless(result.summary) == timeless(alone.to_dict())
-    assert [(row.shape, row.trials) for row in rows] == [("square", 2), ("triangle", 2)]
+    assert [(row.shape, row.trials) for row in rows] == [("square", 2), ("triangle", 2), ("triangle", 2)]
+    assert rows[1] == rows[2], "the same cell may be asked for twice"
     assert multiprocessing.active_children() == []
 
 
@@ -56,11 +54,3 @@ def test_a_killed_worker_is_told() -> None:
     with pytest.raises(FlockError, match="killed after 0 trials"):
         compare([Cell(config=build_config(consensus="rules_that_fail:Killing"))], trials=3)
     assert multiprocessing.active_children() == []
-
-
-def test_the_same_shape_may_be_compared_twice_on_the_command_line() -> None:
-    given = ["--cells", "triangle/3,triangle/3", "--protocols", "flock", "--trials", "1", "--jobs", "1", "--json"]
-    done = CliRunner().invoke(app, ["compare", *given])
-    assert done.exit_code == 0, done.output
-    first, second = json.loads(done.stdout)
-    assert first == second and first["formed"]["value"] == 1.0

@@ -86,7 +86,7 @@ def test_an_override_replaces_an_axis_under_either_name(tmp_path: Path, flag: st
 
 def test_a_sweep_goes_on_after_its_file_was_renamed(tmp_path: Path) -> None:
     out = tmp_path / "results"
-    fly_sweep(load_sweep(old_sweep(tmp_path)), out, jobs=1)
+    fly_sweep(load_sweep(old_sweep(tmp_path)), out, executor="one")
     plan = out / "plan.json"
     plan.write_text(
         plan.read_text()
@@ -96,7 +96,7 @@ def test_a_sweep_goes_on_after_its_file_was_renamed(tmp_path: Path) -> None:
     )
     new = load_sweep(sweep_file(tmp_path, "provenance", "replan", "comm_rounds"))
     assert "pedigree" in plan.read_text()
-    assert fly_sweep(new, out, jobs=1).finished == 4
+    assert fly_sweep(new, out, executor="one").finished == 4
     assert "pedigree" not in plan.read_text()
 
 

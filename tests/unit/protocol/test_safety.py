@@ -1,60 +1,17 @@
 """Safe motion of whole teams: what blocks them, what they do about it, and starts that are too near."""
 
 import math
-from collections import Counter
 
 import numpy as np
 import pytest
+from safe_team import SAFE, SafeTeam
 
-from llm_flock.metrics import AT_GOAL, min_separation, segment_separation
 from llm_flock.mission import Mission, build_mission
-from llm_flock.obstacles import Obstacle, segment_clearance
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.motion.progress import PATIENCE, SIDE_ROUNDS, GoalProgress, detour, update_progress
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.motion.shield import spread_coincident
-
-SAFE = 3.0
-
-
-class Team:
-    """Robots that fly straight to their goals, as far as their safety lets them."""
-
-    def __init__(self, starts: object, goals: object, *obstacles: Obstacle) -> None:
-        self.positions = np.array(starts, dtype=float)
-        self.goals = np.array(goals, dtype=float)
-        n, dim = self.positions.shape
-        arena = ((0.0,) * dim, (100.0,) * dim)
-        self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.robots = [Safety(i, self.mission, 0.0) for i in range(n)]
-        self.kinds: Counter[str] = Counter()
-        self.smallest = math.inf
-        self.clearance = math.inf
-
-    def fly(self, rounds: int) -> int | None:
-        """The round after which all are at their goals, None if that does not come."""
-        for number in range(rounds):
-            if float(np.linalg.norm(self.positions - self.goals, axis=1).max()) < 0.5:
-                return number
-            self.round()
-        return None
-
-    def round(self) -> None:
-        before = self.positions
-        rows = [tuple(row) for row in before.tolist()]
-        after = before.copy()
-        for i, safety in enumerate(self.robots):
-            sensed = {j: x for j, x in enumerate(rows) if j != i and math.dist(x, rows[i]) <= self.mission.sensing}
-            goal = tuple(self.goals[i].tolist())
-            far = math.dist(rows[i], goal)
-            share = min(1.0, self.mission.max_step / max(far, 1e-9))
-            wish = goal if share == 1.0 else tuple(x + share * (g - x) for x, g in zip(rows[i], goal, strict=True))
-            flight = safety.step(rows[i], sensed, wish, goal, AT_GOAL * self.mission.spacing)
-            self.kinds.update(note.kind for note in flight.notes)
-            self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
-            after[i] = flight.waypoint
-        self.smallest = min(self.smallest, segment_separation(before, after))
-        self.positions = after
 
 
 def ring(n: int, radius: float, turn: float = 0.0) -> np.ndarray:
@@ -66,7 +23,7 @@ def ring(n: int, radius: float, turn: float = 0.0) -> np.ndarray:
 def test_two_robots_that_meet_head_on_pass_each_other(dim: int) -> None:
     rest = [50.0] * (dim - 1)
     ends = [[20.0, *rest], [80.0, *rest]]
-    team = Team(ends, ends[::-1])
+    team = SafeTeam(ends, ends[::-1])
     assert team.fly(30) is not None
     assert team.kinds["deadlock"] == 2 and team.smallest >= SAFE - 1e-6
 
@@ -74,7 +31,7 @@ def test_two_robots_that_meet_head_on_pass_each_other(dim: int) -> None:
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
 def test_a_ring_of_robots_that_change_places_across_the_middle_comes_through(n: int) -> None:
     starts = ring(n, 20.0)
-    team = Team(starts, 100 - starts)
+    team = SafeTeam(starts, 100 - starts)
     assert team.fly(60) is not None
     assert team.smallest >= SAFE - 1e-6
 
@@ -82,14 +39,14 @@ def test_a_ring_of_robots_that_change_places_across_the_middle_comes_through(n: 
 def test_through_a_ring_that_stands_around_the_goal() -> None:
     """Straight ahead stands one of six that do not move."""
     stands = ring(6, 10.0)
-    team = Team([[80.0, 50.0], *stands], [[50.0, 50.0], *stands])
+    team = SafeTeam([[80.0, 50.0], *stands], [[50.0, 50.0], *stands])
     assert team.fly(40) is not None
     assert team.kinds["deadlock"] == 1 and team.smallest >= SAFE - 1e-6
 
 
 def test_three_bodies_in_contact_change_places() -> None:
     touching = ring(3, SAFE / math.sqrt(3))
-    team = Team(touching, np.roll(touching, 1, axis=0))
+    team = SafeTeam(touching, np.roll(touching, 1, axis=0))
     assert team.fly(60) is not None
     assert team.smallest >= SAFE - 1e-6
 
@@ -116,45 +73,16 @@ def test_three_bodies_in_contact_change_places() -> None:
 )
 def test_round_an_obstacle_exactly_in_line(obstacle: Obstacle) -> None:
     start = [40.0, 50.0]
-    team = Team([start], [[80.0, 50.0]], obstacle)
+    team = SafeTeam([start], [[80.0, 50.0]], obstacle)
     assert team.fly(60) is not None
     assert team.kinds["deadlock"] >= 1
     assert team.clearance >= SAFE / 2 - 1e-6
 
 
 def test_a_goal_that_cannot_be_reached_is_noted_once_and_circled() -> None:
-    team = Team([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
+    team = SafeTeam([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
     assert team.fly(80) is None
     assert team.kinds["deadlock"] <= 3 and team.clearance >= SAFE / 2 - 1e-6
-
-
-def dense(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Up to a dozen robots in a box that is too small for them, some on one spot."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 13))
-    starts = 50 + rng.uniform(-4, 4, (n, 2))
-    for k in range(1, n):
-        if rng.random() < 0.3:
-            starts[k] = starts[int(rng.integers(0, k))]
-    goals = np.full((n, 2), 50.0) if seed % 2 else 50 + rng.uniform(-30, 30, (n, 2))
-    return starts, goals
-
-
-@pytest.mark.no_cover
-@pytest.mark.parametrize("first", range(0, 200, 50))
-def test_any_crowd_separates_within_eight_rounds_and_no_pair_gets_worse(first: int) -> None:
-    for seed in range(first, first + 50):
-        team = Team(*dense(seed))
-        crowded = min_separation(team.positions) < SAFE - 1e-6
-        for _ in range(8):
-            before = np.linalg.norm(team.positions[:, None] - team.positions, axis=2)
-            if min_separation(team.positions) >= SAFE - 1e-6:
-                break
-            team.round()
-            after = np.linalg.norm(team.positions[:, None] - team.positions, axis=2)
-            assert bool((after + 1e-6 >= np.minimum(before, SAFE)).all()), seed
-        assert min_separation(team.positions) >= SAFE - 1e-6, seed
-        assert ("separating" in team.kinds) == crowded
 
 
 def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:

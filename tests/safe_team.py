@@ -1,0 +1,53 @@
+"""A team that wants nothing but its goals: each robot flies as its own safety lets it."""
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from llm_flock.metrics import AT_GOAL, segment_separation
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle, segment_clearance
+from llm_flock.protocol.motion.safety import Safety
+
+SAFE = 3.0
+
+
+class SafeTeam:
+    """Robots that fly straight to their goals, as far as their safety lets them."""
+
+    def __init__(self, starts: object, goals: object, *obstacles: Obstacle) -> None:
+        self.positions = np.array(starts, dtype=float)
+        self.goals = np.array(goals, dtype=float)
+        n, dim = self.positions.shape
+        arena = ((0.0,) * dim, (100.0,) * dim)
+        self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
+        self.robots = [Safety(i, self.mission, 0.0) for i in range(n)]
+        self.kinds: Counter[str] = Counter()
+        self.smallest = math.inf
+        self.clearance = math.inf
+
+    def fly(self, rounds: int) -> int | None:
+        """The round after which all are at their goals, None if that does not come."""
+        for number in range(rounds):
+            if float(np.linalg.norm(self.positions - self.goals, axis=1).max()) < 0.5:
+                return number
+            self.round()
+        return None
+
+    def round(self) -> None:
+        before = self.positions
+        rows = [tuple(row) for row in before.tolist()]
+        after = before.copy()
+        for i, safety in enumerate(self.robots):
+            sensed = {j: x for j, x in enumerate(rows) if j != i and math.dist(x, rows[i]) <= self.mission.sensing}
+            goal = tuple(self.goals[i].tolist())
+            far = math.dist(rows[i], goal)
+            share = min(1.0, self.mission.max_step / max(far, 1e-9))
+            wish = goal if share == 1.0 else tuple(x + share * (g - x) for x, g in zip(rows[i], goal, strict=True))
+            flight = safety.step(rows[i], sensed, wish, goal, AT_GOAL * self.mission.spacing)
+            self.kinds.update(note.kind for note in flight.notes)
+            self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
+            after[i] = flight.waypoint
+        self.smallest = min(self.smallest, segment_separation(before, after))
+        self.positions = after
