@@ -65,9 +65,10 @@ changed: $(STAMP) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
 
 test: $(STAMP) ## Unit, property and integration tests, and that every branch of protocol/ is covered
-	$(BIN)/python -m pytest tests/unit/protocol --numprocesses $(WORKERS) --dist worksteal --cov
+	$(BIN)/python -m pytest tests/unit/protocol --numprocesses 2 --dist worksteal --cov
 	$(BIN)/python -m pytest tests/integration tests/property tests/unit --ignore tests/unit/protocol --numprocesses $(WORKERS) --dist worksteal
 
+e2e: WORKERS := 3
 e2e: $(STAMP) ## End-to-end tests through the command line
 	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope
 
