@@ -69,7 +69,7 @@ def test_what_is_finished_is_never_flown_again_and_more_seeds_may_come(tmp_path:
 
 def test_trials_that_break_off_are_counted_and_flown_again_only_when_told(tmp_path: Path) -> None:
     sweep = small(tmp_path, seeds=1, consensus="rules_that_fail:Raising", start="uniform")
-    status = fly_sweep(sweep, tmp_path / "out", executor="pool")
+    status = fly_sweep(sweep, tmp_path / "out", executor="one")
     assert (status.finished, status.broken, status.formed, status.complete) == (2, 2, 0, True)
     found = tables.read_trials(tmp_path / "out")
     assert found["error"].to_list() == ["Unpicklable: no choice"] * 2

@@ -168,11 +168,47 @@ class MoveTo(msgspec.Struct, frozen=True, kw_only=True):
     origin: Origin
 
 
+NOTES: Mapping[str, frozenset[str]] = {
+    "proposed": frozenset({"plan", "slot"}),
+    "no_plan": frozenset({"cause", "reason"}),
+    "adopted": frozenset({"plan", "from"}),
+    "fallback": frozenset({"question", "by", "cause", "reason"}),
+    "claimed": frozenset({"slot", "before"}),
+    "rejected_message": frozenset({"reason", "detail"}),
+    "asked_again": frozenset({"reason"}),
+    "stale_question": frozenset({"about"}),
+    "stale_answer": frozenset({"about"}),
+    "search": frozenset({"begun", "vacant"}),
+    "gap": frozenset({"slots", "missing"}),
+    "mission": frozenset({"counter", "digest", "shape"}),
+    "shielded": frozenset({"proposed", "flown"}),
+    "separating": frozenset({"nearest", "makes_way"}),
+    "deadlock": frozenset({"goal_distance", "rounds"}),
+    "held": frozenset({"cause", "reason"}),
+    "killed": frozenset(),
+    "joined": frozenset(),
+    "injected": frozenset({"model", "loss"}),
+}
+"""Names in the detail of each kind of note: see docs/reference/record.md. The runtime writes the last three kinds."""
+
+
 class Note(msgspec.Struct, frozen=True):
-    """Something worth recording: `kind` is a stable word, `detail` plain values."""
+    """Something worth recording.
+
+    Attributes:
+        kind: one of `NOTES`.
+        detail: plain values by name, exactly those of the kind.
+
+    Raises:
+        ValueError: when made with another kind, or with other names.
+    """
 
     kind: str
     detail: Mapping[str, Any] = msgspec.field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        if NOTES.get(self.kind) != frozenset(self.detail):
+            raise ValueError(f"no note {self.kind!r} with {sorted(self.detail)}: NOTES names what is allowed")
 
 
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note

@@ -55,13 +55,15 @@ class Launcher:
 
         chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
         configs = [config_of(each, self.models) for each in chosen]
+        flying = sum(not run.over for run in self.runs.values())
+        if flying + len(configs) > MOST_RUNS:
+            asked = f"{len(configs)} more than {flying}"
+            raise InputError("run", asked, f"at most {MOST_RUNS} at once: end some of them first")
         return [self._launch(config, pace) for config in configs]
 
     def _launch(self, config: RunConfig, pace: float) -> SteeredRun:
         from llm_flock.viewer.steered_run import SteeredRun
 
-        if sum(not run.over for run in self.runs.values()) >= MOST_RUNS:
-            raise InputError("run", "one more", f"at most {MOST_RUNS} at once: end one of them first")
         mission, protocol = config.mission, config.protocol.protocol
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
         shape = re.sub(r"[^A-Za-z0-9]", "", mission.shape.split(":")[0])

@@ -170,3 +170,9 @@ def test_another_mission_makes_the_robot_plan_again() -> None:
     assert agent.mission == new and agent.plan is None and agent.claim.slot is None
     (ask,) = agent.handle(began(2))
     assert isinstance(ask, AskPlan) and ask.question.mission == new
+
+
+@pytest.mark.parametrize(("kind", "detail"), [("unheard_of", {}), ("held", {"cause": "answer"}), ("killed", {"by": 1})])
+def test_a_note_has_a_known_kind_and_its_details(kind: str, detail: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=f"no note '{kind}'"):
+        Note(kind, detail)
