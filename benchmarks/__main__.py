@@ -177,6 +177,9 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["same"]:
         same.main(sys.argv[2:])
         raise SystemExit
+    parts = sys.argv[1:] or list(PARTS)
+    if unknown := [part for part in parts if part not in PARTS | LONG]:
+        raise SystemExit(f"part {unknown[0]!r}: allowed are {', '.join(PARTS | LONG)}, same\n\n{__doc__}")
     yardstick()
-    for part in sys.argv[1:] or list(PARTS):
+    for part in parts:
         (PARTS | LONG)[part]()
