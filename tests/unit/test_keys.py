@@ -39,6 +39,12 @@ def test_nothing_is_written_over(folder: Path) -> None:
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"folder = '.*file/keys' .*Not a directory"):
+        make_keys(tmp_path / "file" / "keys", 3)
+
+
 @pytest.mark.parametrize(("robots", "days"), [(0, 365), (10**6, 365), (3, 0), (3, 4000)])
 def test_teams_and_times_without_sense_are_refused(tmp_path: Path, robots: int, days: int) -> None:
     with pytest.raises(InputError):

@@ -69,7 +69,7 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
     """Make the keys of a team, and certificates that are valid for some days; never overwrites a file.
 
     Raises:
-        InputError: too many robots, or the folder is not empty.
+        InputError: too many robots, or the folder is not empty or cannot be made.
     """
     if not 1 <= n_robots <= MAX_ROBOTS:
         raise InputError("robots", n_robots, f"1 to {MAX_ROBOTS}")
@@ -181,7 +181,10 @@ def _check_private(path: Path) -> None:
 
 
 def _folder(path: Path) -> Path:
-    path.mkdir(mode=PRIVATE_FOLDER, parents=True, exist_ok=True)
+    try:
+        path.mkdir(mode=PRIVATE_FOLDER, parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("folder", str(path), f"a folder that can be made ({error.strerror})") from None
     return path
 
 
