@@ -32,7 +32,7 @@ class Always:
 def asked(
     plan: PlanAnswer | NoAnswer, step: StepAnswer | NoAnswer, mission: Mission = MISSION
 ) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:
-    planner = FallbackPlanner(Always(plan, step), GeometryPlanner(0), shield_on=True)
+    planner = FallbackPlanner(Always(plan, step), GeometryPlanner(), shield_on=True)
     return asyncio.run(planner.plan(replace(ASK_PLAN, mission=mission))), asyncio.run(planner.step(ASK_STEP))
 
 

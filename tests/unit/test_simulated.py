@@ -16,7 +16,6 @@ from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_j
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm.client import PydanticModel
-from llm_flock.llm.geometry import turned
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.prompting import PromptSet
@@ -24,6 +23,7 @@ from llm_flock.llm.simulated.model import Responder, SimulatedModel
 from llm_flock.llm.simulated.profiles import FAILURES, PROFILES, Profile, parse_profile
 from llm_flock.metrics import procrustes
 from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.geometry import turned
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan

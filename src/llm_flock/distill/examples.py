@@ -123,14 +123,14 @@ def best_step(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
     framed = asked.framed
     mission = framed.mission.model_copy(update={"max_step": REACH * framed.mission.max_step})
     question = replace(framed, mission=mission, horizon=min(framed.horizon, LONGEST_PATH))
-    answer = asyncio.run(GeometryPlanner(framed.robot).step(question))
+    answer = asyncio.run(GeometryPlanner().step(question))
     assert isinstance(answer, StepAnswer), "there is always a straight step"
     return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
 
 
 def best_plan(asked: FramedQuestion[PlanQuestion]) -> PlanAnswer:
     """The shape in its reference orientation in the frame of the prompt, rounded as in an answer."""
-    answer = asyncio.run(GeometryPlanner(asked.framed.robot).plan(asked.framed))
+    answer = asyncio.run(GeometryPlanner().plan(asked.framed))
     assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
     return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
 

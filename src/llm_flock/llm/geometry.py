@@ -7,23 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from llm_flock import formations
-from llm_flock.arrays import Point, Points
-from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.geometry import geometric_plan, straight_path
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.verification.plans import check_proposal
 from llm_flock.protocol.verification.steps import clip_waypoint
-
-
-def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
-    """A formation, shape (n, d), turned about its centre: in the plane, or about the third axis in space."""
-    out = np.array(points, dtype=np.float64)
-    out[:, :2] = formations.rotated(out[:, :2], center[:2], angle_rad)
-    return out
-
-
-TURNS = 72
-"""Orientations tried to keep the places off bodies that stand still."""
 
 
 class GeometryPlanner:
@@ -32,41 +18,16 @@ class GeometryPlanner:
     `rng` draws the orientation, as independent models choose different ones; None is the reference orientation.
     """
 
-    def __init__(self, robot: int, rng: np.random.Generator | None = None) -> None:
-        self._robot = robot
+    def __init__(self, rng: np.random.Generator | None = None) -> None:
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """The ideal points, the same every time, and the place with the robot's id (modulo the number of places).
-
-        No answer for a shape in words: its points are unknown.
-        """
-        mission = question.mission
-        if mission.ideal is None:
-            return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-        turns = (self._angle_rad + 2 * math.pi * k / TURNS for k in range(TURNS))
-        plans = (Plan.of(turned(np.array(mission.ideal), mission.center, angle).tolist()) for angle in turns)
-        plan = next(plans)
-        if question.still:  # the first orientation with no place on a body that stands still
-            free = (p for p in (plan, *plans) if check_proposal(mission, p, question.still) is None)
-            plan = next(free, plan)
-        return PlanAnswer(plan=plan, slot=self._robot % len(plan))
+        """As `geometric_plan`."""
+        return geometric_plan(question, self._angle_rad)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Straight towards the goal, as far as the step limit allows, and on from there up to the horizon."""
-        path = [self._towards(question.position, question)]
-        while len(path) < question.horizon and path[-1] != question.goal:
-            path.append(self._towards(path[-1], question))
-        return StepAnswer(waypoint=path[0], path=tuple(path[1:]))
-
-    def _towards(self, position: Point, question: StepQuestion) -> Point:
-        goal, max_step = question.goal, question.mission.max_step
-        distance = math.dist(position, goal)
-        if distance <= max_step:
-            return goal
-        # A hair short of the limit, so that rounding cannot exceed it.
-        share = max_step * (1 - 1e-12) / distance
-        return tuple(x + share * (g - x) for x, g in zip(position, goal, strict=True))
+        """As `straight_path`."""
+        return straight_path(question)
 
 
 class FallbackPlanner:

@@ -88,7 +88,7 @@ class TeamPlanners:
             name = parse_model(text)
             asked: LanguageModel
             if name.kind == "geometry":
-                return GeometryPlanner(robot, rng)
+                return GeometryPlanner(rng)
             if name.kind == "replay":
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
@@ -110,7 +110,7 @@ class TeamPlanners:
             if config.protocol.fallback == "hold":
                 return planner
             # In the reference orientation: robots whose models fail propose one and the same plan.
-            return FallbackPlanner(planner, GeometryPlanner(robot), shield_on=shield_on)
+            return FallbackPlanner(planner, GeometryPlanner(), shield_on=shield_on)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of

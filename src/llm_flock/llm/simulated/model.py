@@ -22,7 +22,6 @@ from pydantic_ai.usage import RequestUsage
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
-from llm_flock.llm.geometry import turned
 from llm_flock.llm.simulated.profiles import FAILURES, Profile
 from llm_flock.llm.simulated.prompt_reader import (
     PLAN_MARK,
@@ -36,6 +35,7 @@ from llm_flock.llm.simulated.prompt_reader import (
     read_task,
     sensible_decimals,
 )
+from llm_flock.protocol.geometry import turned
 
 CHARS_PER_TOKEN = 4
 """Tokens are only estimated here."""
