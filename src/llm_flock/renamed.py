@@ -24,6 +24,15 @@ RECORD_FIELDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {"/protocol": {"com
 """Fields of recorded messages, by channel: new name to old names. Newer records have the new names only."""
 
 
+ORIGINS: Mapping[str, str] = {"fallback": "geometry"}
+"""Origins of waypoints in records: old name to new name."""
+
+
+def current_origins(origins: list[str]) -> list[str]:
+    """Origins of waypoints under their current names. Call on what an older version has recorded."""
+    return [ORIGINS.get(origin, origin) for origin in origins]
+
+
 def current(settings: Mapping[str, Any], *, warn: bool = True) -> dict[str, Any]:
     """Settings under their current names. Call on all settings from outside; warns once of each old name.
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.comparison import compare
-from llm_flock.cli.display import live_line, show_conversation, show_overview, summary_table
+from llm_flock.cli.display import live_line, no_success, show_conversation, show_overview, summary_table
 from llm_flock.cli.distill import distill
 from llm_flock.cli.fly import fly
 from llm_flock.cli.options import (
@@ -77,8 +77,8 @@ def run(
         print(json.dumps(result.summary.to_dict(), allow_nan=False))
     else:
         Console().print(summary_table(result.summary, settings.mission.safe_distance))
-    if result.summary.stopped == "no_answers":
-        print(f"error: no model answered for three rounds: {result.summary.reason}", file=sys.stderr)
+    if result.summary.stopped in ("no_answers", "no_plan"):
+        print(f"error: {no_success(result.summary, settings.protocol.fallback)}", file=sys.stderr)
         raise typer.Exit(EXIT_FAILED)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -69,7 +69,8 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
         ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe_distance:g})"),
-        ("waypoints", ", ".join(f"{n} {who}" for who, n in summary.waypoints.items()) or "none"),
+        ("plan by", _supplier(summary)),
+        ("waypoints by", shares_text(summary.waypoint_shares)),
         ("model calls", f"{summary.model_calls} ({summary.calls_rejected} rejected, {summary.calls_failed} failed)"),
         ("tokens", f"{summary.tokens_input:,} in, {summary.tokens_output:,} out"),
         ("cost", _number(summary.cost_usd, "{:.4f} USD") if not summary.simulated else "none (simulated)"),
@@ -82,6 +83,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     ]
     special = [
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
+        ("circuit breakers", _breakers(summary.breakers_opened)),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
         ("empty places", str(summary.gaps or "")),
@@ -99,10 +101,37 @@ def _formed(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
     last = " of the last mission" if len(summary.missions) > 1 else ""
     if summary.formed:
-        return f"[bold green]yes[/], in round {summary.rounds_to_formed}{bound}{last}"
-    if summary.rounds_to_formed is not None:
-        return f"[bold red]too late[/], in round {summary.rounds_to_formed}{bound}{last}"
+        alone = "" if summary.formed_by_models else ", [bold]with help for the models[/]"
+        return f"[bold green]yes[/], in round {summary.rounds_to_formed}{bound}{last}{alone}"
     return f"[bold red]no[/]{bound}"
+
+
+def _supplier(summary: Summary) -> str:
+    if summary.plan_robot is None:
+        return "no common plan"
+    return escape(f"robot {summary.plan_robot} ({summary.plan_by or 'unknown'})")
+
+
+def shares_text(shares: Mapping[str, float]) -> str:
+    """Shares above zero as percentages, the largest first."""
+    found = sorted(((share, who) for who, share in shares.items() if share > 0.0), reverse=True)
+    return ", ".join(f"{who} {100.0 * share:.0f} %" for share, who in found) or "none"
+
+
+def _breakers(robots: Sequence[int]) -> str:
+    if not robots:
+        return ""
+    some = ", ".join(map(str, robots[:12])) + (", ..." if len(robots) > 12 else "")
+    return f"opened for {len(robots)} robot{'s' if len(robots) > 1 else ''} ({some}): geometry answered for the models"
+
+
+def no_success(summary: Summary, fallback: str | None) -> str:
+    """Why a run ended early, as a sentence: no model answered, or none gave an acceptable plan."""
+    spent = f"after {summary.rounds} rounds and {summary.model_calls} calls"
+    if summary.stopped == "no_answers":
+        return f"no model answered, {spent}: {summary.reason}"
+    hint = "; --fallback geometry lets geometry make the plan" if fallback == "breaker" else ""
+    return f"no robot proposed an acceptable plan, {spent}; most often, {summary.reason}{hint}"
 
 
 def _number(value: float | None, form: str) -> str:

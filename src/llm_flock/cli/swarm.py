@@ -92,6 +92,9 @@ def swarm(
         for key, value in result.to_dict().items():
             table.add_row(key.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
         Console().print(table)
+    if result.stopped == "no_plan":
+        spent = f"after {result.model_calls} calls; most often, {result.reason}"
+        print(f"error: no robot proposed an acceptable plan, {spent}", file=sys.stderr)
     if not result.formed:
         raise typer.Exit(EXIT_FAILED)
 

@@ -168,7 +168,7 @@ def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
 
 def _at_most(config: RunConfig) -> int:
     """Calls if every robot asked for a plan and a step each round, and every answer but the last were rejected."""
-    most = config.mission.n_robots * 2 * config.trial.rounds * (config.model.max_retries + 1)
+    most = config.mission.n_robots * 2 * config.most_rounds * (config.model.max_retries + 1)
     return most if config.limits.max_calls is None else min(most, config.limits.max_calls)
 
 
@@ -216,7 +216,7 @@ class Tally(Display):
                 self._count_in(result.cell, result)
         for spec in pending:
             self._left[spec.cell] += 1
-            self._size[spec.cell] = spec.config.mission.n_robots * spec.config.trial.rounds
+            self._size[spec.cell] = spec.config.mission.n_robots * spec.config.most_rounds
         self.trials = self.over + len(pending)
         self._began = self._clock()
         self._on_change(True)

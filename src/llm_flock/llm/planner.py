@@ -155,7 +155,7 @@ class LanguagePlanner:
         read: Callable[[str, AnswerForm], A],
         check: Callable[[Q, A], str | None] | None,
     ) -> A | NoAnswer:
-        """Ask one question up to `1 + max_retries` times."""
+        """Ask one question up to `1 + max_retries` times; a probe once."""
         mission, round_ = asked.question.mission, asked.question.round
         json, reasons = self._prompts.json, self._prompts.reasons
         form = AnswerForm(n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons)
@@ -164,7 +164,8 @@ class LanguagePlanner:
         question = ChatMessage("user", text)
         messages = (system, *self._history, question)
         reason, unfit = "", None
-        for _ in range(1 + self._max_retries):
+        tries = 1 if asked.question.probe else 1 + self._max_retries
+        for _ in range(tries):
             call = self._call(kind, round_, messages, form)
             began = time.perf_counter()
             try:
@@ -195,7 +196,6 @@ class LanguagePlanner:
             reason = rejected or ""
             unfit = answer.waypoint if isinstance(answer, StepAnswer) else unfit
             messages += (said, ChatMessage("user", self._prompts.retry(reason, kind)))
-        tries = 1 + self._max_retries
         story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
         logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)

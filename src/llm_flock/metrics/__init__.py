@@ -10,11 +10,11 @@ from llm_flock.metrics.agreement import (
     IN_SHAPE,
     FormedTracker,
     bottleneck_distance,
+    deadline,
     distinct_goals,
     lower_bound_rounds,
     plans_in_use,
     robots_at_goal,
-    within_limit,
 )
 from llm_flock.metrics.plane import quick_error
 from llm_flock.metrics.separation import StartSeparation, min_separation, segment_separation
@@ -29,6 +29,7 @@ __all__ = [
     "ShapeTarget",
     "StartSeparation",
     "bottleneck_distance",
+    "deadline",
     "distinct_goals",
     "lower_bound_rounds",
     "min_separation",
@@ -37,5 +38,4 @@ __all__ = [
     "quick_error",
     "robots_at_goal",
     "segment_separation",
-    "within_limit",
 ]

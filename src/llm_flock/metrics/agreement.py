@@ -66,7 +66,12 @@ def bottleneck_distance(start: ArrayLike, goals: ArrayLike) -> float:
 
 
 def lower_bound_rounds(
-    start: ArrayLike, plan_points: ArrayLike, max_step: float, drift: Callable[[int], Point] | None = None
+    start: ArrayLike,
+    plan_points: ArrayLike,
+    max_step: float,
+    drift: Callable[[int], Point] | None = None,
+    *,
+    within: float = 0.0,
 ) -> int:
     """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and free paths.
 
@@ -76,19 +81,20 @@ def lower_bound_rounds(
         max_step: longest move in one round.
         drift: displacement of the plan after a number of rounds [units], at most max_step / 2 per round; None for a
             plan that stands still.
+        within: distance at which a robot counts as at its goal [units].
     """
     if drift is None:
-        return max(0, math.ceil(bottleneck_distance(start, plan_points) / max_step - ROUNDING))
+        return max(0, math.ceil((bottleneck_distance(start, plan_points) - within) / max_step - ROUNDING))
     points = np.asarray(plan_points, dtype=np.float64)
     rounds = 0
-    while bottleneck_distance(start, points + drift(rounds)) > (rounds + ROUNDING) * max_step:
+    while bottleneck_distance(start, points + drift(rounds)) > (rounds + ROUNDING) * max_step + within:
         rounds += 1
     return rounds
 
 
-def within_limit(rounds_to_formed: int, lower_bound: int) -> bool:
-    """Whether a team formed in time: within three times the lower bound, plus 20 rounds."""
-    return rounds_to_formed <= 3 * lower_bound + 20
+def deadline(lower_bound: int) -> int:
+    """Rounds within which a team should form: three times the lower bound, plus 20."""
+    return 3 * lower_bound + 20
 
 
 @dataclass(slots=True, kw_only=True)

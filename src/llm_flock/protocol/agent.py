@@ -18,6 +18,7 @@ from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
 from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.protocol.agreement.messaging import Messaging
+from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback, QuestionKind
 from llm_flock.protocol.events import (
     TRANSITIONS,
     AgreementEnded,
@@ -40,9 +41,10 @@ from llm_flock.protocol.events import (
     Sensed,
     Stopped,
 )
+from llm_flock.protocol.geometry import geometric_plan
 from llm_flock.protocol.membership.all_to_all import AllToAll
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
-from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
+from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
 from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.membership.waiting import waiting_place
 from llm_flock.protocol.messages.channel import Channel
@@ -54,7 +56,10 @@ from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import Authenticator
 from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.evidence import Evidence
-from llm_flock.protocol.verification.validator import Validator
+from llm_flock.protocol.verification.validator import Validator, fallback_notes
+
+NEAR_CENTER = 0.5
+"""A robot without a plan waits within this share of the spacing from the centre."""
 
 
 class IllegalEvent(AssertionError):
@@ -72,6 +77,7 @@ class Agent:
         time_out: rounds without a heartbeat after which a robot counts as dead.
         gaps: report slots that no living robot can take, or plan again.
         on_event: let the planner answer with a path, and ask again only after an unforeseen event.
+        fallback: what to do without a usable answer; see `llm_flock.protocol.breaker`.
         own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
         authenticator: signs this robot's messages and checks those of others; without one nothing is signed.
     """
@@ -89,6 +95,7 @@ class Agent:
         time_out: int = TIME_OUT,
         gaps: Gaps = "report",
         on_event: bool = False,
+        fallback: Fallback = "hold",
         own_clock: bool = False,
         authenticator: Authenticator | None = None,
     ) -> None:
@@ -115,7 +122,18 @@ class Agent:
             all_to_all=all_to_all,
         )
         self._messaging = Messaging(robot, self._agreement, channel)
-        self._pilot = Pilot(robot, mission, validator, shield_on=shield_on, noise_bound=noise_bound, on_event=on_event)
+        self._pilot = Pilot(
+            robot,
+            mission,
+            validator,
+            shield_on=shield_on,
+            noise_bound=noise_bound,
+            on_event=on_event,
+            fallback=fallback,
+        )
+        self._breaker = CircuitBreaker("plan", enabled=fallback != "hold")
+        self._breakers: dict[QuestionKind, CircuitBreaker] = {"plan": self._breaker, "step": self._pilot.breaker}
+        self._fallback: Fallback = fallback
         self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
@@ -141,6 +159,17 @@ class Agent:
     def mission_counter(self) -> int:
         """Number of missions before the one in force, as far as this robot knows."""
         return self._agreement.stamp.counter
+
+    @property
+    def open_breakers(self) -> tuple[QuestionKind, ...]:
+        """Kinds of questions that its model is not asked, because it gave no usable answers."""
+        return tuple(kind for kind, breaker in self._breakers.items() if breaker.is_open)
+
+    @property
+    def hopeless(self) -> NoAnswer | None:
+        """Why its model's last plan was refused, for a robot without a plan whose model is not asked for one."""
+        breaker = self._breaker
+        return breaker.reason if self.plan is None and breaker.is_open and breaker.refusals else None
 
     @property
     def plan(self) -> Plan | None:
@@ -203,7 +232,7 @@ class Agent:
             case HeartbeatDue():
                 self._begin_period(event.period)
             case MissionGiven():
-                effects = [self._messaging.give_mission(event.mission, event.authorization)]
+                effects = self._give_mission(event)
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
@@ -241,7 +270,30 @@ class Agent:
             still=agreement.bodies,
         )
         self._asked_about = self._topic[:2]
+        if not self._breaker.asks(event.round):
+            failure = self._breaker.reason
+            assert failure is not None, "an open breaker has seen a refusal"
+            return Phase.AGREEING, [*self._plan_by_geometry(self._asked, failure)]
+        if self._breaker.state is BreakerState.HALF_OPEN:
+            self._asked = replace(self._asked, probe=True)
         return Phase.PLANNING, [AskPlan(self._asked)]
+
+    def _plan_by_geometry(self, question: PlanQuestion, failure: NoAnswer) -> list[Note]:
+        """Propose geometry's plan in place of the model's, where geometry stands in for whole plans."""
+        answer = geometric_plan(question) if self._fallback == "geometry" else failure
+        answer = self._validator.plan(question, answer)
+        if isinstance(answer, NoAnswer):
+            return []
+        notes = fallback_notes("plan", "geometry", failure)
+        return [*notes, *self._agreement.propose(self._in_frame(answer), "geometry")]
+
+    def _in_frame(self, answer: PlanAnswer) -> PlanAnswer:
+        """A plan of the world frame in the frame of the mission."""
+        assert self._scene is not None, "a round has begun"
+        ahead = self._scene.ahead
+        if not ahead:
+            return answer
+        return replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
@@ -254,7 +306,8 @@ class Agent:
         agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
-        self._liveness.begin_round(number, near)
+        state = (CANNOT_FLY if self._pilot.breaker.is_open else 0) | (NO_PLAN if self.plan is None else 0)
+        self._liveness.begin_round(number, near, state)
         agreement.begin_round(event.neighbors)
         self._messaging.begin_round(near)
         self._replanning.watch(
@@ -298,28 +351,48 @@ class Agent:
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
         self._agreement.sense(scene.here, sensed)
 
+    def _give_mission(self, event: MissionGiven) -> list[Effect]:
+        before = self.mission
+        note = self._messaging.give_mission(event.mission, event.authorization)
+        if self.mission is not before:
+            self._begin_mission()
+        return [note]
+
     def _receive(self, event: Received) -> list[Effect]:
         before = self.mission
         notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
+        if self.mission is not before:
+            self._begin_mission()
         if self.mission is not before and self._seen is not None:
             self._look(*self._seen)
         return notes
 
+    def _begin_mission(self) -> None:
+        for breaker in self._breakers.values():
+            breaker.begin_mission()
+
     def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
-        """Propose the answer; the plan is in the world frame and is moved to the frame of the mission."""
-        assert self._asked is not None and self._scene is not None, "only a robot that asked is answered"
+        """Propose the answer, or say why there is none."""
+        assert self._asked is not None, "only a robot that asked is answered"
         if self._topic[:2] != self._asked_about:
             return [Note("stale_answer", {"about": "plan"})]
-        answer, ahead = self._validator.plan(self._asked, answer), self._scene.ahead
-        if isinstance(answer, PlanAnswer) and ahead:
-            answer = replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
-        return [*self._agreement.propose(answer)]
+        answer = self._validator.plan(self._asked, answer)
+        if isinstance(answer, PlanAnswer):
+            return [*self._breaker.usable(), *self._agreement.propose(self._in_frame(answer), "model")]
+        notes = [self._agreement.lack_plan(answer), *self._breaker.refused(self._asked.round, answer)]
+        return [*notes, *self._plan_by_geometry(self._asked, answer)]
 
     def _decide(self) -> tuple[Phase, list[Effect]]:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
         assert scene is not None, "a round has begun"
         effects, target, idle = list[Effect](), None, None
-        if plan is None:
+        if plan is None and self._fallback != "hold" and self._breaker.refusals:
+            # It goes where others will look for it, and takes the first acceptable plan that it hears.
+            target = self.mission.center
+            if math.dist(scene.here, target) > NEAR_CENTER * self.mission.spacing:
+                return Phase.MOVING, self._pilot.seek(scene, self.mission, target)
+            idle = "no plan yet: waiting to be found"
+        elif plan is None:
             idle = "no plan yet"
         elif slot is None:
             # A spare robot waits near the formation, and travels along with it.
@@ -330,7 +403,13 @@ class Agent:
         else:
             agreement = self._agreement
             target, visited, notes = self._connectivity.route(
-                self.mission, plan, slot, self.claim.table, scene.here, placed=agreement.placed
+                self.mission,
+                plan,
+                slot,
+                self.claim.table,
+                scene.here,
+                bodies=[scene.seen(x) for x in scene.sensed.values()],
+                placed=agreement.placed,
             )
             agreement.count_search(visited)
             effects.extend(notes)

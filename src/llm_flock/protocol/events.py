@@ -33,9 +33,10 @@ class Origin(StrEnum):
 
     START = "start"
     MODEL = "model"
+    CLIPPED = "clipped"
     SHIELD = "shield"
-    FALLBACK = "fallback"
     DETOUR = "detour"
+    GEOMETRY = "geometry"
     HOLD = "hold"
 
 
@@ -169,10 +170,11 @@ class MoveTo(msgspec.Struct, frozen=True, kw_only=True):
 
 
 NOTES: Mapping[str, frozenset[str]] = {
-    "proposed": frozenset({"plan", "slot"}),
+    "proposed": frozenset({"plan", "slot", "by"}),
     "no_plan": frozenset({"cause", "reason"}),
     "adopted": frozenset({"plan", "from"}),
     "fallback": frozenset({"question", "by", "cause", "reason"}),
+    "breaker": frozenset({"question", "state", "refusals", "wait", "reason"}),
     "claimed": frozenset({"slot", "before"}),
     "rejected_message": frozenset({"reason", "detail"}),
     "asked_again": frozenset({"reason"}),
@@ -181,6 +183,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "search": frozenset({"begun", "vacant"}),
     "gap": frozenset({"slots", "missing"}),
     "mission": frozenset({"counter", "digest", "shape"}),
+    "clipped": frozenset({"proposed", "flown"}),
     "shielded": frozenset({"proposed", "flown"}),
     "separating": frozenset({"nearest", "makes_way"}),
     "deadlock": frozenset({"goal_distance", "rounds"}),

@@ -11,6 +11,7 @@ from llm_flock.arrays import Point, Points
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
+from llm_flock.protocol.verification.steps import shortened
 
 TURNS = 72
 """Orientations tried to keep the places off bodies that stand still."""
@@ -50,9 +51,6 @@ def straight_path(question: StepQuestion) -> StepAnswer:
 
 def _towards(position: Point, question: StepQuestion) -> Point:
     goal, max_step = question.goal, question.mission.max_step
-    distance = math.dist(position, goal)
-    if distance <= max_step:
+    if math.dist(position, goal) <= max_step:
         return goal
-    # A hair short of the limit, so that rounding cannot exceed it.
-    share = max_step * (1 - 1e-12) / distance
-    return tuple(x + share * (g - x) for x, g in zip(position, goal, strict=True))
+    return shortened(position, goal, max_step)

@@ -21,6 +21,7 @@ class PlanQuestion:
         position: own believed position [units; world frame].
         neighbors: believed positions of observed robots, in ascending order of their ids [units; world frame].
         still: positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
+        probe: whether the planner gets one try only, because its last answers could not be used.
     """
 
     mission: Mission
@@ -29,6 +30,7 @@ class PlanQuestion:
     position: Point
     neighbors: tuple[Point, ...]
     still: tuple[Point, ...] = ()
+    probe: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +53,7 @@ class StepQuestion:
     slot: int | None
     target: Point | None = None
     horizon: int = 1
+    probe: bool = False
 
     @property
     def goal(self) -> Point:
@@ -63,26 +66,18 @@ class StepQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanAnswer:
-    """A usable plan, and the slot that the planner chose for its own robot.
-
-    `instead_of` is the failure that this fallback replaces; None where the planner itself answered.
-    """
+    """A usable plan, and the slot that the planner chose for its own robot."""
 
     plan: Plan
     slot: int
-    instead_of: NoAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepAnswer:
-    """A usable waypoint, and the `path` after it, a waypoint for each round [units; world frame].
-
-    `instead_of` is as in PlanAnswer.
-    """
+    """A usable waypoint, and the `path` after it, a waypoint for each round [units; world frame]."""
 
     waypoint: Point
     path: tuple[Point, ...] = ()
-    instead_of: NoAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

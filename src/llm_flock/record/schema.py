@@ -7,7 +7,7 @@ from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field
 
-from llm_flock.renamed import RECORD_FIELDS, current_config
+from llm_flock.renamed import RECORD_FIELDS, current_config, current_origins
 
 FORMAT_VERSION = 1
 """Increased whenever a reader of older records would misread a newer one."""
@@ -85,8 +85,14 @@ class State(Entry):
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="Commanded this round [units], null at the start")
-    origins: list[str] = Field(description="Origin of the waypoint: start, model, shield, fallback, detour or hold")
+    origins: Annotated[list[str], AfterValidator(current_origins)] = Field(
+        description="Origin of the waypoint: start, model, clipped, shield, detour, geometry or hold"
+    )
     phases: list[str] = Field(description="Phase of each robot's state machine; dead or asleep without one")
+    open_breakers: list[list[str]] = Field(
+        default=[],
+        description="Questions, plan or step, that each robot's model is not asked, because its answers were unusable",
+    )
 
 
 class ProtocolEvent(Entry):

@@ -17,7 +17,7 @@ from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.bodies import InstantBodies
-from llm_flock.runtime.config import RECORD_NAME, RunConfig
+from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_radio
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
@@ -83,6 +83,7 @@ async def run_async(
         assignment = assignment_rule(protocol.assignment or "")
 
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
+    warn_of_radio(config.mission)
     given = config.trial
     start = start_positions(config.mission, given.start_positions, given.start, stream(given.seed, Stream.START))
     bodies = InstantBodies(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import tomllib
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
@@ -12,11 +15,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from llm_flock import renamed
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import FrameName
+from llm_flock.metrics import deadline
 from llm_flock.mission import Coordinate, Mission, input_error
+from llm_flock.protocol.breaker import Fallback
 from llm_flock.protocol.membership.liveness import TIME_OUT
+from llm_flock.protocol.membership.occupancy import in_radio_contact
+from llm_flock.protocol.plan import Plan
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
-from llm_flock.runtime.schedule import Change, Schedule, build_schedule, load_points
+from llm_flock.runtime.schedule import MOST_ROUNDS, Change, Schedule, build_schedule, load_points
 from llm_flock.transport.memory import LinkFaults
+
+logger = logging.getLogger(__name__)
 
 Count = Annotated[int, Field(ge=1)]
 PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
@@ -52,9 +61,10 @@ class ProtocolConfig(ConfigSection):
     verify: bool | None = Field(
         default=None, description="Check plans and steps before use, also plans received [preset's]"
     )
-    fallback: Literal["hold", "geometry"] = Field(
-        default="hold",
-        description="If an answer stays unusable: hold (wait for a neighbour's plan) or geometry (compute the answer)",
+    fallback: Fallback | None = Field(
+        default=None,
+        description="If answers stay unusable: breaker (the model is asked rarely; geometry flies, but makes no plan), "
+        "geometry (computes plan and steps), or hold (no help, and no limit to asking) [preset's; hold without verify]",
     )
     comm_rounds: Count | None = Field(default=None, description="Communication rounds per motion round [preset's]")
     gaps: Literal["report", "replan"] = Field(
@@ -70,7 +80,7 @@ class ProtocolConfig(ConfigSection):
         """Fill fields that were left open from the preset, so that the resolved configuration is complete."""
         for field, value in PRESETS[self.protocol].items():
             if getattr(self, field) is None:
-                object.__setattr__(self, field, value)
+                object.__setattr__(self, field, value if field != "fallback" or self.verify else "hold")
         if self.fallback != "hold" and not self.verify:
             raise InputError("fallback", self.fallback, "hold while verify is off")
         return self
@@ -133,7 +143,12 @@ class LimitConfig(ConfigSection):
 class TrialConfig(ConfigSection):
     """One seeded run: its length, starts and faults."""
 
-    rounds: int = Field(default=60, ge=0, le=100_000, description="Largest number of motion rounds")
+    rounds: int | None = Field(
+        default=None,
+        ge=0,
+        le=MOST_ROUNDS,
+        description="Largest number of motion rounds [3 * lower bound + 20, from the last event on]",
+    )
     stop_when_formed: bool = Field(default=True, description="End the run as soon as the formation has been held")
     seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
     start: Literal["separated", "uniform", "connected"] = Field(
@@ -192,6 +207,14 @@ class RunConfig(ConfigSection):
         """The record to write; None without `out`."""
         return None if self.trial.out is None else Path(self.trial.out) / RECORD_NAME
 
+    @property
+    def most_rounds(self) -> int:
+        """The largest number of rounds that a run of this configuration can take."""
+        if self.trial.rounds is not None:
+            return self.trial.rounds
+        across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
+        return self.schedule().last + deadline(across)
+
     @classmethod
     def section_of(cls, field: str) -> str:
         """The section that holds a field; `InputError` if none does."""
@@ -249,6 +272,18 @@ class RunConfig(ConfigSection):
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError("config", str(path), f"TOML ({error})") from None
         return cls.build(base, **overrides)
+
+
+@cache
+def warn_of_radio(mission: Mission) -> None:
+    """Log a warning, once for each mission, if robots at their places would not all be in radio contact."""
+    if mission.ideal is not None and not in_radio_contact(Plan.of(mission.ideal), mission.comm_range):
+        logger.warning(
+            "comm_range = %g is too short for this formation: robots at its places, %g apart, are not all in radio "
+            "contact. The team may take long to agree or never form, and cannot notice a dead robot.",
+            mission.comm_range,
+            mission.spacing,
+        )
 
 
 build_config = RunConfig.build

@@ -52,6 +52,7 @@ def state_entry(
         influence=[len(roster.hears(team, robot)) / len(agents) for robot in robots],
         waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
         origins=[(flown[robot].origin if robot in flown else idle).value for robot in robots],
+        open_breakers=[[] if a is None else list(a.open_breakers) for a in agents],
         phases=[roster.phase(robot) for robot in robots],
     )
 

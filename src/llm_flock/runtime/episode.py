@@ -29,6 +29,7 @@ class Episode:
         self._disturbed = flown
         self.bound: int | None = None  # lower bound of the rounds it takes, set by `close`; None without one plan
         self._targets: dict[int, metrics.ShapeTarget | None] = {}
+        self._deadline: tuple[object, int] = (None, 0)
         self._measured: tuple[Points, metrics.ShapeError | None] | None = None
 
     def disturb(self, flown: int) -> None:
@@ -46,11 +47,31 @@ class Episode:
         """Rounds from the moment at which the mission was given until the team had formed."""
         return None if self.formed_at is None else self.formed_at - self.flown
 
-    @property
-    def formed_in_time(self) -> bool:
-        """Whether the team formed in three times the lower bound plus 20 rounds, counted from the last disturbance."""
-        formed, bound = self.formed_at, self.bound
-        return formed is not None and bound is not None and metrics.within_limit(formed - self._disturbed, bound)
+    def deadline(self, awake: Sequence[int], agents: Sequence[Agent], after: int) -> int:
+        """The round by which the team should have formed, if nothing happens to it after round `after`.
+
+        It follows from the lower bound for the plan that these robots follow. Before they agree on one, the bound is
+        that of the ideal shape, or for a shape in words, of a flight to the centre.
+        """
+        plan = self.plan(agents)
+        key = None if plan is None else plan.digest, len(awake), after
+        if self._deadline[0] != key:
+            places = self.mission.ideal or (self.mission.center,) if plan is None else plan.points
+            bound = self._bound(awake, np.array(places))
+            since = max(self._disturbed, after)
+            self._deadline = key, since + metrics.deadline(bound) + metrics.HELD_ROUNDS - 1
+        return self._deadline[1]
+
+    def _bound(self, awake: Sequence[int], goals: Points) -> int:
+        """Lower bound of the rounds from the start of the mission to these goals of its frame."""
+        mission = self.mission
+
+        def drift(rounds: int) -> Point:
+            return mission.drift(self.flown + rounds)
+
+        along = None if mission.velocity is None else drift
+        within = metrics.AT_GOAL * mission.spacing
+        return metrics.lower_bound_rounds(self._start[list(awake)], goals, mission.max_step, along, within=within)
 
     def error(self, positions: Points) -> metrics.ShapeError | None:
         """Distance from the ideal shape of as many robots as `positions`, shape (m, d), has; None without an ideal."""
@@ -88,18 +109,12 @@ class Episode:
 
     def close(self, awake: Sequence[int], agents: Sequence[Agent]) -> None:
         """The mission is over: find the rounds that a perfect central planner needs for the plan that these follow."""
-        mission, plan, blocked = self.mission, self.plan(agents), blocked_places(agents)
+        plan, blocked = self.plan(agents), blocked_places(agents)
         if plan is None:
             self.bound = None
             return
         goals = np.array([point for slot, point in enumerate(plan.points) if slot not in blocked])
-        start = self._start[list(awake)]
-
-        def drift(rounds: int) -> Point:
-            return mission.drift(self.flown + rounds)
-
-        along = None if mission.velocity is None else drift
-        self.bound = metrics.lower_bound_rounds(start, goals, mission.max_step, along) if len(goals) else 0
+        self.bound = self._bound(awake, goals) if len(goals) else 0
 
 
 def blocked_places(agents: Sequence[Agent]) -> frozenset[int]:

@@ -11,8 +11,8 @@ from llm_flock.arrays import Points
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
+from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import MoveTo, Note, Origin
-from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import MetricsRow, PlanInfo, ProtocolEvent, RoundEnd
 from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.bodies import Bodies
@@ -61,6 +61,8 @@ class Journal:
         self.silent_rounds = 0
         self.last_failure: str | None = None
         self._calls_before = (0, 0)
+        self.suppliers: dict[tuple[str, int], str] = {}
+        self.breakers_opened: set[int] = set()
         self._known_plans: set[str] = set()
         self._attempts: list[Attempt] = []
         self._previous: Points | None = None
@@ -107,6 +109,8 @@ class Journal:
 
     def note(self, round_number: int, comm_round: int | None, robot: int, note: Note) -> None:
         """Record something that a robot decided or met."""
+        if note.kind == "breaker" and note.detail["state"] == "open":
+            self.breakers_opened.add(robot)
         if self._recording:
             self.writer.write(
                 ProtocolEvent(
@@ -114,12 +118,15 @@ class Journal:
                 )
             )
 
-    def plan(self, round_number: int, plan: Plan, proposer: int) -> None:
-        """Record a plan's points when it is first seen."""
+    def proposed(self, round_number: int, agent: Agent, by: str) -> None:
+        """A robot follows a plan of its own, made by a model of this name or by geometry: record its points once."""
+        plan = agent.plan
+        assert plan is not None, "a robot follows what it proposes"
+        self.suppliers[plan.digest, agent.robot] = by
         if plan.digest not in self._known_plans:
             self._known_plans.add(plan.digest)
             points = [list(point) for point in plan.points]
-            self.writer.write(PlanInfo(round=round_number, plan_id=plan.digest, proposer=proposer, points=points))
+            self.writer.write(PlanInfo(round=round_number, plan_id=plan.digest, proposer=agent.robot, points=points))
 
     def end_round(
         self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic

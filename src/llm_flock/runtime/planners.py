@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from llm_flock.llm.frame import trained_for
-from llm_flock.llm.geometry import FallbackPlanner, GeometryPlanner
+from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
@@ -20,7 +20,7 @@ from llm_flock.llm.sharing import CallLane
 from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
-from llm_flock.protocol.verification.steps import check_answer
+from llm_flock.protocol.verification.steps import check_answer, fit_answer
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 
@@ -37,6 +37,7 @@ class TeamPlanners:
     def __init__(self, config: RunConfig, lane: CallLane | None = None) -> None:
         model, limits, n = config.model, config.limits, config.mission.n_robots
         self.names = parse_models(model.model, n)
+        self._replaced: dict[int, str] = {}
         self._sinks: list[AttemptSink] = []
         self._replays: dict[str, ReplayModel] = {}
         self._meter = BudgetMeter(
@@ -76,11 +77,14 @@ class TeamPlanners:
         self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
         history = parse_history(model.history)
         shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
+        clips = config.protocol.fallback != "hold"
 
         def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
             return check_proposal(question.mission, answer.plan, question.still)
 
         def check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
+            if clips and fit_answer(question.mission, question, answer, shield_on=shield_on) is not None:
+                return None  # it is clipped and flown, which is quicker than asking again
             return check_answer(question.mission, question, answer, shield_on=shield_on)
 
         def planner_of(robot: int, text: str) -> Planner:
@@ -96,7 +100,7 @@ class TeamPlanners:
             else:
                 remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
                 asked = Limited(remote, on_board if name.kind == "local" else self._limits)
-            planner = LanguagePlanner(
+            return LanguagePlanner(
                 robot,
                 asked,
                 self._prompts[text],
@@ -107,10 +111,6 @@ class TeamPlanners:
                 check_step=check_step if verify else None,
                 frame=model.frame or ("own" if trained_for(text) else "world"),
             )
-            if config.protocol.fallback == "hold":
-                return planner
-            # In the reference orientation: robots whose models fail propose one and the same plan.
-            return FallbackPlanner(planner, GeometryPlanner(), shield_on=shield_on)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of
@@ -118,6 +118,10 @@ class TeamPlanners:
 
     def __getitem__(self, robot: int) -> Planner:
         return self._planners[robot]
+
+    def model_of(self, robot: int) -> str:
+        """Name of the model that a robot asks now."""
+        return self._replaced.get(robot, self.names[robot])
 
     def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
         """Wrap every planner in another one, made from a robot's id and its planner; also planners made later."""
@@ -127,6 +131,7 @@ class TeamPlanners:
 
     def replace(self, robot: int, model: str) -> None:
         """Give a robot another model from its next question on; `InputError` if there is no such model."""
+        self._replaced[robot] = model
         if model not in self._prompts:
             self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock.mission import Mission
+from llm_flock.protocol.events import Origin
 from llm_flock.protocol.plan import Plan
 from llm_flock.runtime.config import RunConfig
 
@@ -39,6 +41,17 @@ class FlightFigures:
     fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
 
 
+def by_origin(counts: Mapping[str, int]) -> dict[str, int]:
+    """Waypoints flown by every origin, zeros included."""
+    return {origin.value: counts.get(origin.value, 0) for origin in Origin if origin is not Origin.START}
+
+
+def waypoint_shares(counts: Mapping[str, int]) -> dict[str, float]:
+    """Waypoints by origin as shares of all; zeros where none was flown."""
+    total = max(1, sum(counts.values()))
+    return {origin: count / total for origin, count in counts.items()}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """The figures of one trial; field names are the keys of `--json`.
@@ -55,16 +68,19 @@ class Summary:
         shield: whether the safety shield was on.
         models: the language models, each once.
         simulated: whether any of them was a simulated stand-in.
-        stopped: why the run ended: formed, rounds, budget, no_answers (every model call of three rounds on end
-            failed), interrupted or failed.
-        reason: the last failure, in words, where the run ended by no_answers or failed.
+        stopped: why the run ended: formed, rounds, budget, no_plan (nobody has a plan, and all models were refused
+            until they are no longer asked), no_answers (the same, or three rounds on end without circuit breakers, and
+            every model call failed), interrupted or failed.
+        reason: the commonest or last failure, in words, where the run ended by no_plan, no_answers or failed.
         rounds: motion rounds flown.
         formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
-            most 0.1 spacing, held for 3 rounds, within 3 * lower_bound_rounds + 20 rounds of when the last mission was
-            given, or a robot died or joined.
-        rounds_to_formed: the first of those 3 rounds, whether within the limit or not; None if it never came.
+            most 0.1 spacing, held for 3 rounds. Unless `rounds` was given, the run ends 3 * lower_bound_rounds + 20
+            rounds after the last mission was given, or a robot died or joined.
+        formed_by_models: formed, with the plan of a model, without any waypoint of geometry, and with no circuit
+            breaker ever open.
+        rounds_to_formed: the first of those 3 rounds; None if it never came.
         lower_bound_rounds: bottleneck assignment distance from the start to the agreed plan, in steps of max_step,
-            rounded up; None without one plan.
+            less the 0.05 spacing at which a robot counts as at its goal, rounded up; None without one plan.
         procrustes_mean: mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
         procrustes_mean_squared: mean squared distance [units^2] (paper, appendix C).
         min_separation: smallest distance of any two robots over the whole run, along the segments too [units].
@@ -86,7 +102,11 @@ class Summary:
         tokens_cached: the part of tokens_input that the provider had in its cache.
         cost_usd: cost where the price of every call is known, else None [US dollars].
         latency_mean_s: mean duration of a call, waits included [s]; None without calls.
-        waypoints: waypoints flown, by origin: model, shield, fallback, detour, hold.
+        waypoints: waypoints flown, by origin: model, clipped, shield, detour, geometry, hold.
+        waypoint_shares: the same as shares of all.
+        plan_robot: robot that proposed the plan in force at the end; None without one plan.
+        plan_by: who made that plan: a model, by its name, or `geometry`.
+        breakers_opened: robots whose circuit breaker was open at any time, so that geometry answered for their model.
         messages_sent: broadcasts.
         bytes_per_robot_round: bytes broadcast per robot and round.
         messages_rejected: messages refused on receipt, by reason.
@@ -112,6 +132,7 @@ class Summary:
     reason: str | None
     rounds: int
     formed: bool
+    formed_by_models: bool
     rounds_to_formed: int | None
     lower_bound_rounds: int | None
     procrustes_mean: float | None
@@ -135,6 +156,10 @@ class Summary:
     cost_usd: float | None
     latency_mean_s: float | None
     waypoints: dict[str, int]
+    waypoint_shares: dict[str, float]
+    plan_robot: int | None
+    plan_by: str | None
+    breakers_opened: tuple[int, ...]
     messages_sent: int
     bytes_per_robot_round: float
     messages_rejected: dict[str, int]

@@ -23,6 +23,7 @@ def make_agent(
         *rules,
         shield_on=bool(protocol.shield),
         verify=bool(protocol.verify),
+        fallback=protocol.fallback or "hold",
         on_event=config.model.decide == "on-event",
         noise_bound=config.trial.noise,
         time_out=protocol.time_out,

@@ -33,15 +33,30 @@ ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
 )
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "flock": {"consensus": "provenance", "assignment": "auction", "shield": True, "verify": True, "comm_rounds": 5},
+        "flock": {
+            "consensus": "provenance",
+            "assignment": "auction",
+            "shield": True,
+            "verify": True,
+            "comm_rounds": 5,
+            "fallback": "breaker",
+        },
         "paper": {
             "consensus": "influence",
             "assignment": "nearest",
             "shield": False,
             "verify": False,
             "comm_rounds": 1,
+            "fallback": "hold",
         },
-        "baseline": {"consensus": "none", "assignment": "index", "shield": False, "verify": False, "comm_rounds": 1},
+        "baseline": {
+            "consensus": "none",
+            "assignment": "index",
+            "shield": False,
+            "verify": False,
+            "comm_rounds": 1,
+            "fallback": "hold",
+        },
     }
 )
 

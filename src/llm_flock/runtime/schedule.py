@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
 
+MOST_ROUNDS = 100_000
+"""Most rounds of a run."""
+
 Turn: TypeAlias = tuple[int, int]
 """A robot and a round."""
 
@@ -61,7 +64,7 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
         InputError: no such robot, no such round, a robot dies twice or joins while it is awake, no robot is left awake,
             or a mission cannot be changed like that.
     """
-    rounds, kill_random = trial.rounds, trial.kill_random
+    rounds, kill_random = MOST_ROUNDS if trial.rounds is None else trial.rounds, trial.kill_random
     killed = _turns("kill", trial.kill, mission.n_robots, rounds)
     joined = _turns("join", trial.join, mission.n_robots, rounds)
     named = {robot for robot, _ in (*killed, *joined)} | {change.robot for change in trial.changes}

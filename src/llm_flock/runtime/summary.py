@@ -6,11 +6,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from llm_flock import metrics
+from llm_flock.protocol.events import Origin
 from llm_flock.runtime.entries import finite
-from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary
+from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary, by_origin, waypoint_shares
 
 if TYPE_CHECKING:
     from llm_flock.runtime.trial import Trial
+
+
+GEOMETRY = "geometry"
+"""Supplier of a plan that no model made."""
 
 
 def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFigures | None) -> Summary:
@@ -20,6 +25,9 @@ def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFig
     plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
     slots = [a.claim.slot for a in agents]
     plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
+    origin = None if plan is None else agents[0].provenance
+    by = None if plan is None or origin is None else journal.suppliers.get((plan.digest, origin.proposer))
+    waypoints = by_origin(journal.waypoints)
     journal.close_episode(trial.roster)
     error = journal.errors[-1]
     return Summary(
@@ -34,7 +42,11 @@ def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFig
         stopped=trial.stopped,
         reason=trial.reason,
         rounds=rounds,
-        formed=episode.formed_in_time,
+        formed=episode.formed_at is not None,
+        formed_by_models=episode.formed_at is not None
+        and by != GEOMETRY
+        and not journal.breakers_opened
+        and not journal.waypoints[Origin.GEOMETRY.value],
         rounds_to_formed=episode.rounds_to_formed,
         lower_bound_rounds=episode.bound,
         procrustes_mean=None if error is None else error[0],
@@ -57,7 +69,11 @@ def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFig
         tokens_cached=journal.usage.cached,
         cost_usd=journal.cost_usd,
         latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
-        waypoints=dict(sorted(journal.waypoints.items())),
+        waypoints=waypoints,
+        waypoint_shares=waypoint_shares(waypoints),
+        plan_robot=None if origin is None else origin.proposer,
+        plan_by=by,
+        breakers_opened=tuple(sorted(journal.breakers_opened)),
         messages_sent=traffic.sent,
         bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
         messages_rejected=dict(sorted(journal.rejected(trial.roster).items())),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections import Counter
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
@@ -34,7 +36,10 @@ ROUNDS_TO_LOOK = 10
 """Rounds that a run continues after the time-out of the last robot that died."""
 
 SILENT_ROUNDS = 3
-"""Rounds in a row in which every model call fails, after which a run ends."""
+"""Rounds in a row in which every model call fails, after which a run without circuit breakers ends."""
+
+UNUSABLE = frozenset({"answer", "unverified", "slow"})
+"""Causes of a failure in which the model did answer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,15 +92,23 @@ class Trial:
         self._steer = steer
         self._began = time.perf_counter()
 
+    @property
+    def rounds(self) -> int:
+        """The last round of this run as things stand: as configured, or else the team's deadline."""
+        if self.config.trial.rounds is not None:
+            return self.config.trial.rounds
+        after = self._noticed if self.schedule.last <= self.round else self.schedule.last
+        return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
+
     async def run(self) -> None:
-        """Fly rounds until the formation is held, the rounds or the budget are used up, or no model answers any more.
+        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more.
 
         Raises:
             asyncio.CancelledError: after the record was brought to a readable end by `finish`.
         """
         self.begin()
         try:
-            while self.round < self.config.trial.rounds:
+            while self.round < self.rounds:
                 if self._steer is not None:
                     await self._steer(self)
                 await self._fly_round(self.round + 1)
@@ -107,8 +120,7 @@ class Trial:
                 if self.planners.exhausted:
                     self.stopped = "budget"
                     break
-                if self.journal.silent_rounds >= SILENT_ROUNDS:
-                    self.stopped, self.reason = "no_answers", self.journal.last_failure
+                if self._find_hopeless():
                     break
         except asyncio.CancelledError:
             self.stopped = "interrupted"
@@ -125,16 +137,36 @@ class Trial:
         if not self.journal.positions:
             self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
 
+    def _find_hopeless(self) -> bool:
+        """Whether the run cannot succeed any more, and why: nobody has a plan, and no model gives one."""
+        if self.config.protocol.fallback == "hold":
+            silent = self.journal.silent_rounds >= SILENT_ROUNDS
+            if silent:
+                self.stopped, self.reason = "no_answers", self.journal.last_failure
+            return silent
+        failures = [agent.hopeless for agent in self.roster.awake_agents()]
+        found = [failure for failure in failures if failure is not None]
+        if self.schedule.last > self.round or len(found) < len(failures) or not found:
+            return False
+        self.stopped = "no_plan" if any(failure.cause in UNUSABLE for failure in found) else "no_answers"
+        count, reason = commonest([failure.reason for failure in found])
+        self.reason = f"{count} of {len(found)} robots: {reason}"
+        return True
+
+    @property
+    def _noticed(self) -> int:
+        """The round by which the other robots have noticed the last death, and searched for the missing robot."""
+        time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
+        kills = self.schedule.kills
+        return max(kills) + time_out + ROUNDS_TO_LOOK if kills else 0
+
     @property
     def _done(self) -> bool:
         """Whether the formation is held, and the schedule has nothing left for it."""
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
-        # The other robots need a while to notice a death, and to search for the missing robot.
-        time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        noticed = max(schedule.kills, default=-1) + time_out + ROUNDS_TO_LOOK
-        return tracker.in_order and (not schedule.kills or self.round >= noticed)
+        return tracker.in_order and self.round >= self._noticed
 
     def _let_happen(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then another mission."""
@@ -186,8 +218,6 @@ class Trial:
         self.journal.flush_attempts()
         for robot, answer in answers.items():
             self._tell(robot, events.Planned(answer))
-            if isinstance(answer, PlanAnswer):
-                self.journal.plan(number, answer.plan, robot)
 
     def _exchange(self, comm_round: int) -> None:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
@@ -235,6 +265,9 @@ class Trial:
         for effect in effects:
             if isinstance(effect, Note):
                 self.journal.note(self.round + 1, comm_round, robot, effect)
+                if effect.kind == "proposed":
+                    by = self.planners.model_of(robot) if effect.detail["by"] == "model" else "geometry"
+                    self.journal.proposed(self.round + 1, self.roster.agents[robot], by)
         return [effect for effect in effects if not isinstance(effect, Note)]
 
     def _report(self) -> None:
@@ -247,7 +280,7 @@ class Trial:
         self._on_round(
             TrialProgress(
                 round=self.round,
-                rounds=self.config.trial.rounds,
+                rounds=self.rounds,
                 at_goal=journal.at_goal,
                 n_robots=len(minds),
                 plans_in_use=metrics.plans_in_use(plan_ids),
@@ -275,6 +308,13 @@ class Trial:
             plans=tuple(a.plan for a in self.roster.agents),
             slots=tuple(a.claim.slot for a in self.roster.agents),
         )
+
+
+def commonest(reasons: Sequence[str]) -> tuple[int, str]:
+    """How often the commonest of these reasons was given, and its first wording; numbers make no difference."""
+    kinds = [re.sub(r"[0-9.]+", "0", reason) for reason in reasons]
+    kind, count = Counter(kinds).most_common(1)[0]
+    return count, reasons[kinds.index(kind)]
 
 
 async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:

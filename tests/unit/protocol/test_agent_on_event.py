@@ -185,7 +185,7 @@ def test_the_shield_measures_progress_by_the_spacing_of_the_mission_in_force() -
     scene = Observation(round=1, position=(goal[0] - 0.8, *goal[1:]), sensed={}, observed=())
     for mission, blocked in ((MISSION, True), (MISSION.change(spacing=20.0), False)):
         validator = Validator(verify=False, shield_on=True)
-        pilot = Pilot(0, MISSION, validator, shield_on=True, noise_bound=0.0, on_event=False)
+        pilot = Pilot(0, MISSION, validator, shield_on=True, noise_bound=0.0, on_event=False, fallback="hold")
         effects: list[Effect] = []
         for _ in range(PATIENCE + 2):
             pilot.decide(scene, mission, PLAN, 0, None)

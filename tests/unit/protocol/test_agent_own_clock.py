@@ -27,6 +27,7 @@ from llm_flock.protocol.events import (
     RoundBegan,
     Sensed,
 )
+from llm_flock.protocol.membership.liveness import NO_PLAN
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
@@ -102,7 +103,7 @@ def test_hearts_beat_by_periods_and_not_by_rounds() -> None:
         agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
         agent.handle(AgreementEnded())
         agent.handle(Arrived())
-    assert beats == [2, 3, 4]
+    assert beats == [4 + NO_PLAN, 8 + NO_PLAN, 12 + NO_PLAN]
 
 
 def test_a_plan_that_was_overtaken_is_dropped() -> None:

@@ -98,15 +98,15 @@ def test_an_exact_plan_beats_a_crude_one_of_higher_influence() -> None:
 
 
 @pytest.mark.parametrize("accepted", [True, False])
-def test_an_overshooting_answer_is_clipped_to_the_goal_and_counted_as_the_shields_work(accepted: bool) -> None:
+def test_an_overshooting_answer_is_clipped_to_the_goal_and_counted_as_such(accepted: bool) -> None:
     agent = deciding(checking())
     assert agent.goal is not None
     (x, y), (gx, gy) = agent.position, agent.goal
     beyond = (x + 1.9 * (gx - x), y + 1.9 * (gy - y))
     answer = StepAnswer(waypoint=beyond) if accepted else NoAnswer(cause="answer", reason="3 tries", waypoint=beyond)
     note, move = agent.handle(Decided(answer))
-    assert note == Note("shielded", {"proposed": beyond, "flown": (gx, gy)})
-    assert move == MoveTo(waypoint=(gx, gy), proposed=beyond, origin=Origin.SHIELD)
+    assert note == Note("clipped", {"proposed": beyond, "flown": (gx, gy)})
+    assert move == MoveTo(waypoint=(gx, gy), proposed=beyond, origin=Origin.CLIPPED)
 
 
 @pytest.mark.parametrize(
@@ -128,17 +128,3 @@ def test_without_verification_a_rejected_waypoint_is_not_flown() -> None:
     agent = deciding(make())
     _, move = agent.handle(Decided(NoAnswer(cause="answer", reason="3 tries", waypoint=(49.0, 50.0))))
     assert isinstance(move, MoveTo) and move.origin is Origin.HOLD
-
-
-def test_a_fallback_is_noted_and_counted_as_one() -> None:
-    failure = NoAnswer(cause="answer", reason="3 tries")
-    agent = checking()
-    agent.handle(began())
-    note, proposed = agent.handle(Planned(PlanAnswer(plan=IDEAL, slot=0, instead_of=failure)))
-    assert note == Note("fallback", {"question": "plan", "by": "geometry", "cause": "answer", "reason": "3 tries"})
-    assert isinstance(proposed, Note) and proposed.kind == "proposed"
-    agent.handle(AgreementEnded())
-    assert agent.goal is not None
-    note, move = agent.handle(Decided(StepAnswer(waypoint=agent.goal, instead_of=failure)))
-    assert isinstance(note, Note) and note.kind == "fallback" and note.detail["question"] == "step"
-    assert isinstance(move, MoveTo) and move.origin is Origin.FALLBACK

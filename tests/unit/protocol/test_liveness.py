@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from llm_flock.protocol.membership.liveness import Liveness, patience
+from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, Liveness, patience
 
 NOBODY = frozenset[int]()
 
@@ -37,14 +37,14 @@ def test_heartbeats_are_passed_on() -> None:
         robot.begin_round(1, NOBODY)
     between.hear([counts(far.beats)])
     near.hear([counts(between.beats)])
-    assert near.beats == (2, 2, 2) and not near.strangers
+    assert near.beats == (4, 4, 4) and not near.strangers
 
 
 def test_a_restarted_robot_continues_its_former_counter() -> None:
     reborn, other = Liveness(0, 2, time_out=2), Liveness(1, 2, time_out=2)
     reborn.begin_round(1, NOBODY)
     reborn.hear([counts((40, 7))])
-    assert reborn.beats[0] == 41
+    assert reborn.beats[0] == 44
     other.hear([counts((40, 7))])
     other.begin_round(9, NOBODY)
     assert other.silent == {0}
@@ -77,3 +77,43 @@ def test_a_large_team_is_waited_for_longer() -> None:
         assert not live.silent
     live.begin_round(60, frozenset())
     assert live.silent == {1}
+
+
+def test_a_heartbeat_tells_the_state_of_its_robot_and_the_newest_one_counts() -> None:
+    teller, hearer = Liveness(0, 3, time_out=2), Liveness(1, 3, time_out=2)
+    for number, state in enumerate((NO_PLAN | CANNOT_FLY, NO_PLAN, CANNOT_FLY, 0), start=1):
+        teller.begin_round(number, NOBODY, state)
+        hearer.begin_round(number, NOBODY, NO_PLAN | CANNOT_FLY)
+        hearer.hear([counts(teller.beats), counts((4, 0, 0))])
+        assert hearer.without_plan == ({0} if state & NO_PLAN else NOBODY), "its own state is not told"
+        assert hearer.cannot_fly == ({0} if state & CANNOT_FLY else NOBODY)
+    teller.begin_round(5, NOBODY, CANNOT_FLY)
+    hearer.hear([counts(teller.beats)])
+    for number in range(5, 9):
+        hearer.begin_round(number, NOBODY)
+    assert hearer.silent == {0} and not hearer.cannot_fly, "who is silent is not known to be alive"
+
+
+def test_a_restarted_robot_keeps_the_state_of_now() -> None:
+    reborn = Liveness(0, 2, time_out=2)
+    reborn.begin_round(1, NOBODY, CANNOT_FLY)
+    reborn.hear([counts((4 * 9 + NO_PLAN, 0))])
+    assert reborn.beats[0] == 4 * 10 + CANNOT_FLY
+
+
+def test_where_heartbeats_get_through_rarely_silence_takes_longer() -> None:
+    """Heard every sixth round, it is not silent after four; when it falls silent for good, it is noticed in the end."""
+    mine = Liveness(0, 2, time_out=4)
+    mine.begin_round(1, NOBODY)
+    mine.hear([counts((0, 4))])
+    suspected: list[int] = []
+    for number in range(2, 80):
+        mine.begin_round(number, NOBODY)
+        if number % 6 == 1:
+            mine.hear([counts((0, 4 * number))])
+        if mine.silent:
+            suspected.append(number)
+    assert suspected and max(suspected) < 20, "only until it has learned how rarely they come"
+    for number in range(80, 80 + 5 * 4 + 6):
+        mine.begin_round(number, NOBODY)
+    assert mine.silent == {1}

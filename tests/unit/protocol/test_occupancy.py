@@ -46,13 +46,16 @@ def test_a_robot_taken_for_dead_takes_its_place_back() -> None:
 def test_a_place_under_a_silent_body_is_blocked_until_the_body_has_moved_off() -> None:
     driven = DrivenAgent(make())
     body = {1: (PLAN.points[1][0] + 1.0, PLAN.points[1][1])}
-    driven.round(says(1, (0, 2, 0)), sensed=body)
+    driven.round(says(1, (0, 8, 0)), sensed=body)
     for _ in range(3):
         driven.round(sensed=body)
     table = driven.agent.claim.table
+    assert table is not None and table[1][2] == NO_OWNER, "a robot that hears nobody takes nobody for dead"
+    driven.round(says(2, (0, 8, 4)), sensed=body)
+    table = driven.agent.claim.table
     assert table is not None and table[1][2] == BLOCKED
     again = table
-    driven.round(sensed=body)
+    driven.round(says(2, (0, 8, 8)), sensed=body)
     assert driven.agent.claim.table == again, "once noted it stays as it is"
     driven.round(sensed={1: FAR})
     table = driven.agent.claim.table
@@ -121,8 +124,8 @@ def test_places_out_of_sight_stay_as_in_the_tables_of_others() -> None:
     body = {1: (PLAN.points[1][0], PLAN.points[1][1] + 1.0)}
     theirs: BidTable = ((0, 0.0, NO_OWNER), (0, 0.0, NO_OWNER), (2, 0.0, BLOCKED))
     driven.round(says(1, (0, 2, 0), mission=near, plan=PLAN, table=theirs), sensed=body)
-    for _ in range(3):
-        driven.round(sensed=body)
+    for number in range(3):
+        driven.round(says(2, (0, 2, 4 * number), mission=near), sensed=body)
     table = driven.agent.claim.table
     assert table is not None and [entry[2] for entry in table] == [0, BLOCKED, BLOCKED]
 
@@ -152,3 +155,14 @@ def test_a_place_searched_in_vain_is_a_gap_that_names_the_missing_robots() -> No
     assert driven.here == pytest.approx(PLAN.points[0])
     table = driven.agent.claim.table
     assert table is not None and table[2][1] == LOOKS, "looks are counted in the table"
+
+
+def test_in_a_formation_without_radio_contact_silence_frees_and_blocks_nothing() -> None:
+    """Places 10 apart, and a radio that reaches 5: whoever is at its place hears nobody, and is not dead."""
+    short = Mission(shape="line", n_robots=3, comm_range=5, sense_range=15)
+    driven = DrivenAgent(make(mission=short))
+    theirs: BidTable = ((0, 0.0, NO_OWNER), (4, -1.0, 1), (0, 0.0, NO_OWNER))
+    driven.round(says(1, (0, 8, 0), mission=short, plan=PLAN, table=theirs))
+    for number in range(2, 6):
+        driven.round(says(2, (0, 8, 4 * number), mission=short), sensed={1: PLAN.points[1]})
+    assert driven.agent.claim.table is not None and driven.agent.claim.table[1] == theirs[1]

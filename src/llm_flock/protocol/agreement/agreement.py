@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 from msgspec.structs import replace
 
@@ -101,11 +102,13 @@ class Agreement:
         self.all_to_all.begin()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
-    def propose(self, answer: PlanAnswer | NoAnswer) -> list[Note]:
-        """Follow the own planner's plan, in the mission's frame; its provenance keeps the influence of this moment."""
-        if isinstance(answer, NoAnswer):
-            self._refused_answer = answer if self.validator.verify else None
-            return [Note("no_plan", {"cause": answer.cause, "reason": answer.reason})]
+    def lack_plan(self, failure: NoAnswer) -> Note:
+        """The own planner has no plan to propose."""
+        self._refused_answer = failure if self.validator.verify else None
+        return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
+
+    def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
+        """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment."""
         origin = Provenance(
             mission=self.stamp.counter,
             mission_digest=self.stamp.digest,
@@ -117,8 +120,7 @@ class Agreement:
         self._proposals += 1
         self._chosen = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
-        proposed = Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot})
-        return [*fallback_notes("plan", "geometry", answer.instead_of), proposed]
+        return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
         """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""

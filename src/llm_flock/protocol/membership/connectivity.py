@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
@@ -12,7 +13,7 @@ from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
 from llm_flock.protocol.membership.search import MANY, Search, advance
-from llm_flock.protocol.messages.message import BidTable
+from llm_flock.protocol.messages.message import NO_OWNER, BidTable
 from llm_flock.protocol.path_length import ACROSS, next_stop
 from llm_flock.protocol.plan import Plan
 
@@ -29,12 +30,20 @@ class ConnectivityRecovery:
         return self._search.given_up
 
     def route(
-        self, mission: Mission, plan: Plan, slot: int, table: BidTable | None, here: Point, *, placed: bool
+        self,
+        mission: Mission,
+        plan: Plan,
+        slot: int,
+        table: BidTable | None,
+        here: Point,
+        *,
+        bodies: Sequence[Point],
+        placed: bool,
     ) -> tuple[Point | None, tuple[int, ...], list[Note]]:
         """The next intermediate target from `here` [units; frame of the mission]. Call once a round.
 
-        `table` is None with a rule that has no bid table; `placed` says whether a joint assignment gave slots to this
-        robot and all others heard in this round.
+        `table` is None with a rule that has no bid table; `bodies` are the other robots in sight [units; frame of the
+        mission]; `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
 
         Returns:
             The target, None to fly straight to the place; vacant slots just visited without meeting a robot; and notes.
@@ -48,7 +57,7 @@ class ConnectivityRecovery:
         places = plan
         if table is not None and not self.given_up and len(live.strangers) + len(live.silent) > MANY:
             places = meeting_places(mission, plan, table)
-        notes = [] if table is None else self._look_for_others(mission, places, slot, table, here)
+        notes = [] if table is None else self._look_for_others(mission, places, slot, table, here, bodies)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_all_to_all(table, slot) and (live.strangers or live.silent or lonely):
@@ -57,9 +66,16 @@ class ConnectivityRecovery:
             target = places.points[slot]
         return target, self._search.looked, notes
 
-    def _look_for_others(self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point) -> list[Note]:
+    def _look_for_others(
+        self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point, bodies: Sequence[Point]
+    ) -> list[Note]:
         """Begin, continue or end the search for robots in vacant slots."""
         live, before = self._liveness, self._search
+        standing = set[int]()
+        if live.strangers or live.silent:
+            near = AT_GOAL * mission.spacing
+            free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
+            standing = {a for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
         self._search = search = advance(
             before,
             position=here,
@@ -71,6 +87,7 @@ class ConnectivityRecovery:
             at_goal=math.dist(here, places.points[slot]) <= AT_GOAL * mission.spacing,
             strangers=len(live.strangers),
             silent=len(live.silent),
+            standing=standing,
         )
         notes = list[Note]()
         if bool(before.way) != bool(search.way):

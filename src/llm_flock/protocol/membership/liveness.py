@@ -17,9 +17,17 @@ TIME_OUT = 10
 """Rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave every other
 robot's range for a while."""
 
+CANNOT_FLY, NO_PLAN = 1, 2
+"""States that a heartbeat tells of its robot, to be added: geometry flies it because its model's answers are unusable;
+it follows no plan."""
+
+PER_BEAT = 4
+"""A heartbeat is the robot's own count times this, plus its state: the maximum of two heartbeats is the newer one with
+the state of that time."""
+
 BODY = 1
-"""Counter of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. A
-robot that is awake counts on from here."""
+"""Heartbeat of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. That
+of a robot that is awake is higher."""
 
 FEW = 20
 """In a team of at most this size, heartbeats reach every robot well within the time-out."""
@@ -27,6 +35,18 @@ FEW = 20
 ROUNDS_PER_ROBOT = 0.6
 """Additional rounds of time-out for each further robot. Heartbeats are passed on once a round: when a cluster
 spreads out into a ring of N, where the farthest robot is N / 2 hops away, they arrive late by nearly as many rounds."""
+
+
+GAP_WEIGHT = 0.1
+"""Weight of the newest gap between two heartbeats of a robot in their average."""
+
+GAPS = 8.0
+"""The time-out of a robot whose heartbeats get through rarely is longer by this many times the rounds that are left out
+between two of them on average: where most messages are lost, silence proves little (Hayashibara et al. 2004, the phi
+accrual failure detector)."""
+
+LONGEST = 5
+"""Longest time-out, as a multiple of the configured one."""
 
 
 def patience(time_out: int, n_robots: int) -> int:
@@ -38,8 +58,8 @@ class Liveness:
     """The heartbeats of the team that one robot knows.
 
     `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
-    range for the time-out without being heard is silent too.
-    A counter may stand still for `time_out` rounds, in a large team for more (`patience`).
+    range for the time-out without being heard is silent too. A counter may stand still for `time_out` rounds, in a
+    large team for more (`patience`), and for more where heartbeats get through rarely (`GAPS`).
     """
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
@@ -47,6 +67,7 @@ class Liveness:
         self._time_out = patience(time_out, n_robots)
         self._beats = np.zeros(n_robots, dtype=np.int64)
         self._advanced = np.full(n_robots, -1, dtype=np.int64)
+        self._gap = np.ones(n_robots)
         self._counted_on = np.zeros(n_robots, dtype=np.bool_)
         self._beats[robot] = BODY
         self._round = 0
@@ -56,7 +77,7 @@ class Liveness:
 
     @property
     def beats(self) -> tuple[int, ...]:
-        """The highest counter known of each robot, by id."""
+        """The highest heartbeat known of each robot, by id."""
         return tuple(self._beats.tolist())
 
     @property
@@ -73,13 +94,27 @@ class Liveness:
         """
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
-    def begin_round(self, round_number: int, near: frozenset[int]) -> None:
-        """Count a heartbeat of one's own, and find counters that have stood still for too long.
+    @property
+    def without_plan(self) -> frozenset[int]:
+        """Other robots that followed no plan when they were last heard of."""
+        return self._in_state(NO_PLAN)
+
+    @property
+    def cannot_fly(self) -> frozenset[int]:
+        """Other robots that are alive and were flown by geometry when they were last heard of."""
+        return self._in_state(CANNOT_FLY) - self.silent
+
+    def _in_state(self, state: int) -> frozenset[int]:
+        found = (self._beats >= PER_BEAT) & (self._beats & state != 0)
+        return frozenset(np.flatnonzero(found).tolist()) - {self._robot}
+
+    def begin_round(self, round_number: int, near: frozenset[int], state: int = 0) -> None:
+        """Count a heartbeat of one's own, with its state, and find counters that have stood still for too long.
 
         `near` are the robots that are sensed within radio range.
         """
         self._round = round_number
-        self._beats[self._robot] += 1
+        self._beats[self._robot] = (self._beats[self._robot] // PER_BEAT + 1) * PER_BEAT + state
         self._advanced[self._robot] = round_number
         self._mute_for = {j: self._mute_for.get(j, 0) + 1 for j in near & self.strangers}
         mute = [j for j, rounds in self._mute_for.items() if rounds > self._time_out]
@@ -101,26 +136,31 @@ class Liveness:
             highest = np.maximum(highest, beats)
         mine = int(highest[self._robot])
         if mine > self._beats[self._robot]:
-            self._beats[self._robot] = mine + 1
+            self._beats[self._robot] = (mine // PER_BEAT + 1) * PER_BEAT + self._beats[self._robot] % PER_BEAT
         newer = highest > self._beats
         if not newer.any():
             return
+        known = newer & (self._beats > BODY)
+        gaps = self._round - self._advanced[known]
+        self._gap[known] += GAP_WEIGHT * (np.minimum(gaps, LONGEST * self._time_out) - self._gap[known])
         self._advanced[newer] = self._round
         if self.strangers:  # of which there may be only a body
             self._advanced[newer & (highest == BODY)] = self._long_ago
-        self._counted_on |= newer & (self._beats > BODY)
+        self._counted_on |= known
         self._beats[newer] = highest[newer]
         self._look()
 
     @property
     def _long_ago(self) -> int:
-        return self._round - self._time_out - 1
+        return self._round - LONGEST * self._time_out - 1
 
     def _look(self) -> None:
-        if not (self.strangers or self.silent) and self._advanced.min() > self._long_ago:
+        since = self._round - self._advanced
+        if not (self.strangers or self.silent) and since.max() <= self._time_out:
             return
         never = self._beats == 0
-        late = ~never & (self._advanced <= self._long_ago)
+        allowed = np.minimum(self._time_out + GAPS * (self._gap - 1.0), LONGEST * self._time_out)
+        late = ~never & (since > allowed)
         if late.any() or self.silent:
             self.silent = frozenset(np.flatnonzero(late).tolist())
         if self.strangers:

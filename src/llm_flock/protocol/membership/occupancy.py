@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from functools import lru_cache
 
 import msgspec
 
+from llm_flock import graph
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
@@ -14,6 +16,12 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.plans import blocked_within
 
 NONE = frozenset[int]()
+
+
+@lru_cache(maxsize=1024)
+def in_radio_contact(plan: Plan, comm_range: float) -> bool:
+    """Whether robots on all places of a plan are connected by radio."""
+    return graph.is_connected(graph.distances(plan.array) <= comm_range)
 
 
 class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,13 +67,15 @@ def observe(
 
     A slot is neither blocked nor clear if an unidentified body stands there, which may be known to others, or if it is
     too far away to see everything that could block it. Robots known to live do not block a slot: they will move away.
-    A robot that hears no others is itself cut off, and declares nobody dead.
+    A robot that hears no others is itself cut off: it declares nobody dead, so it neither frees a slot of another robot
+    nor blocks one. The same holds in a formation whose places are not all in radio contact, where silence proves
+    nothing.
 
     `sensed` has the positions of the robots within sensing range, by id [units; frame of the mission]; `knows_blocked`
     says whether the robot's bid table has blocked slots.
     """
-    silent = liveness.silent if hears_others else NONE
-    still = still_bodies(mission, sensed, liveness.silent)
+    silent = liveness.silent if hears_others and in_radio_contact(plan, mission.comm_range) else NONE
+    still = still_bodies(mission, sensed, silent)
     if not (still or knows_blocked):
         return Occupancy(silent=silent)
     too_near, living = blocked_within(mission), liveness.living

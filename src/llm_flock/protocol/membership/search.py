@@ -11,6 +11,7 @@ is a gap: the team may simply be smaller than the plan.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from functools import lru_cache
 
 import msgspec
@@ -87,13 +88,15 @@ def advance(
     at_goal: bool,
     strangers: int,
     silent: int,
+    standing: Collection[int] = (),
 ) -> Search:
     """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
 
-    The bid of a vacant slot in `table` is its number of visits. `strangers` robots have never been heard of, and the
+    The bid of a vacant slot in `table` is its number of visits. Nobody looks for robots in slots on which one is seen
+    `standing`. `strangers` robots have never been heard of, and the
     heartbeats of `silent` ones have stopped.
     """
-    vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
+    vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)
     if not vacant or not (strangers or silent):  # a team in touch fills its vacant slots by agreement
         return replace(search, way=(), waited=0, gaps=(), looked=())

@@ -27,7 +27,7 @@ from llm_flock.protocol.messages.message import (
 )
 from llm_flock.protocol.plan import Plan
 
-WIRE_VERSION = 5
+WIRE_VERSION = 6
 
 FEW = 0.5
 """Largest share of a table's slots that counts as few."""

@@ -54,7 +54,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         path: waypoints still to fly [units; frame of the mission]. A last waypoint at the goal stays, and holds the
             robot there.
-        failed: whether the planner had no answer, or a fallback replaced it.
+        failed: whether the planner had no answer.
         altered: whether the last step left the path by more than the tolerances.
         in_sight: robots within sensing range when the planner was asked.
     """
@@ -73,7 +73,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         return cls(
             question=question,
             path=path,
-            failed=not usable or answer.instead_of is not None,
+            failed=not usable,
             in_sight=frozenset(sensed),
         )
 

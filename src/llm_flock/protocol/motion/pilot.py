@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -10,11 +11,15 @@ import msgspec
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
+from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
+from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
+from llm_flock.protocol.motion.pace import Pace
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.steps import shortened
 from llm_flock.protocol.verification.validator import Validator, fallback_notes
 
 
@@ -52,12 +57,26 @@ class Pilot:
     Call `decide` in each round with a goal, or `hold` in a round without one. `decide` may return a question; call
     `take` with its answer, and `look` when positions are updated in between. With `on_event`, the planner gives a path
     and is asked again only on a `Trigger`; `on_path` says whether this round's step comes from that path.
+
+    `fallback` says what flies without a usable answer. While the `breaker` is open, the planner is not asked.
     """
 
     def __init__(
-        self, robot: int, mission: Mission, validator: Validator, *, shield_on: bool, noise_bound: float, on_event: bool
+        self,
+        robot: int,
+        mission: Mission,
+        validator: Validator,
+        *,
+        shield_on: bool,
+        noise_bound: float,
+        on_event: bool,
+        fallback: Fallback,
     ) -> None:
         self.on_path = False
+        self.breaker = CircuitBreaker("step", enabled=fallback != "hold")
+        self._fallback: Fallback = fallback
+        self._pace = Pace()
+        self._tolerance = AT_GOAL * mission.spacing
         self._robot = robot
         self._validator = validator
         self._safety = Safety(robot, mission, noise_bound) if shield_on else None
@@ -76,7 +95,7 @@ class Pilot:
         place; both, and `plan`, are in the frame of the mission.
         """
         ahead = scene.ahead
-        self._scene = scene
+        self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
         self._aim = plan.points[slot or 0] if target is None else target
         question = self._question = StepQuestion(
             mission=mission,
@@ -89,23 +108,59 @@ class Pilot:
             target=None if target is None else moved(target, ahead),
             horizon=self._horizon,
         )
-        if self._committed is None:
-            self.on_path = False
-            return [AskStep(question)]
-        trigger = self._trigger(self._committed, question, scene)
-        self.on_path = trigger is None
-        if trigger is None:
-            return self._move(_shifted(self._committed.answer, ahead), question, scene)
-        return [Note("asked_again", {"reason": trigger.value}), AskStep(question)]
+        trigger = None if self._committed is None else self._trigger(self._committed, question, scene)
+        self.on_path = self._committed is not None and trigger is None
+        if self._committed is not None and trigger is None:
+            answer = _shifted(self._committed.answer, ahead)
+            return self._move(answer, question, scene, answer.waypoint)
+        if not self.breaker.asks(scene.round):
+            return self._by_geometry(question, scene)
+        if self.breaker.state is BreakerState.HALF_OPEN:
+            question = self._question = replace(question, probe=True)
+        notes = [] if trigger is None else [Note("asked_again", {"reason": trigger.value})]
+        return [*notes, AskStep(question)]
 
     def take(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         """The move that follows from the planner's answer. With `on_event`, the robot commits to its path."""
         question, scene = self._question, self._scene
         assert question is not None and scene is not None, "only a robot that asked is answered"
+        if self._fallback == "hold":
+            return self._commit(answer, question, scene, answer.waypoint)
+        fit = self._usable(question, answer)
+        if not isinstance(fit, NoAnswer):
+            return [*self.breaker.usable(), *self._commit(fit, question, scene, answer.waypoint)]
+        notes: list[Effect] = [*self.breaker.refused(scene.round, fit)]
+        if self._fallback == "breaker" and not self.breaker.is_open:
+            return [*notes, *self._commit(fit, question, scene, answer.waypoint)]
+        notes.extend(fallback_notes("step", "geometry", fit))
+        return [*notes, *self._by_geometry(question, scene, answer.waypoint)]
+
+    def _usable(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
+        """The answer, clipped if that suffices, or the reason why it cannot be used."""
+        fit = answer if isinstance(answer, NoAnswer) else self._validator.fit(question, answer)
+        slow = None if isinstance(fit, NoAnswer) else self._pace.too_slow(question, fit.waypoint)
+        return fit if slow is None else NoAnswer(cause="slow", reason=slow)
+
+    def _commit(
+        self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation, asked: Point | None
+    ) -> list[Effect]:
         if question.horizon > 1:
             kept = _shifted(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
             self._committed = CommittedPath.of(self._relative(question, scene), kept, scene.sensed)
-        return self._move(answer, question, scene)
+        return self._move(answer, question, scene, asked)
+
+    def _by_geometry(self, question: StepQuestion, scene: Observation, asked: Point | None = None) -> list[Effect]:
+        """A straight step to the goal in place of the planner's."""
+        self._committed = None
+        return self._fly(straight_path(question).waypoint, scene, self._aim, asked, Origin.GEOMETRY)
+
+    def seek(self, scene: Observation, mission: Mission, target: Point) -> list[Effect]:
+        """Fly by geometry to a point where others will look [units; frame of the mission]: a robot without a plan."""
+        self.forget()
+        self._tolerance = AT_GOAL * mission.spacing
+        here, goal, max_step = scene.position, moved(target, scene.ahead), mission.max_step
+        wish = goal if math.dist(here, goal) <= max_step else shortened(here, goal, max_step)
+        return self._fly(wish, scene, target, None, Origin.GEOMETRY)
 
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
@@ -139,27 +194,32 @@ class Pilot:
         fit = self._validator.waypoint(question, _shifted(committed.answer, scene.ahead))
         return Trigger.UNFIT if isinstance(fit, NoAnswer) else None
 
-    def _move(self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation) -> list[Effect]:
+    def _move(
+        self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation, asked: Point | None
+    ) -> list[Effect]:
+        """The move for the planner's waypoint, which was `asked` before it was clipped."""
         fit = self._validator.waypoint(question, answer)
-        asked = answer.waypoint
         if isinstance(fit, NoAnswer):
             return self.hold(scene, fit.cause, fit.reason, asked)
-        failure = answer.instead_of if isinstance(answer, StepAnswer) else None
-        notes: list[Effect] = [*fallback_notes("step", "geometry", failure)]
-        flown, origin = fit, Origin.MODEL
-        if self._safety is not None:
-            flight = self._safety.step(
-                scene.position, scene.sensed, fit, self._aim, AT_GOAL * question.mission.spacing, scene.drift
-            )
-            flown, origin = flight.waypoint, flight.origin
-            notes.extend(flight.notes)
-        if origin is Origin.MODEL and flown != asked:  # clipped to the goal or to the step limit
-            notes.append(Note("shielded", {"proposed": asked, "flown": flown}))
-            origin = Origin.SHIELD
-        if failure is not None and origin is not Origin.DETOUR:
-            origin = Origin.FALLBACK
+        effects = self._fly(fit, scene, self._aim, asked, Origin.MODEL if fit == asked else Origin.CLIPPED)
+        if fit != asked:
+            effects.insert(0, Note("clipped", {"proposed": asked, "flown": fit}))
         if self._committed is not None:
-            self._committed = self._committed.after_step(scene.here, moved(flown, scene.ahead, -1.0))
+            flown = effects[-1]
+            assert isinstance(flown, MoveTo)
+            self._committed = self._committed.after_step(scene.here, moved(flown.waypoint, scene.ahead, -1.0))
+        return effects
+
+    def _fly(self, wish: Point, scene: Observation, aim: Point, asked: Point | None, origin: Origin) -> list[Effect]:
+        """The safe move for a waypoint of this origin, on the way to `aim` [units; frame of the mission]."""
+        notes: list[Effect] = []
+        flown = wish
+        if self._safety is not None:
+            flight = self._safety.step(scene.position, scene.sensed, wish, aim, self._tolerance, scene.drift)
+            flown = flight.waypoint
+            notes.extend(flight.notes)
+            if flight.origin is Origin.DETOUR or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
+                origin = flight.origin
         return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
 
 

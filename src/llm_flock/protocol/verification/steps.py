@@ -102,6 +102,48 @@ def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *
     return None
 
 
+def fit_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> StepAnswer | None:
+    """What clipping makes of an answer: unchanged if `check_answer` accepts it, None if clipping does not help.
+
+    A path is cut into steps of the largest length, and ends at the goal. If that does not help, its first waypoint is
+    clipped, and the rest is dropped.
+    """
+    if check_answer(mission, question, answer, shield_on=shield_on) is None:
+        return answer
+    if question.horizon > 1:
+        cut = _cut_path(mission, question, answer)
+        if cut is not None and check_answer(mission, question, cut, shield_on=shield_on) is None:
+            return cut
+    waypoint = clip_waypoint(mission, question, answer.waypoint, shield_on=shield_on)
+    return None if waypoint is None else replace(answer, waypoint=waypoint, path=())
+
+
+def _cut_path(mission: Mission, question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
+    """The same way in steps of at most the largest length, up to the goal or the horizon; None for unusable points."""
+    here, goal, cut = question.position, question.goal, list[Point]()
+    for waypoint in (answer.waypoint, *answer.path):
+        if len(waypoint) != mission.dim or not all(map(math.isfinite, waypoint)):
+            return None
+        ends = _along(here, goal, waypoint) >= math.dist(here, goal)
+        target = goal if ends else waypoint
+        while math.dist(here, target) > mission.max_step and len(cut) < question.horizon:
+            here = shortened(here, target, mission.max_step)
+            cut.append(here)
+        if len(cut) == question.horizon:
+            break
+        here = target
+        cut.append(here)
+        if ends:
+            break
+    return replace(answer, waypoint=cut[0], path=tuple(cut[1:]))
+
+
+def shortened(here: Point, target: Point, length: float) -> Point:
+    """The point a hair less than `length` away towards a target that is farther, so that rounding cannot exceed it."""
+    share = length * (1 - 1e-12) / math.dist(here, target)
+    return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
+
+
 def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
     """A waypoint without faults: unchanged, or clipped to the goal, the step limit and the arena.
 
@@ -116,10 +158,8 @@ def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, 
         return None
     here, goal = question.position, question.goal
     target = goal if _along(here, goal, waypoint) >= math.dist(here, goal) else waypoint
-    length = math.dist(here, target)
-    if length > mission.max_step:
-        share = mission.max_step * (1 - 1e-12) / length
-        target = tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
+    if math.dist(here, target) > mission.max_step:
+        target = shortened(here, target, mission.max_step)
     if outside(mission, here) == 0.0 and outside(mission, target) > ROUNDING * mission.spacing:
         low, high = mission.arena
         target = tuple(min(max(x, a), b) for a, x, b in zip(low, target, high, strict=True))

@@ -9,7 +9,7 @@ from llm_flock.protocol.events import Note
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan, check_proposal, plan_class
-from llm_flock.protocol.verification.steps import check_step, clip_waypoint
+from llm_flock.protocol.verification.steps import check_answer, check_step, clip_waypoint, fit_answer
 
 
 class Validator:
@@ -45,6 +45,14 @@ class Validator:
             return answer
         objection = check_proposal(question.mission, answer.plan, question.still)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
+
+    def fit(self, question: StepQuestion, answer: StepAnswer) -> StepAnswer | NoAnswer:
+        """The planner's answer, clipped if that suffices; otherwise the reason to refuse it. Verifies in any case."""
+        fit = fit_answer(question.mission, question, answer, shield_on=self._shield_on)
+        if fit is not None:
+            return fit
+        objection = check_answer(question.mission, question, answer, shield_on=self._shield_on)
+        return NoAnswer(cause="unverified", reason=objection or "")
 
     def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
         """The planner's waypoint, clipped if that suffices; otherwise the reason to hold. Call with every answer."""

@@ -114,7 +114,10 @@ class SafetyConfig(ConfigSection):
     off_course_s: float = _seconds(0.5, "Longest time that a drone may be farther than tracking_m from its set-point")
     cut_outside_m: float = _length(1.0, "Cut the motors of a drone that is this far outside the geofence")
     silent_rounds: int = Field(
-        default=3, ge=1, le=1000, description="Land after this many rounds in a row without an answer of a model"
+        default=3,
+        ge=1,
+        le=1000,
+        description="With fallback hold: land after this many rounds without an answer",
     )
     think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
     max_flight_s: float = _seconds(240.0, "Land after this time in the air")

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from llm_flock.protocol.planning import Planner
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.api import open_outputs
+from llm_flock.runtime.config import warn_of_radio
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
@@ -90,6 +91,7 @@ class Flight:
             FlockError: the deadman did not start, or a file cannot be written any more; all drones were landed.
         """
         config = self._config
+        warn_of_radio(config.mission)
         planners = TeamPlanners(config)
         try:
             self._on_stage("connecting")
@@ -115,7 +117,9 @@ class Flight:
         def timed(robot: int, planner: Planner) -> Planner:
             detail = f"{team.names[robot]}: no answer in {safety.silent_rounds} rounds in a row"
             trouble = Trouble(TroubleKind.MODEL_SILENT, robot, detail)
-            return TimedPlanner(planner, safety.think_s, safety.silent_rounds, lambda: supervisor.trip(trouble))
+            # With a circuit breaker, geometry flies a drone whose model is silent.
+            silent = safety.silent_rounds if config.protocol.fallback == "hold" else None
+            return TimedPlanner(planner, safety.think_s, silent, lambda: supervisor.trip(trouble))
 
         planners.wrap(timed)
         rules, start = config.protocol.rules(), team.places

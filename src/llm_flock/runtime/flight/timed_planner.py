@@ -14,10 +14,11 @@ T = TypeVar("T")
 class TimedPlanner:
     """A planner whose answers come within `longest_s`, retries included.
 
-    After `most` rounds in a row without an answer (an unusable one counts as an answer) it calls `on_silence`.
+    After `most` rounds in a row without an answer (an unusable one counts as an answer) it calls `on_silence`; never
+    if `most` is None.
     """
 
-    def __init__(self, planner: Planner, longest_s: float, most: int, on_silence: Callable[[], None]) -> None:
+    def __init__(self, planner: Planner, longest_s: float, most: int | None, on_silence: Callable[[], None]) -> None:
         self._planner = planner
         self._longest_s = longest_s
         self._most = most
@@ -41,6 +42,6 @@ class TimedPlanner:
             self._silent.clear()
             return found
         self._silent.add(number)
-        if len(self._silent) >= self._most:
+        if self._most is not None and len(self._silent) >= self._most:
             self._on_silence()
         return found

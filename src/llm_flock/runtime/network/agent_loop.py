@@ -282,6 +282,8 @@ class AgentLoop:
             sent=traffic.sent["say"],
             bytes=traffic.bytes["say"] + traffic.bytes["beacon"],
             rejected={**agent.rejected, **traffic.refused},
+            breakers=agent.open_breakers,
+            hopeless=None if agent.hopeless is None else agent.hopeless.reason,
             latencies_s=tuple(latencies_s),
             shape=shape,
         )

@@ -14,6 +14,7 @@ import numpy as np
 from llm_flock import graph, metrics
 from llm_flock.arrays import Points
 from llm_flock.errors import FlockError
+from llm_flock.llm.models import parse_models
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
@@ -21,7 +22,7 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import finite, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import RobotReport, WorldState
-from llm_flock.runtime.trial import TrialProgress
+from llm_flock.runtime.trial import TrialProgress, commonest
 
 
 class Observer:
@@ -40,6 +41,9 @@ class Observer:
         self.in_order = False
         self.alive: set[int] = set()
         self.reports: dict[int, RobotReport] = {}
+        self.breakers_opened: set[int] = set()
+        self._suppliers: dict[tuple[str, int], str] = {}
+        self._models = parse_models(config.model.model, config.mission.n_robots)
         self._config = config
         self._sink = sink
         self._on_row = on_row
@@ -93,7 +97,12 @@ class Observer:
             self._places[report.plan_id] = len(report.points)
             points, proposer = [list(point) for point in report.points], report.proposer or 0
             self._sink.write(PlanInfo(round=now, plan_id=report.plan_id, proposer=proposer, points=points))
+        if report.breakers:
+            self.breakers_opened.add(robot)
         for event in report.happened:
+            if event.kind == "proposed":
+                by = self._models[robot] if event.detail.get("by") == "model" else "geometry"
+                self._suppliers[str(event.detail.get("plan")), robot] = by
             noted = ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
             self._sink.write(noted)
         for call in report.calls:
@@ -121,6 +130,27 @@ class Observer:
     def robots(self) -> list[int]:
         """Robots that are alive and have reported, by id."""
         return sorted(self.alive & self.reports.keys())
+
+    @property
+    def supplier(self) -> tuple[int, str | None] | None:
+        """Proposer of the plan that all living robots follow, and who made it; None without one plan."""
+        plans = {(self.reports[robot].plan_id, self.reports[robot].proposer) for robot in self.robots}
+        if len(plans) != 1:
+            return None
+        plan_id, proposer = plans.pop()
+        if plan_id is None or proposer is None:
+            return None
+        return proposer, self._suppliers.get((plan_id, proposer))
+
+    @property
+    def hopeless(self) -> str | None:
+        """Why no robot has a plan, in words, if the model of none is asked for one any more; else None."""
+        reasons = [self.reports[robot].hopeless for robot in self.robots]
+        found = [reason for reason in reasons if reason is not None]
+        if not found or len(found) < len(self.alive):
+            return None
+        count, reason = commonest(found)
+        return f"{count} of {len(found)} robots: {reason}"
 
     @property
     def rejected(self) -> Counter[str]:
@@ -234,6 +264,7 @@ class Observer:
             influence=[0.0 if r is None else r.neighbors / n for r in reports],
             waypoints=[None if r is None or r.waypoint is None else list(r.waypoint) for r in reports],
             origins=[start if r is None else r.origin for r in reports],
+            open_breakers=[[] if r is None else list(r.breakers) for r in reports],
             phases=[
                 r.phase if r is not None else DEAD if robot in self._seen else ASLEEP for robot, r in enumerate(reports)
             ],

@@ -22,9 +22,11 @@ from typing import Any
 
 from llm_flock.errors import FlockError
 from llm_flock.record.writer import NullWriter
+from llm_flock.runtime.config import warn_of_radio
 from llm_flock.runtime.network.config import SwarmConfig, check_models
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.watch import CHECK_S, observing
+from llm_flock.runtime.result import by_origin, waypoint_shares
 from llm_flock.runtime.trial import TrialProgress
 
 START_S = 60.0
@@ -42,7 +44,8 @@ class SwarmError(FlockError):
 class SwarmResult:
     """Outcome of a swarm."""
 
-    stopped: str  # why it ended: formed or time
+    stopped: str  # why it ended: formed, time, or no_plan: no robot has a plan, and no model gives an acceptable one
+    reason: str | None  # the commonest reason why plans were refused, where it ended by no_plan
     formed: bool  # whether the team formed, as for a run, with the time of a step in place of a round
     mission_s: float | None  # from the first robot's first round until it formed; None if it never did
     n_robots: int  # alive at the end
@@ -56,6 +59,10 @@ class SwarmResult:
     latency_p99_s: float | None  # 99th percentile
     late_commands: int  # commands that bodies refused because they came too late
     waypoints: dict[str, int]  # flown, by origin
+    waypoint_shares: dict[str, float]  # the same as shares of all
+    plan_robot: int | None  # robot that proposed the plan in force at the end; None without one plan
+    plan_by: str | None  # who made that plan: a model, by its name, or `geometry`
+    breakers_opened: tuple[int, ...]  # robots whose circuit breaker was open at any time
     messages_rejected: dict[str, int]  # by reason
     record: str | None  # its path; None without one
 
@@ -147,7 +154,9 @@ class Swarm:
             await self.wait_until(lambda: self.pids.keys() <= self.ended.keys(), END_S)
 
     async def run(self, until: Callable[[Observer], bool] = lambda observer: observer.formed_s is not None) -> str:
-        """Watch until the team has formed (or `until`), or the time is over; returns which: formed or time.
+        """Watch until the team has formed (or `until`), the time is over, or no model of any robot gives a plan.
+
+        Returns which: `formed`, `time` or `no_plan`.
 
         Raises `SwarmError` if the world process ends.
         """
@@ -156,6 +165,8 @@ class Swarm:
             self.observer.check(time.time())
             if until(self.observer):
                 return "formed"
+            if self.observer.hopeless is not None:
+                return "no_plan"
             if "world" in self.ended:
                 raise SwarmError("the world has ended")
             await asyncio.sleep(CHECK_S)
@@ -166,12 +177,15 @@ class Swarm:
         observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
         seconds = sum(max(0.0, report.stamp - (began or report.stamp)) for report in reports)
         ages = sorted(observer.latencies_s)
+        waypoints = by_origin(sum((Counter(report.waypoints) for report in reports), Counter[str]()))
+        supplier = observer.supplier
 
         def percentile(share: float) -> float | None:
             return ages[min(len(ages) - 1, int(share * len(ages)))] if ages else None
 
         return SwarmResult(
             stopped=stopped,
+            reason=observer.hopeless if stopped == "no_plan" else None,
             formed=observer.formed_s is not None,
             mission_s=observer.mission_s,
             n_robots=len(observer.robots),
@@ -184,7 +198,11 @@ class Swarm:
             latency_p50_s=percentile(0.5),
             latency_p99_s=percentile(0.99),
             late_commands=observer.late_commands,
-            waypoints=dict(sum((Counter(report.waypoints) for report in reports), Counter[str]())),
+            waypoints=waypoints,
+            waypoint_shares=waypoint_shares(waypoints),
+            plan_robot=None if supplier is None else supplier[0],
+            plan_by=None if supplier is None else supplier[1],
+            breakers_opened=tuple(sorted(observer.breakers_opened)),
             messages_rejected=dict(observer.rejected),
             record=None if self.config.record is None else str(self.config.record),
         )
@@ -204,6 +222,7 @@ async def launched(
         InputError: the configuration does not work here.
     """
     check_models(config)
+    warn_of_radio(config.mission)
     if not config.network.connect:
         network = config.network.model_copy(update={"connect": f"tcp/127.0.0.1:{free_port()}"})
         config = config.model_copy(update={"network": network})

@@ -95,6 +95,8 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     sent: int  # protocol messages broadcast so far
     bytes: int  # broadcast so far, beacons included
     rejected: dict[str, int]  # messages refused so far, by reason
+    breakers: tuple[str, ...]  # kinds of questions that its model is not asked
+    hopeless: str | None  # why its model's last plan was refused, while it has none and its model is not asked
     latencies_s: tuple[float, ...]  # one-way, of beacons heard since the last report
     shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
 

@@ -1,0 +1,40 @@
+"""The pace of a planner: whether its waypoints lead to the goal, or only just pass their checks."""
+
+from __future__ import annotations
+
+import math
+
+from llm_flock.arrays import Point
+from llm_flock.protocol.planning import StepQuestion
+from llm_flock.protocol.verification.steps import blocked
+
+WEIGHT = 0.25
+"""Weight of the newest waypoint in the average."""
+
+SLOWEST = 0.3
+"""Smallest average gain of a usable planner, as a share of the largest possible gain."""
+
+
+class Pace:
+    """Average gain of a planner's waypoints towards the goal, each as a share of the largest possible gain.
+
+    Waypoints at the goal, and of a robot whose straight path is blocked, do not count.
+    """
+
+    def __init__(self) -> None:
+        self._average = 1.0
+
+    def too_slow(self, question: StepQuestion, waypoint: Point) -> str | None:
+        """Count a waypoint that passed its checks. Returns the reason to refuse it, or None."""
+        mission, before = question.mission, math.dist(question.position, question.goal)
+        possible = min(mission.max_step, before)
+        if waypoint == question.goal or possible == 0.0 or blocked(mission, question):
+            return None
+        gain = (before - math.dist(waypoint, question.goal)) / possible
+        self._average += WEIGHT * (min(gain, 1.0) - self._average)
+        if self._average >= SLOWEST:
+            return None
+        return (
+            f"on average, the last positions led {100 * self._average:.0f} % of a step nearer to the goal, "
+            f"at least {100 * SLOWEST:.0f} % is required."
+        )
