@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, ReplayDrift
-from llm_flock.llm.planner import MAX_QUOTED, NO_TEXT, LanguagePlanner, parse_history
+from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, Call, Reply
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter, ReplayModel
+from llm_flock.llm.whole_answer import MAX_QUOTED, NO_TEXT
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
