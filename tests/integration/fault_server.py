@@ -178,8 +178,8 @@ def text_of(content: str | list[dict[str, str]]) -> str:
     return content if isinstance(content, str) else "\n".join(part.get("text", "") for part in content)
 
 
-def completion(request: bytes, text: str) -> bytes:
-    """A chat completion in OpenAI's form; tokens are a quarter of the characters."""
+def completion(request: bytes, text: str, reason: str = "stop", **message: Any) -> bytes:
+    """A chat completion in OpenAI's form, with more fields of its message; tokens are a quarter of the characters."""
     sent, said = math.ceil(len(request) / 4), math.ceil(len(text) / 4)
     return json.dumps(
         {
@@ -188,7 +188,7 @@ def completion(request: bytes, text: str) -> bytes:
             "created": 1,
             "model": "stand-in",
             "choices": [
-                {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": text}},
+                {"index": 0, "finish_reason": reason, "message": {"role": "assistant", "content": text, **message}},
             ],
             "usage": {"prompt_tokens": sent, "completion_tokens": said, "total_tokens": sent + said},
         }

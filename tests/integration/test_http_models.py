@@ -20,7 +20,7 @@ from llm_flock.llm.client import CallSettings
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
-from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
+from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply, Usage
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.providers import PROVIDERS
 from llm_flock.mission import Mission
@@ -325,5 +325,141 @@ def test_anthropic_is_asked_in_its_own_way() -> None:
 def test_anthropic_faults_have_the_same_kinds(status: int, kind: str) -> None:
     body = json.dumps({"type": "error", "error": {"type": "some_error", "message": "no"}})
     error, _, _ = talk("anthropic:claude-sonnet-4-6", status, body, CallSettings())
+    assert isinstance(error, ModelError)
+    assert error.kind == kind
+
+
+def test_anthropic_is_asked_to_cache_the_system_message() -> None:
+    usage = {"input_tokens": 30, "output_tokens": 8, "cache_read_input_tokens": 90, "cache_creation_input_tokens": 5}
+    message = {
+        "id": "msg_1",
+        "type": "message",
+        "role": "assistant",
+        "model": "claude-sonnet-4-6",
+        "content": [
+            {"type": "thinking", "thinking": "Position: [5, 0]", "signature": "x"},
+            {"type": "text", "text": ANSWER},
+        ],
+        "stop_reason": "max_tokens",
+        "stop_sequence": None,
+        "usage": usage,
+    }
+    settings = CallSettings(max_tokens=1000)
+    reply, _, sent = talk("anthropic:claude-sonnet-4-6", 200, json.dumps(message), settings)
+    first, *others = sent["system"]
+    assert first["text"] == "You are a robot." and first["cache_control"]["type"] == "ephemeral"
+    assert not any("cache_control" in block for block in others)
+    assert "cache_control" not in json.dumps(sent["messages"]) and "cache_control" not in sent
+    assert sent["max_tokens"] == 1000
+    assert isinstance(reply, Reply)
+    assert reply.usage == Usage(input=125, output=8, cached=90)
+    assert (reply.text, reply.finish_reason, reply.thought) == (ANSWER, "length", True)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason", "message", "expected"),
+    [
+        (ANSWER, "stop", {}, (ANSWER, "stop", False)),
+        (ANSWER, "length", {}, (ANSWER, "length", False)),
+        ("", "length", {"reasoning_content": f"Perhaps {ANSWER}"}, ("", "length", True)),
+        ("", "stop", {"reasoning": f"Perhaps {ANSWER}"}, ("", "stop", True)),
+        ("", "stop", {}, ("", "stop", False)),
+        (f"<think>{ANSWER}</think>\nI stay.", "stop", {}, ("I stay.", "stop", True)),
+        (f"<think>{ANSWER}", "stop", {}, (f"<think>{ANSWER}", "stop", True)),
+        (f"hm {ANSWER}</think>I stay.", "stop", {}, ("I stay.", "stop", True)),
+    ],
+)
+@pytest.mark.parametrize("name", ["vllm:qwen3", "ollama:qwen3:8b", "openai:gpt-4o", "deepseek:deepseek-reasoner"])
+def test_cut_off_answers_and_thoughts_are_known_on_the_wire(
+    name: str, text: str, reason: str, message: dict[str, str], expected: tuple[str, str, bool]
+) -> None:
+    """The SDK's own splitting would pass on a thought that does not end as if it were the answer."""
+    reply, _, _ = talk(name, 200, completion(b"", text, reason, **message).decode(), CallSettings())
+    assert isinstance(reply, Reply)
+    assert (reply.text, reply.finish_reason, reply.thought) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("openai:gpt-4o", "max_completion_tokens"),
+        ("deepseek:deepseek-chat", "max_tokens"),
+        ("qwen:qwen-plus", "max_tokens"),
+        ("ollama:qwen3:8b", "max_tokens"),
+        ("vllm:qwen3", "max_tokens"),
+        ("openai-compatible:any", "max_tokens"),
+    ],
+)
+def test_the_cap_on_an_answer_goes_by_the_name_that_the_server_knows(name: str, field: str) -> None:
+    _, _, sent = talk(name, 200, completion(b"", ANSWER).decode(), CallSettings(max_tokens=77))
+    assert sent[field] == 77
+    assert not {"max_tokens", "max_completion_tokens"} - {field} & set(sent)
+
+
+@pytest.mark.parametrize(
+    ("reason", "kind"), [("content_filter", "refused"), ("insufficient_system_resource", "server")]
+)
+def test_an_answer_that_the_provider_stops_is_a_failed_call(reason: str, kind: str) -> None:
+    error, _, _ = talk("deepseek:deepseek-chat", 200, completion(b"", ANSWER, reason).decode(), CallSettings())
+    assert isinstance(error, ModelError)
+    assert error.kind == kind
+
+
+def response(text: str | None, status: str = "completed", why: str | None = None) -> str:
+    """A response in the form of OpenAI's Responses API; without a text it holds only a thought."""
+    said = {"type": "output_text", "text": text, "annotations": []}
+    message = {"type": "message", "id": "msg_1", "status": status, "role": "assistant", "content": [said]}
+    return json.dumps(
+        {
+            "id": "resp_1",
+            "object": "response",
+            "created_at": 1,
+            "status": status,
+            "error": None,
+            "incomplete_details": None if why is None else {"reason": why},
+            "model": "gpt-5-mini-2025",
+            "output": [{"type": "reasoning", "id": "rs_1", "summary": []}, *([] if text is None else [message])],
+            "parallel_tool_calls": True,
+            "tool_choice": "auto",
+            "tools": [],
+            "usage": {
+                "input_tokens": 50,
+                "input_tokens_details": {"cached_tokens": 20},
+                "output_tokens": 30,
+                "output_tokens_details": {"reasoning_tokens": 25},
+                "total_tokens": 80,
+            },
+        }
+    )
+
+
+def test_the_responses_api_is_asked_in_its_own_way() -> None:
+    settings = CallSettings(reasoning="low", max_tokens=900, seed=3)
+    reply, head, sent = talk("openai-responses:gpt-5-mini", 200, response('{"position": [1, 2]}'), settings)
+    assert isinstance(reply, Reply)
+    assert head.startswith("POST /v1/responses ") and KEY in head
+    assert (sent["model"], sent["reasoning"]["effort"], sent["max_output_tokens"]) == ("gpt-5-mini", "low", 900)
+    assert sent["store"] is False and "seed" not in sent
+    assert [item["role"] for item in sent["input"]] == ["system", "user"]
+    assert "position" in sent["text"]["format"]["schema"]["properties"]
+    assert (reply.text, reply.model) == ('{"position": [1, 2]}', "openai-responses:gpt-5-mini-2025")
+    assert reply.usage == Usage(input=50, output=30, cached=20)
+    assert (reply.finish_reason, reply.thought) == ("stop", True)
+    assert reply.settings == {"reasoning": "low", "max_tokens": 900, "seed": 3}
+
+
+@pytest.mark.parametrize("text", ["Position: [1.0, 2.0]", None])
+def test_an_incomplete_response_is_cut_off(text: str | None) -> None:
+    body = response(text, "incomplete", "max_output_tokens")
+    reply, _, _ = talk("openai-responses:gpt-5-mini", 200, body, CallSettings(max_tokens=30))
+    assert isinstance(reply, Reply)
+    assert (reply.text, reply.finish_reason, reply.thought) == (text or "", "length", True)
+
+
+@pytest.mark.parametrize(
+    ("status", "why", "kind"), [("incomplete", "content_filter", "refused"), ("failed", None, "server")]
+)
+def test_a_response_that_is_stopped_is_a_failed_call(status: str, why: str | None, kind: str) -> None:
+    error, _, _ = talk("openai-responses:gpt-5-mini", 200, response(ANSWER, status, why), CallSettings())
     assert isinstance(error, ModelError)
     assert error.kind == kind
