@@ -233,7 +233,9 @@ def test_max_calls_is_exact_under_concurrency() -> None:
 SCHEMA = {"type": "object", "properties": {"position": {"type": "array", "items": {"type": "number"}}}}
 
 
-def talk(name: str, status: int, body: str, settings: CallSettings) -> tuple[Reply | ModelError, str, dict[str, Any]]:
+def talk(
+    name: str, status: int, body: str, settings: CallSettings, kind: str = "application/json"
+) -> tuple[Reply | ModelError, str, dict[str, Any]]:
     """Ask a model once for a structured answer, from a tiny server that gives this response.
 
     Returns:
@@ -245,7 +247,7 @@ def talk(name: str, status: int, body: str, settings: CallSettings) -> tuple[Rep
         head = (await reader.readuntil(b"\r\n\r\n")).decode()
         length = next(int(h.split(":")[1]) for h in head.lower().split("\r\n") if h.startswith("content-length"))
         got.extend([head, (await reader.readexactly(length)).decode()])
-        head = f"HTTP/1.1 {status} X\r\nContent-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n"
+        head = f"HTTP/1.1 {status} X\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n"
         writer.write((head + body).encode())
         await writer.drain()
         writer.close()
@@ -354,6 +356,33 @@ def test_anthropic_is_asked_to_cache_the_system_message() -> None:
     assert isinstance(reply, Reply)
     assert reply.usage == Usage(input=125, output=8, cached=90)
     assert (reply.text, reply.finish_reason, reply.thought) == (ANSWER, "length", True)
+
+
+def streamed(*events: dict[str, Any]) -> str:
+    """Events of a stream in Anthropic's form."""
+    return "".join(f"event: {event['type']}\ndata: {json.dumps(event)}\n\n" for event in events)
+
+
+def test_a_stream_that_breaks_off_is_no_answer() -> None:
+    """Without a cap on tokens, answers of Claude are streamed."""
+    message = {"id": "m", "type": "message", "role": "assistant", "model": "claude-sonnet-4-6", "content": []}
+    usage = {"input_tokens": 30, "output_tokens": 1}
+    whole: list[dict[str, Any]] = [
+        {"type": "message_start", "message": {**message, "stop_reason": None, "stop_sequence": None, "usage": usage}},
+        {"type": "content_block_start", "index": 0, "content_block": {"type": "text", "text": ""}},
+        {"type": "content_block_delta", "index": 0, "delta": {"type": "text_delta", "text": ANSWER}},
+        {"type": "content_block_stop", "index": 0},
+        {"type": "message_delta", "delta": {"stop_reason": "end_turn"}, "usage": {"output_tokens": 8}},
+        {"type": "message_stop"},
+    ]
+    for count, reason in ((6, "stop"), (4, None), (3, None), (1, None)):
+        body = streamed(*whole[:count])
+        got, _, sent = talk("anthropic:claude-sonnet-4-6", 200, body, CallSettings(), "text/event-stream")
+        assert sent["stream"] is True
+        if reason is None:
+            assert isinstance(got, ModelError) and got.kind == "server" and "broke" in got.detail
+        else:
+            assert isinstance(got, Reply) and (got.text, got.finish_reason) == (ANSWER, reason)
 
 
 @pytest.mark.parametrize(

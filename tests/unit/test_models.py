@@ -133,7 +133,7 @@ def test_the_responses_api_is_used_where_there_is_no_other(model: str, own: bool
 )
 def test_a_bad_setting_names_itself(field: str, text: str) -> None:
     with pytest.raises(InputError) as caught:
-        parse_settings(1, **{field: text})
+        parse_settings(1, max_tokens=None, **{field: text})
     assert (caught.value.field, caught.value.value) == (field, text)
 
 

@@ -195,8 +195,9 @@ def finish_reason(response: ModelResponse) -> str | None:
     word = str((response.provider_details or {}).get("finish_reason", "")).lower()
     if word in CUT_OFF:
         return "length"
-    if response.state in ("incomplete", "interrupted") and not word:
-        return "aborted"  # a stream that ended before the answer did
+    # Long answers of Anthropic are streamed, and every whole one gives a reason: without it, the stream broke off.
+    if not word and (response.state in ("incomplete", "interrupted") or response.provider_name == "anthropic"):
+        return "aborted"
     return word if _FINISH_REASON.fullmatch(word) else None
 
 
