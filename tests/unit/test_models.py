@@ -196,6 +196,7 @@ def test_prices() -> None:
     assert cost_usd("openai", "o3-mini", usage) == pytest.approx(0.6 * 1.10 + 0.4 * 0.55 + 0.1 * 4.40)
     assert cost_usd("openai", "model-of-tomorrow", usage) is None
     assert cost_usd(None, "o3-mini", usage) is None
+    assert cost_usd("openai-responses", "o3-mini", usage) == cost_usd("openai", "o3-mini", usage)
     assert cost_usd("deepseek", "deepseek-reasoner", usage) is not None
 
 
