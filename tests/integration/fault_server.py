@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import http.server
 import json
 import math
 import os
@@ -178,8 +179,8 @@ def text_of(content: str | list[dict[str, str]]) -> str:
     return content if isinstance(content, str) else "\n".join(part.get("text", "") for part in content)
 
 
-def completion(request: bytes, text: str) -> bytes:
-    """A chat completion in OpenAI's form; tokens are a quarter of the characters."""
+def completion(request: bytes, text: str, reason: str = "stop", **message: Any) -> bytes:
+    """A chat completion in OpenAI's form, with more fields of its message; tokens are a quarter of the characters."""
     sent, said = math.ceil(len(request) / 4), math.ceil(len(text) / 4)
     return json.dumps(
         {
@@ -188,7 +189,7 @@ def completion(request: bytes, text: str) -> bytes:
             "created": 1,
             "model": "stand-in",
             "choices": [
-                {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": text}},
+                {"index": 0, "finish_reason": reason, "message": {"role": "assistant", "content": text, **message}},
             ],
             "usage": {"prompt_tokens": sent, "completion_tokens": said, "total_tokens": sent + said},
         }
@@ -261,6 +262,33 @@ def running(**options: Any) -> Iterator[Server]:
             yield Server(int(line[1]))
         finally:
             process.kill()
+
+
+@contextlib.contextmanager
+def answering(body: bytes) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """A server in a thread that gives one response to all; yields its address and the requests as they come."""
+    seen: list[dict[str, Any]] = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            seen.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(200)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            """Stay quiet."""
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}/v1", seen
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def end_with_stdin() -> None:

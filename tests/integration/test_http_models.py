@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import logging
 import math
 import time
 from collections import Counter
-from typing import Any
 
 import numpy as np
 import pytest
-from integration.fault_server import Server, completion, running
+from integration.fault_server import Server, running
 from slowness import slowness
 
 from llm_flock.errors import BudgetExceeded, ModelError
-from llm_flock.llm.client import CallSettings
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.providers import PROVIDERS
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
@@ -228,102 +223,3 @@ def test_max_calls_is_exact_under_concurrency() -> None:
         refused = asyncio.run(scenario(server))
         assert server.stats()["requests"] == 7
     assert refused == 23
-
-
-SCHEMA = {"type": "object", "properties": {"position": {"type": "array", "items": {"type": "number"}}}}
-
-
-def talk(name: str, status: int, body: str, settings: CallSettings) -> tuple[Reply | ModelError, str, dict[str, Any]]:
-    """Ask a model once for a structured answer, from a tiny server that gives this response.
-
-    Returns:
-        What came of it, and head and body of the request that the server saw.
-    """
-    got: list[str] = []
-
-    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        head = (await reader.readuntil(b"\r\n\r\n")).decode()
-        length = next(int(h.split(":")[1]) for h in head.lower().split("\r\n") if h.startswith("content-length"))
-        got.extend([head, (await reader.readexactly(length)).decode()])
-        head = f"HTTP/1.1 {status} X\r\nContent-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n"
-        writer.write((head + body).encode())
-        await writer.drain()
-        writer.close()
-
-    async def scenario() -> Reply | ModelError:
-        server = await asyncio.start_server(handle, "127.0.0.1", 0)
-        provider = name.partition(":")[0]
-        urls = {provider: f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1"}
-        environ = {info.key_env: KEY for info in PROVIDERS.values()}
-        async with server, ModelPool(base_urls=urls, timeout_s=5, environ=environ) as pool:
-            model = pool.model(name, robot=0, rng=np.random.default_rng(0), settings=settings)
-            messages = (ChatMessage("system", "You are a robot."), ChatMessage("user", "Where to?"))
-            question = Call(robot=0, round=0, kind="step", attempt=0, messages=messages, schema=SCHEMA)
-            try:
-                return await model.ask(question)
-            except ModelError as error:
-                return error
-
-    outcome = asyncio.run(scenario())
-    head, sent = got
-    return outcome, head, json.loads(sent)
-
-
-def test_the_key_is_sent_and_nowhere_else_to_be_seen(caplog: pytest.LogCaptureFixture) -> None:
-    """Careless gateways quote the key that they refuse."""
-    body = json.dumps({"error": {"message": f"bad key {KEY}, starts with sk-very*****6789"}})
-    with caplog.at_level(logging.DEBUG):
-        error, head, _ = talk("openai-compatible:stand-in", 401, body, CallSettings())
-    assert isinstance(error, ModelError)
-    assert error.kind == "refused"
-    assert KEY in head
-    assert "[key]" in str(error) and KEY not in str(error) and "6789" not in str(error)
-    assert error.__cause__ is None and error.__suppress_context__  # a traceback would print the provider's text
-    assert KEY not in caplog.text
-
-
-def test_settings_and_schema_are_sent() -> None:
-    settings = CallSettings(temperature=0.5, seed=3, reasoning="low", max_tokens=99)
-    reply, _, sent = talk("llamacpp:local", 200, completion(b"", '{"position": [1, 2]}').decode(), settings)
-    assert isinstance(reply, Reply)
-    assert reply.text == '{"position": [1, 2]}'
-    wanted = {"model": "local", "temperature": 0.5, "seed": 3, "max_tokens": 99, "reasoning_effort": "low"}
-    assert {name: sent.get(name) for name in wanted} == wanted
-    assert [message["role"] for message in sent["messages"]] == ["system", "user"]
-    assert "position" in sent["response_format"]["json_schema"]["schema"]["properties"]
-
-
-def test_where_no_schema_is_supported_it_is_told_in_words() -> None:
-    reply, _, sent = talk("deepseek:deepseek-chat", 200, completion(b"", "{}").decode(), CallSettings())
-    assert isinstance(reply, Reply)
-    assert sent["response_format"] == {"type": "json_object"}
-    assert any("position" in message["content"] for message in sent["messages"] if message["role"] == "system")
-
-
-def test_anthropic_is_asked_in_its_own_way() -> None:
-    message = {
-        "id": "msg_1",
-        "type": "message",
-        "role": "assistant",
-        "model": "claude-sonnet-4-6",
-        "content": [{"type": "text", "text": ANSWER}],
-        "stop_reason": "end_turn",
-        "stop_sequence": None,
-        "usage": {"input_tokens": 30, "output_tokens": 8, "cache_read_input_tokens": 10},
-    }
-    reply, head, sent = talk(
-        "anthropic:claude-sonnet-4-6", 200, json.dumps(message), CallSettings(temperature=0.5, max_tokens=1000)
-    )
-    assert isinstance(reply, Reply)
-    assert (reply.text, reply.model) == (ANSWER, "anthropic:claude-sonnet-4-6")
-    assert (reply.usage.output, reply.usage.cached) == (8, 10)
-    assert reply.usage.input == 40  # Anthropic counts what came from its cache apart; here it is part of the input
-    assert KEY in head and sent["temperature"] == 0.5
-
-
-@pytest.mark.parametrize(("status", "kind"), [(529, "server"), (429, "rate_limit"), (400, "refused")])
-def test_anthropic_faults_have_the_same_kinds(status: int, kind: str) -> None:
-    body = json.dumps({"type": "error", "error": {"type": "some_error", "message": "no"}})
-    error, _, _ = talk("anthropic:claude-sonnet-4-6", status, body, CallSettings())
-    assert isinstance(error, ModelError)
-    assert error.kind == kind

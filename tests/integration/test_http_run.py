@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from integration.fault_server import running
+from integration.fault_server import answering, completion, running
 from slowness import slowness
 
 import llm_flock
@@ -85,3 +85,26 @@ def test_fifty_robots_do_not_wait_for_each_other() -> None:
     rounds = [b - a for a, b in pairwise(times[1:])]
     assert min(rounds) >= 0.3
     assert sorted(rounds)[1] < 0.3 + 0.5 * slowness()
+
+
+def test_a_cap_on_answers_reaches_the_server_and_the_record(tmp_path: Path) -> None:
+    """Every answer is cut off: all can be read, and none is flown."""
+    body = completion(b"", "Plan: [[45, 45], [55, 45], [50, 54]]\nmy plan: 0", "length")
+    with answering(body) as (base_url, seen):
+        result = llm_flock.run(
+            llm_flock.Mission(shape="triangle", n_robots=3),
+            model=MODEL,
+            base_url=base_url,
+            rounds=1,
+            max_retries=0,
+            max_answer_tokens=40,
+            out=str(tmp_path),
+        )
+    assert {request["max_tokens"] for request in seen} == {40}
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert record.run.config["limits"]["max_answer_tokens"] == 40
+    assert len(record.llm) == result.summary.calls_rejected == len(seen) > 0
+    for entry in record.llm:
+        assert entry.finish_reason == "length" and entry.settings == {"max_tokens": 40} and entry.parsed is None
+        assert entry.rejected is not None and "cut off at" in entry.rejected
+    assert result.summary.plans_in_use == 0

@@ -16,12 +16,13 @@ import pytest
 from answer_readers import parse_path, parse_plan, parse_plan_json, parse_step, parse_step_json
 from gguf_files import write_model
 
-from llm_flock.errors import InputError, ModelError
+from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local.engine import ENGINES, Engine, slot_count
 from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.local.weights import Weights, find_weights
 from llm_flock.llm.port import AnswerForm, Call, ChatMessage
+from llm_flock.llm.whole_answer import whole_answer
 from llm_flock.record.reader import read_record
 from llm_flock.runtime.api import run
 
@@ -76,7 +77,16 @@ def test_every_answer_is_in_the_form_that_was_asked_for():
     for (kind, form, reader), reply in zip(forms, replies, strict=True):
         assert reader(reply.text), (kind, form, reply.text)
         assert reply.usage.input > 20 and reply.usage.output > 5 and reply.cost_usd == 0.0
+        assert (reply.finish_reason, reply.thought) == ("stop", False)
     assert ENGINES.running == 0
+
+
+def test_a_capped_answer_says_that_it_was_cut_off():
+    form = AnswerForm(n=3, dim=2, json=True)
+    reply = asyncio.run(ask(question("plan", form, "Where to?"), max_tokens=4))
+    assert (reply.finish_reason, reply.usage.output) == ("length", 4)
+    with pytest.raises(AnswerError, match="cut off at 4 tokens"):
+        whole_answer(reply)
 
 
 def test_what_two_questions_begin_with_is_read_once(engine):

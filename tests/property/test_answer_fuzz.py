@@ -21,7 +21,8 @@ PIECES = [
     "$", '"', "'",
     "\\boxed{", "\\text{", "\\left[", "\\right]", "\\ ", "\\,", "\\[", "\\]", "\\_", "\\n", "\\frac", "\\",
     "1", "2.5", "-3", "+.5", "1e3", "1e999", "1e", "nan", "-inf", "Infinity", "x", "y=", "\u2212", "\u2013", "\uff1a",
-    "\ud800", "\u0661", "\U0001f600", "null", "true", "0", "99999999999999999999",
+    "<think>", "</think>", "</thinking>", "<reasoning>", "[THINK]", "<|channel|>", "final<|message|>", "assistantfinal",
+    '{"reasoning": "', "\ud800", "\u0661", "\U0001f600", "null", "true", "0", "99999999999999999999",
 ]  # fmt: skip
 
 answers = st.one_of(st.text(), st.lists(st.sampled_from(PIECES), max_size=40).map("".join))

@@ -1,12 +1,21 @@
 """Grammars of answers, translated to regular expressions: they hold no recursion."""
 
+import json
 import re
+from dataclasses import replace
 
 import pytest
 from answer_readers import parse_path_json, parse_plan, parse_plan_json, parse_step_json
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.llm.answer_forms import REASON_LINES, answer_grammar, longest_answer, tokens_of
+from llm_flock.llm.answer_forms import (
+    REASON_CHARS,
+    REASON_LINES,
+    answer_grammar,
+    answer_schema,
+    longest_answer,
+    tokens_of,
+)
 from llm_flock.llm.port import AnswerForm
 
 _TOKEN = re.compile(r'"(?P<literal>(?:[^"\\]|\\.)*)"|(?P<set>\[(?:[^\]\\]|\\.)*\])|(?P<name>[a-z]+)|(?P<rest>\S|\s)')
@@ -77,14 +86,19 @@ def test_a_step_is_one_position_and_a_path_as_many_as_fit_the_horizon():
     [
         (
             "plan",
-            AnswerForm(n=2, dim=2, json=True),
+            AnswerForm(n=2, dim=2, json=True, reasons=False),
             '{"plan": [[1, 2], [3, 4]], "my_plan": 1}',
             lambda text: parse_plan_json(text, 2, 2),
         ),
-        ("step", AnswerForm(n=2, dim=2, json=True), '{"position": [1, 2]}', lambda t: parse_step_json(t, 2)),
         (
             "step",
-            AnswerForm(n=2, dim=3, horizon=2, json=True),
+            AnswerForm(n=2, dim=2, json=True, reasons=False),
+            '{"position": [1, 2]}',
+            lambda t: parse_step_json(t, 2),
+        ),
+        (
+            "step",
+            AnswerForm(n=2, dim=3, horizon=2, json=True, reasons=False),
             '{"path": [[1, 2, 3], [4, 5, 6]]}',
             lambda text: parse_path_json(text, 2, 3),
         ),
@@ -94,6 +108,16 @@ def test_json_answers_are_json_and_nothing_else(kind, form, text, reader):
     assert accepts(kind, form, text)
     assert reader(text)
     assert not accepts(kind, form, "Because of this:\n" + text)
+    assert list(answer_schema(kind, form)["properties"]) == list(json.loads(text))
+    reasoned = '{"reasoning": "A straight [way], of Position: [9, 9].", ' + text[1:]
+    assert not accepts(kind, form, reasoned)
+    with_reasons = replace(form, reasons=True)
+    assert accepts(kind, with_reasons, reasoned) and not accepts(kind, with_reasons, text)
+    assert reader(reasoned) == reader(text)
+    schema = answer_schema(kind, with_reasons)
+    assert list(schema["properties"]) == schema["required"] == list(json.loads(reasoned))
+    for bad in ('a " quote', "a \\ stroke", "two\nlines", "x" * (REASON_CHARS + 1)):
+        assert not accepts(kind, with_reasons, '{"reasoning": "' + bad + '", ' + text[1:])
 
 
 def test_numbers_end_and_none_is_too_large():
@@ -106,16 +130,17 @@ def test_numbers_end_and_none_is_too_large():
 
 
 @pytest.mark.parametrize("reasons", [True, False])
-@pytest.mark.parametrize("json", [True, False])
-def test_the_longest_answer_is_long_enough(json, reasons):
-    form = AnswerForm(n=7, dim=3, horizon=4, json=json, reasons=reasons)
+@pytest.mark.parametrize("as_json", [True, False])
+def test_the_longest_answer_is_long_enough(as_json, reasons):
+    form = AnswerForm(n=7, dim=3, horizon=4, json=as_json, reasons=reasons)
+    begin = '{"reasoning": "' + "1" * REASON_CHARS + '", ' if reasons else "{"
     point = "[" + ", ".join(["-123456.1234"] * 3) + "]"
     points = f"[{', '.join([point] * 7)}]"
-    plan = f'{{"plan": {points}, "my_plan": 6}}' if json else f"Plan: {points}\nmy plan: 6"
+    plan = f'{begin}"plan": {points}, "my_plan": 6}}' if as_json else f"Plan: {points}\nmy plan: 6"
     assert accepts("plan", form, plan)
     assert longest_answer("plan", form) >= tokens_of(plan)
     path = f"[{', '.join([point] * 4)}]"
-    assert longest_answer("step", form) >= tokens_of(f'{{"path": {path}}}' if json else f"Path: {path}")
+    assert longest_answer("step", form) >= tokens_of(f'{begin}"path": {path}}}' if as_json else f"Path: {path}")
 
 
 def test_digits_are_tokens_and_letters_are_parts_of_them():

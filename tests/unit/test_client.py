@@ -103,8 +103,70 @@ def test_an_empty_answer_is_an_answer(text: str) -> None:
     assert ask(model(lambda *_: ModelResponse(parts=[TextPart(text)]))).text == text
 
 
-def test_an_answer_of_nothing_but_thoughts_is_empty() -> None:
-    assert ask(model(lambda *_: ModelResponse(parts=[ThinkingPart("hm")]))).text == ""
+@pytest.mark.parametrize(
+    "response",
+    [
+        ModelResponse(parts=[ThinkingPart("hm")]),
+        ModelResponse(parts=[ThinkingPart("", id="redacted_thinking", signature="x")]),
+        ModelResponse(parts=[], usage=RequestUsage(output_tokens=9, details={"reasoning_tokens": 9})),
+        ModelResponse(parts=[TextPart("<think>Position: [5, 0]</think>\n")]),
+    ],
+    ids=["a part of its own", "hidden", "only counted", "in the text"],
+)
+def test_an_answer_of_nothing_but_thoughts_is_empty_and_says_so(response: ModelResponse) -> None:
+    reply = ask(model(lambda *_: response))
+    assert reply.text == "" and reply.thought
+    assert not ask(model(lambda *_: ModelResponse(parts=[TextPart("")]))).thought
+
+
+def test_thoughts_leave_the_text_unless_they_never_end() -> None:
+    reply = ask(model(lambda *_: ModelResponse(parts=[TextPart("<think>[5, 0]</think>\n\nPosition: [1, 2]")])))
+    assert (reply.text, reply.thought) == ("Position: [1, 2]", True)
+    reply = ask(model(lambda *_: ModelResponse(parts=[TextPart("<think>Position: [5, 0]")])))
+    assert (reply.text, reply.thought) == ("<think>Position: [5, 0]", True)
+
+
+@pytest.mark.parametrize(
+    ("given", "raw", "reason"),
+    [
+        ("stop", "stop", "stop"),
+        ("length", "length", "length"),
+        ("length", None, "length"),
+        (None, "max_tokens", "length"),
+        (None, "MODEL_LENGTH", "length"),
+        (None, "eos_token", "eos_token"),
+        (None, "what? " * 20, None),
+        (None, None, None),
+    ],
+)
+def test_a_reply_says_why_it_ends(given: Any, raw: str | None, reason: str | None) -> None:
+    details = {} if raw is None else {"finish_reason": raw}
+    response = ModelResponse(parts=[TextPart("x")], finish_reason=given, provider_details=details)
+    assert ask(model(lambda *_: response)).finish_reason == reason
+
+
+@pytest.mark.parametrize(
+    ("response", "kind", "says"),
+    [
+        (ModelResponse(parts=[], finish_reason="content_filter"), "refused", "content filter"),
+        (
+            ModelResponse(parts=[], finish_reason="content_filter", provider_details={"refusal": f"no, {KEY}"}),
+            "refused",
+            r"no, \[key\]",
+        ),
+        (ModelResponse(parts=[TextPart("x")], finish_reason="error"), "server", "error"),
+        (
+            ModelResponse(parts=[TextPart("x")], provider_details={"finish_reason": "insufficient_system_resource"}),
+            "server",
+            "insufficient_system_resource",
+        ),
+        (ModelResponse(parts=[TextPart("Position: [1, 2]")], state="incomplete"), "server", "broke the answer off"),
+    ],
+)
+def test_an_answer_that_was_stopped_is_a_failed_call(response: ModelResponse, kind: str, says: str) -> None:
+    with pytest.raises(ModelError, match=says) as caught:
+        ask(model(lambda *_: response))
+    assert caught.value.kind == kind
 
 
 def test_a_schema_asks_for_structured_output() -> None:

@@ -31,7 +31,9 @@ class StandIn:
         self.stops: list[threading.Event] = []
         self.answer: Future[Completion] = Future()
         self.closed = 0
-        self.answer.set_result(Completion("Position: [1, 2]", Usage(input=9, output=5, cached=4)))
+        self.answer.set_result(
+            Completion("Position: [1, 2]", Usage(input=9, output=5, cached=4), "length", thought=True)
+        )
 
     def submit(self, body, stop):
         self.bodies.append(dict(body))
@@ -169,6 +171,18 @@ def test_faults_of_the_engine_are_model_errors(file):
 
     with pytest.raises(ModelError, match="too long"):
         asyncio.run(go())
+
+
+def test_a_cap_shortens_an_answer_and_never_lengthens_it(file):
+    async def go(settings):
+        engines = Engines()
+        reply = await LocalModel(f"local:{file}", EngineLeases(engines), settings).ask(question())
+        return the_engine(engines).bodies[-1]["max_tokens"], reply
+
+    longest, reply = asyncio.run(go(CallSettings()))
+    assert (reply.finish_reason, reply.thought) == ("length", True)
+    assert asyncio.run(go(CallSettings(max_tokens=7)))[0] == 7 < longest
+    assert asyncio.run(go(CallSettings(max_tokens=10**6)))[0] == longest
 
 
 def test_a_reasoning_effort_is_refused(file):

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic_ai.models.openai import OpenAIResponsesModel
 
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, PydanticModel
 from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings, per_robot
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
-from llm_flock.llm.providers import PROVIDERS, parse_base_urls, parse_model
+from llm_flock.llm.providers import PROVIDERS, needs_responses, parse_base_urls, parse_model
 from llm_flock.llm.replay import CassetteLine
 from llm_flock.llm.simulated.model import SimulatedModel
 
@@ -91,6 +92,32 @@ def test_settings_per_robot() -> None:
     got = parse_settings(3, temperature="0-1=0.2,2=1", seed="7", reasoning="2=high,0-1=none")
     assert got[0] == CallSettings(temperature=0.2, seed=7, reasoning="none")
     assert got[2].plain() == {"temperature": 1.0, "seed": 7, "reasoning": "high"}
+    assert parse_settings(2, max_tokens=500, seed="1") == (CallSettings(seed=1, max_tokens=500),) * 2
+
+
+@pytest.mark.parametrize(
+    ("model", "own", "elsewhere"),
+    [
+        ("openai-responses:gpt-5-mini", True, True),
+        ("openai:o3-pro", True, False),
+        ("openai:o1-pro-2025-03-19", True, False),
+        ("openai:gpt-5.2-pro", True, False),
+        ("openai:gpt-5-codex", True, False),
+        ("openai:codex-mini-latest", True, False),
+        ("openai:o4-mini-deep-research", True, False),
+        ("openai:o3-mini", False, False),
+        ("openai:gpt-5", False, False),
+        ("openai:prose", False, False),
+        ("vllm:o3-pro", False, False),
+    ],
+)
+def test_the_responses_api_is_used_where_there_is_no_other(model: str, own: bool, elsewhere: bool) -> None:
+    name = parse_model(model)
+    if name.info.base_url and name.provider.startswith("openai"):
+        asked = ModelPool(environ={"OPENAI_API_KEY": "k"}).model(model, robot=0, rng=np.random.default_rng(0))
+        assert isinstance(asked, PydanticModel) and isinstance(asked._model, OpenAIResponsesModel) == own
+    assert needs_responses(name.provider, name.model, name.info.base_url or "") == own
+    assert needs_responses(name.provider, name.model, "http://localhost:9/v1") == elsewhere
 
 
 @pytest.mark.parametrize(
@@ -106,7 +133,7 @@ def test_settings_per_robot() -> None:
 )
 def test_a_bad_setting_names_itself(field: str, text: str) -> None:
     with pytest.raises(InputError) as caught:
-        parse_settings(1, **{field: text})
+        parse_settings(1, max_tokens=None, **{field: text})
     assert (caught.value.field, caught.value.value) == (field, text)
 
 
@@ -169,6 +196,7 @@ def test_prices() -> None:
     assert cost_usd("openai", "o3-mini", usage) == pytest.approx(0.6 * 1.10 + 0.4 * 0.55 + 0.1 * 4.40)
     assert cost_usd("openai", "model-of-tomorrow", usage) is None
     assert cost_usd(None, "o3-mini", usage) is None
+    assert cost_usd("openai-responses", "o3-mini", usage) == cost_usd("openai", "o3-mini", usage)
     assert cost_usd("deepseek", "deepseek-reasoner", usage) is not None
 
 

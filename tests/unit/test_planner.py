@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, ReplayDrift
-from llm_flock.llm.planner import MAX_QUOTED, NO_TEXT, LanguagePlanner, parse_history
-from llm_flock.llm.port import Attempt, Call, Reply
+from llm_flock.llm.planner import LanguagePlanner, parse_history
+from llm_flock.llm.port import Attempt, Call, Reply, Usage
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter, ReplayModel
+from llm_flock.llm.whole_answer import MAX_QUOTED, NO_TEXT
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -31,7 +32,7 @@ class Scripted:
 
     name = "scripted:one"
 
-    def __init__(self, *script: str | Exception) -> None:
+    def __init__(self, *script: str | Exception | Reply) -> None:
         self.script = list(script)
         self.calls: list[Call] = []
 
@@ -40,6 +41,8 @@ class Scripted:
         said = self.script.pop(0)
         if isinstance(said, Exception):
             raise said
+        if isinstance(said, Reply):
+            return said
         return Reply(text=said, model=self.name, latency_s=0.25, faults=("timeout",))
 
 
@@ -86,6 +89,54 @@ def test_a_rejected_answer_goes_back_with_the_reason() -> None:
     assert last[4] == NO_TEXT and "no complete plan" in last[5]
     assert heard[0].rejected == "the plan holds 1 point, 3 are required." and heard[0].parsed is None
     assert heard[2].rejected is None
+
+
+def reply(text: str, reason: str | None = "length", **fields: Any) -> Reply:
+    return Reply(text=text, model="scripted:one", finish_reason=reason, **fields)
+
+
+CAPPED = {"max_tokens": 64}
+USED = Usage(input=300, output=64)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (
+            reply("Position: [51.2, 4", usage=USED),
+            "it was cut off at 64 tokens before it was complete; answer more brief",
+        ),
+        (reply("Position: [1, 2]", usage=USED), "it was cut off at 64 tokens before it was complete"),
+        (reply("Position: [1, 2]"), "it was cut off before it was complete"),
+        (reply("", usage=USED, settings=CAPPED), "thought but did not answer (a cap of 64 tokens"),
+        (reply("<think>Position: [1, 2]", usage=USED), "it was cut off at 64 tokens while you were still thinking"),
+        (reply("<think>Position: [1, 2]", "stop"), "nothing but thoughts: you thought but did not answer; think less"),
+        (reply("", "stop", thought=True), "nothing but thoughts: you thought but did not answer"),
+        (
+            reply(" ", None, thought=True, settings=CAPPED),
+            "(a cap of 64 tokens for thoughts and answer together may be",
+        ),
+        (reply("Position: [1, 2]", "content_filter"), "content filter stopped it"),
+        (reply("", "stop", settings=CAPPED), "it holds no complete position"),
+    ],
+)
+def test_what_was_cut_off_or_only_thought_is_no_answer(answer: Reply, reason: str) -> None:
+    model = Scripted(answer, reply("Position: [3, 2]", "stop"))
+    thinker, heard = planner(model)
+    asked = replace(step_question(), position=(1.0, 2.0))
+    got = asyncio.run(thinker.step(asked))
+    assert isinstance(got, StepAnswer) and got.waypoint == (3.0, 2.0)
+    assert heard[0].rejected is not None and reason in heard[0].rejected and heard[0].parsed is None
+    assert reason in model.calls[1].messages[3].text and "Position: [x, y]" in model.calls[1].messages[3].text
+    assert heard[0].reply == answer
+
+
+def test_thoughts_do_not_go_back_to_the_model() -> None:
+    model = Scripted("<think>Position: [5, 0]", "<think>Position: [5, 0]</think> I stay.", "Position: [3, 2]")
+    thinker, _ = planner(model)
+    assert isinstance(asyncio.run(thinker.step(step_question())), StepAnswer)
+    texts = [message.text for message in model.calls[2].messages if message.role == "assistant"]
+    assert texts == [NO_TEXT, " I stay."]
 
 
 @pytest.mark.parametrize("retries", [0, 1, 4])

@@ -99,18 +99,37 @@ def test_the_step_message_word_for_word(horizon: int, text: str) -> None:
 def test_json_prompts_ask_for_objects_only() -> None:
     prompts = PromptSet.load(json=True)
     plan, step = prompts.plan(plan_question()), prompts.step(step_question())
-    assert '{"plan": [[x, y], [x, y], ...], "my_plan": a}' in plan and "my plan:" not in plan
-    assert step.endswith('{"position": [x, y]}')
-    assert prompts.step(step_question(horizon=2)).endswith('{"path": [[x, y], [x, y], ...]}')
-    assert "JSON" in prompts.retry("it is empty.", "step") and "JSON" not in PromptSet.load().retry(
-        "it is empty.", "step"
-    )
+    assert '{"reasoning": "...", "plan": [[x, y], [x, y], ...], "my_plan": a}' in plan and "my plan:" not in plan
+    assert step.endswith('{"reasoning": "...", "position": [x, y]}')
+    assert prompts.step(step_question(horizon=2)).endswith('{"reasoning": "...", "path": [[x, y], [x, y], ...]}')
+    assert "JSON" in prompts.retry("it is empty.", step_question())
+    assert "JSON" not in PromptSet.load().retry("it is empty.", step_question())
 
 
 def test_a_retry_gives_the_reason() -> None:
     assert "the plan holds 9 points, 10 are required." in PromptSet.load().retry(
-        "the plan holds 9 points, 10 are required.", "plan"
+        "the plan holds 9 points, 10 are required.", plan_question()
     )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("json", [False, True])
+@pytest.mark.parametrize("words", ["full", "brief"])
+def test_a_retry_repeats_the_form_of_the_question(words: str, json: bool, dim: int) -> None:
+    prompts = PromptSet.load(words, json=json)
+    points = ((0, 0, 0), (9, 9, 9))
+    space = build_mission(points=points, center=(20, 20, 20), arena=((0, 0, 0), (40, 40, 40)))
+    mission = MISSION if dim == 2 else space
+    asked = plan_question(mission=mission)
+    lines = prompts.retry("it is empty.", asked).splitlines()
+    form = lines[-1:] if json else lines[-2:]
+    assert "\n".join(form) in prompts.plan(asked)
+    assert form[0].startswith("{" if json else "Plan: [[x, y") and ("z" in form[0]) == (dim == 3)
+    for horizon in (1, 4):
+        step = step_question(mission=mission, horizon=horizon)
+        form = prompts.retry("it is empty.", step).splitlines()[-1:]
+        assert form[0] in prompts.step(step).splitlines()
+        assert ("ath" in form[0]) == (horizon > 1) and ("osition" in form[0]) == (horizon == 1)
 
 
 def test_nothing_assumes_a_plane() -> None:
@@ -301,7 +320,8 @@ def test_brief_prompts_are_brief_and_say_what_a_robot_must_know() -> None:
     assert json.plan(plan_question()).startswith('{"plan": [[x, y], [x, y], ...], "my_plan": a}\n')
     assert json.step(step_question()).startswith('{"position": [x, y]}\n')
     assert json.step(step_question(horizon=4)).startswith('{"path": [[x, y], ...]}, at most 4\n')
-    assert brief.retry("it is empty.", "step") == "Not usable: it is empty. Answer again in full."
+    retry = brief.retry("it is empty.", step_question())
+    assert retry == "Not usable: it is empty. Answer again in full:\nPosition: [x, y]"
     stones = build_mission(obstacles=[{"center": [10, 10], "radius": 2}])
     assert "keep your position" in brief.step(step_question(mission=stones))
     assert "keep your position" in brief.plan(plan_question(mission=stones))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,20 @@ def test_answers_come_back_exactly_in_any_order(tmp_path: Path) -> None:
         assert model.models == {"openai:o3-mini-2025"}
         for attempt in reversed(attempts):
             assert asyncio.run(model.ask(attempt.call)) == attempt.reply
+
+
+def test_why_an_answer_ended_is_kept_and_older_cassettes_do_not_say(tmp_path: Path) -> None:
+    attempt = answered(call())
+    assert attempt.reply is not None
+    cut = replace(attempt, reply=replace(attempt.reply, finish_reason="length", thought=True))
+    path = record(tmp_path / "a.jsonl", cut)
+    reply = ask(path, call())
+    assert (reply.finish_reason, reply.thought) == ("length", True)
+    header, line = path.read_text().splitlines()
+    older = {k: v for k, v in json.loads(line).items() if k not in ("finish_reason", "thought")}
+    path.write_text(f"{header}\n{json.dumps(older)}\n")
+    reply = ask(path, call())
+    assert (reply.finish_reason, reply.thought, reply.text) == (None, False, "Position: [1, 2]")
 
 
 def test_each_attempt_has_its_own_answer(tmp_path: Path) -> None:

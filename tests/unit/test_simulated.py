@@ -167,7 +167,9 @@ def test_json_is_spoken_when_asked_for() -> None:
 
 def test_the_question_is_found_behind_a_rejected_answer_and_an_older_exchange() -> None:
     older = plan_talk()
-    talk = [*older, ("assistant", "Plan: ..."), step_talk()[1], ("assistant", "?"), ("user", TEXT.retry("no", "step"))]
+    asked = StepQuestion(mission=CIRCLE, robot=0, round=1, position=(1.0, 2.0), neighbors=(), plan=PLAN, slot=0)
+    retry = ("user", TEXT.retry("no", asked))
+    talk = [*older, ("assistant", "Plan: ..."), step_talk()[1], ("assistant", "?"), retry]
     assert parse_step(responder().answer(talk), 2) == parse_step(responder().answer(step_talk()), 2)
 
 

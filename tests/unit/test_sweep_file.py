@@ -77,6 +77,7 @@ def test_the_address_outlives_renamed_settings() -> None:
     assert trial_id(build_config(seed=1)) == "e0c219a2358b961bd896"
     assert trial_id(build_config(seed=1, protocol="paper")) == "f889a47b04dd9d24050c"
     assert trial_id(build_config(gaps="replan", comm_rounds=3)) == "e62d33fe7e454ad72411"
+    assert trial_id(build_config(seed=1, max_answer_tokens=9)) != trial_id(build_config(seed=1))
 
 
 @pytest.mark.parametrize(

@@ -115,12 +115,19 @@ def _waits(model: str) -> bool:
     return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
+ADDED: Mapping[str, frozenset[str]] = {"limits": frozenset({"max_answer_tokens"})}
+"""Settings, by section, that are younger than the first sweeps; none is given unless it is set."""
+
+
 def trial_id(config: RunConfig) -> str:
     """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights.
 
-    Renamed settings count under their old names, so that a sweep that was started before goes on.
+    Renamed settings count under their old names, and later ones only where they are given, so that a sweep that was
+    started before goes on.
     """
     sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    for name, fields in ADDED.items():
+        sections[name] = {f: value for f, value in sections[name].items() if value is not None or f not in fields}
     plain = {name: renamed.former(section) for name, section in sections.items()}
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]

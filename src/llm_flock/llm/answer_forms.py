@@ -18,9 +18,12 @@ WHOLE_DIGITS = 6
 DECIMALS = 4
 """Most digits after it: a confused model must not write a number without end."""
 
+REASONING = "reasoning"
+"""First field of a JSON answer: a model that must write the object at once still needs room to think."""
+
 REASON_LINES = 3
 REASON_CHARS = 200
-"""Longest reason: lines, and characters of each."""
+"""Longest reason: lines, and characters of each; in JSON one line."""
 
 CHARS_PER_TOKEN = 3
 """In prose; each digit and bracket is one token."""
@@ -31,13 +34,17 @@ _PROSE = re.compile(r"[A-Za-z\s]")
 def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
     """JSON schema of an answer in this form, for providers that accept one."""
     point = {"type": "array", "items": {"type": "number"}, "minItems": form.dim, "maxItems": form.dim}
+    # Strict providers write the fields in this order, and want each one to be required.
+    properties: dict[str, Any] = {}
+    if form.reasons:
+        properties[REASONING] = {"type": "string", "description": "Your reason, in a sentence or two"}
     if kind == "plan":
-        points = {"type": "array", "items": point, "minItems": form.n, "maxItems": form.n}
-        properties = {"plan": points, "my_plan": {"type": "integer", "minimum": 0, "maximum": form.n - 1}}
+        properties["plan"] = {"type": "array", "items": point, "minItems": form.n, "maxItems": form.n}
+        properties["my_plan"] = {"type": "integer", "minimum": 0, "maximum": form.n - 1}
     elif form.horizon == 1:
-        properties = {"position": point}
+        properties["position"] = point
     else:
-        properties = {"path": {"type": "array", "items": point, "minItems": 1, "maxItems": form.horizon}}
+        properties["path"] = {"type": "array", "items": point, "minItems": 1, "maxItems": form.horizon}
     return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
 
 
@@ -52,7 +59,10 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
     }
     if kind == "plan":
         rules["index"] = " | ".join(f'"{place}"' for place in range(form.n))
-    if form.reasons and not form.json:
+    if form.reasons and form.json:
+        rules["reason"] = f'"\\"{REASONING}\\": \\"" [^"\\\\\\x00-\\x1F]{{0,{REASON_CHARS}}} "\\", "'
+        root = "answer"
+    elif form.reasons:
         rules["reason"] = f'[^\\n]{{1,{REASON_CHARS}}} "\\n"'
         root = f"reason{{0,{REASON_LINES}}} answer"
     else:
@@ -64,7 +74,7 @@ def longest_answer(kind: Kind, form: AnswerForm) -> int:
     """Upper bound of the length of an answer in this form [tokens]."""
     points = form.n if kind == "plan" else form.horizon
     number = 1 + WHOLE_DIGITS + 1 + DECIMALS + len(", ")
-    reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons and not form.json else 0
+    reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons else 0
     return points * (form.dim * number + len("[], ")) + reason + 40
 
 
@@ -84,8 +94,9 @@ def _text_answer(kind: Kind, form: AnswerForm) -> str:
 
 
 def _json_answer(kind: Kind, form: AnswerForm) -> str:
+    begin = '"{" reason ' if form.reasons else '"{" '
     if kind == "plan":
-        return f'"{{\\"plan\\": [" point (", " point){{{form.n - 1}}} "], \\"my_plan\\": " index "}}"'
+        return begin + f'"\\"plan\\": [" point (", " point){{{form.n - 1}}} "], \\"my_plan\\": " index "}}"'
     if form.horizon == 1:
-        return '"{\\"position\\": " point "}"'
-    return f'"{{\\"path\\": [" point (", " point){{0,{form.horizon - 1}}} "]}}"'
+        return begin + '"\\"position\\": " point "}"'
+    return begin + f'"\\"path\\": [" point (", " point){{0,{form.horizon - 1}}} "]}}"'

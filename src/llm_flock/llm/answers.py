@@ -19,7 +19,9 @@ from typing import Any, cast
 
 from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import AnswerError
+from llm_flock.llm.answer_forms import REASONING
 from llm_flock.llm.port import AnswerForm
+from llm_flock.llm.thoughts import spoken
 from llm_flock.protocol.plan import Plan
 
 MAX_CHARS = 1_000_000
@@ -86,6 +88,10 @@ _INDEX = re.compile(
     rf"(?:[\[(]\s*+(?P<wrapped>{_NUMBER})\s*+[\])]|(?P<bare>{_NUMBER})(?![A-Za-z0-9_%/^]))",
     re.IGNORECASE,
 )
+_OF_OBJECT = re.compile(r'[{}]|"(?:[^"\\]++|\\.)*+"?+', re.DOTALL)
+"""What structures a JSON object: braces, and strings, which may hold braces."""
+
+_OBJECT = re.compile(r"""\{\s*+["']""")
 _EACH_LIST = re.compile(_LIST, re.IGNORECASE)
 _EACH_NUMBER = re.compile(_NUMBER, re.IGNORECASE)
 
@@ -97,7 +103,8 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
         AnswerError: with a reason that the model can act on; never anything else.
     """
     n, dim = form.n, form.dim
-    answer = _json_object(text) if form.json else None
+    text = _said(text)
+    answer = _json_object(text, "plan") if form.json else None
     if answer is not None:
         rows = _list_field(answer, "plan", f"a list of {n} points")
         _check_count(len(rows), n)
@@ -131,7 +138,8 @@ def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
         AnswerError: with a reason that the model can act on; never anything else.
     """
     dim, horizon = form.dim, form.horizon
-    answer = _json_object(text) if form.json else None
+    text = _said(text)
+    answer = _json_object(text, "path", "position") if form.json else None
     if answer is not None:
         if horizon == 1 or ("path" not in answer and "position" in answer):
             position = _field(answer, "position", f"a list of {dim} numbers")
@@ -172,7 +180,6 @@ def _path(rows: Sequence[Sequence[float]], horizon: int, dim: int) -> tuple[Poin
 
 def _plain(text: str) -> str:
     """The answer without typographic variants and without LaTeX's formatting."""
-    _check_length(text)
     if not text.isascii():
         text = text.translate(_TYPOGRAPHY)
     if "\\" not in text:
@@ -185,9 +192,14 @@ def _plain(text: str) -> str:
     return _LATEX_FORMATS.sub(" ", text)
 
 
-def _check_length(text: str) -> None:
+def _said(text: str) -> str:
+    """The text without thoughts: a position in a thought is a draft."""
     if len(text) > MAX_CHARS:
         raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
+    said = spoken(text)
+    if said.unfinished or (said.thought and not said.text.strip()):
+        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
+    return said.text
 
 
 def _last(pattern: re.Pattern[str], text: str) -> re.Match[str] | None:
@@ -206,17 +218,42 @@ def _stands_alone(text: str, match: re.Match[str]) -> bool:
     return _BEFORE_POSITION.search(before) is not None
 
 
-def _json_object(text: str) -> Mapping[str, Any] | None:
-    """The JSON object that the answer is or holds, None where there is none."""
-    _check_length(text)
-    begin, end = text.find("{"), text.rfind("}")
-    if not 0 <= begin < end:
-        return None
-    try:
-        value = json.loads(text[begin : end + 1])
-    except (ValueError, RecursionError):
-        return None
-    return cast(Mapping[str, Any], value)
+def _json_object(text: str, *fields: str) -> Mapping[str, Any] | None:
+    """The last JSON object with one of these fields, or else the last one; None where there is none.
+
+    Raises:
+        AnswerError: an object is cut off, or holds a reasoning and is no JSON: its draft must not be read as words.
+    """
+    found, wanted, end, broken = None, None, 0, False
+    while (begin := text.find("{", end)) >= 0:
+        end = _end_of_object(text, begin)
+        if end < 0:
+            broken = _OBJECT.search(text, begin) is not None
+            break
+        try:
+            value = cast(Mapping[str, Any], json.loads(text[begin:end]))
+        except (ValueError, RecursionError):
+            broken = broken or REASONING in text[begin:end]
+            continue
+        found = value
+        if any(field in value for field in fields):
+            wanted, broken = value, False
+    if broken:
+        raise AnswerError("its JSON object is not complete, or is no JSON; one whole JSON object is required.")
+    return wanted or found
+
+
+def _end_of_object(text: str, begin: int) -> int:
+    """Where the braces that open at `begin` close; -1 where they do not."""
+    depth = 0
+    for token in _OF_OBJECT.finditer(text, begin):
+        if token[0] == "{":
+            depth += 1
+        elif token[0] == "}":
+            depth -= 1
+            if depth == 0:
+                return token.end()
+    return -1
 
 
 def _field(answer: Mapping[str, Any], name: str, required: str) -> object:

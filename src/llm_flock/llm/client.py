@@ -23,6 +23,7 @@ from pydantic_ai.messages import (
     ModelResponse,
     SystemPromptPart,
     TextPart,
+    ThinkingPart,
     UserPromptPart,
 )
 from pydantic_ai.models import Model, ModelRequestParameters
@@ -32,6 +33,7 @@ from pydantic_ai.settings import ModelSettings
 from llm_flock.errors import ModelError
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 from llm_flock.llm.prices import cost_usd
+from llm_flock.llm.thoughts import spoken
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +44,14 @@ MODEL_NAME_LENGTH = 100
 
 DETAIL_LENGTH = 400
 """Longest error text of a provider [characters]."""
+
+CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_length", "context_length_exceeded"})
+"""Words of some servers for `length`, which pydantic-ai passes on as they are."""
+
+BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
+"""Words for an answer that the server did not bring to an end."""
+
+_FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
 
 _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
 """The form of providers' keys, also where a provider returns one half hidden by asterisks."""
@@ -129,7 +139,13 @@ class PydanticModel:
             detail = f"{type(error).__name__} while reading the response: {error}"
             logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
-        return self._reply(response, time.perf_counter() - started)
+        reason = finish_reason(response)
+        if reason == "content_filter":
+            refusal = (response.provider_details or {}).get("refusal") or "it does not say why"
+            raise ModelError("refused", self._clean(f"the provider's content filter stopped the answer: {refusal}"))
+        if reason in BROKEN_OFF:
+            raise ModelError("server", f"the provider broke the answer off ({reason})")
+        return self._reply(response, reason, time.perf_counter() - started)
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
         if schema is None:
@@ -139,13 +155,16 @@ class PydanticModel:
         native = self._model.profile.get("supports_json_schema_output", False)
         return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
 
-    def _reply(self, response: ModelResponse, latency_s: float) -> Reply:
+    def _reply(self, response: ModelResponse, reason: str | None, latency_s: float) -> Reply:
         usage = Usage(
             input=response.usage.input_tokens,
             output=response.usage.output_tokens,
             cached=response.usage.cache_read_tokens,
         )
-        text = scrub(response.text or "", self._secrets)
+        said = spoken(response.text or "")
+        # A thought that does not end stays, with its mark: the record shows what was refused.
+        raw = said.text.lstrip() if said.thought and not said.unfinished else response.text or ""
+        text = scrub(raw, self._secrets)
         if not text.isascii():  # UTF-8 and so the records cannot hold lone surrogates
             text = text.encode("utf-8", "replace").decode("utf-8")
         # A server may return anything as its model's name, even the key.
@@ -159,12 +178,33 @@ class PydanticModel:
             usage=usage,
             cost_usd=cost,
             latency_s=latency_s,
+            finish_reason=reason,
+            thought=said.thought or _thought(response),
         )
 
     def _clean(self, text: str) -> str:
         # Scrub before cutting: a key cut in half would not be recognised.
         text = " ".join(scrub(text, self._secrets).split())
         return text if len(text) <= DETAIL_LENGTH else text[: DETAIL_LENGTH - 3] + "..."
+
+
+def finish_reason(response: ModelResponse) -> str | None:
+    """Why a model stopped: `stop`, `length`, `content_filter`, a word in BROKEN_OFF, or another one of the server."""
+    if response.finish_reason is not None:
+        return response.finish_reason
+    word = str((response.provider_details or {}).get("finish_reason", "")).lower()
+    if word in CUT_OFF:
+        return "length"
+    # Long answers of Anthropic are streamed, and every whole one gives a reason: without it, the stream broke off.
+    if not word and (response.state in ("incomplete", "interrupted") or response.provider_name == "anthropic"):
+        return "aborted"
+    return word if _FINISH_REASON.fullmatch(word) else None
+
+
+def _thought(response: ModelResponse) -> bool:
+    """Whether a model thought apart from its text; some providers only count the tokens."""
+    counted = response.usage.details.get("reasoning_tokens", 0)
+    return counted > 0 or any(isinstance(part, ThinkingPart) for part in response.parts)
 
 
 def error_kind(error: Exception) -> str:

@@ -71,12 +71,13 @@ def parse_settings(
     temperature: str | None = None,
     seed: str | None = None,
     reasoning: str | None = None,
+    max_tokens: int | None = None,
 ) -> tuple[CallSettings, ...]:
-    """Sampling settings of each of n robots; every argument is written as in `per_robot`."""
+    """Sampling settings of each of n robots, written as in `per_robot`; one cap on the tokens of an answer for all."""
     given = {"temperature": temperature, "seed": seed, "reasoning": reasoning}
     spread = {field: per_robot(field, text, n) for field, text in given.items() if text is not None}
     return tuple(
-        CallSettings(**{field: _setting(field, values[robot]) for field, values in spread.items()})
+        CallSettings(max_tokens=max_tokens, **{f: _setting(f, values[robot]) for f, values in spread.items()})
         for robot in range(n)
     )
 

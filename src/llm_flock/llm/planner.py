@@ -17,6 +17,7 @@ from llm_flock.llm.answers import read_plan, read_waypoints
 from llm_flock.llm.frame import A, FramedQuestion, FrameName, Q, frame_plan, frame_step
 from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.whole_answer import quoted, whole_answer
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
@@ -25,12 +26,6 @@ logger = logging.getLogger(__name__)
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], str | None]
 """A reason to reject an answer, as a sentence for the model, or None."""
-
-MAX_QUOTED = 20_000
-"""Longest answer that is quoted to the model [characters]; a runaway answer must not fill every later request."""
-
-NO_TEXT = "(no text)"
-"""Stands for an empty answer in the conversation: providers refuse empty messages."""
 
 
 def parse_history(text: str) -> int | None:
@@ -173,7 +168,7 @@ class LanguagePlanner:
             except ModelError as error:
                 return self._give_up(call, error, time.perf_counter() - began)
             try:
-                framed = read(reply.text, form)
+                framed = read(whole_answer(reply), form)
                 answer = asked.to_world(framed)
                 rejected = _objection(asked, framed, answer, check)
             except AnswerError as error:
@@ -189,13 +184,13 @@ class LanguagePlanner:
                     latency_s=reply.latency_s,
                 )
             )
-            said = ChatMessage("assistant", reply.text[:MAX_QUOTED] if reply.text.strip() else NO_TEXT)
+            said = ChatMessage("assistant", quoted(reply))
             if answer is not None and rejected is None:
                 self._keep(question, said)
                 return answer
             reason = rejected or ""
             unfit = answer.waypoint if isinstance(answer, StepAnswer) else unfit
-            messages += (said, ChatMessage("user", self._prompts.retry(reason, kind)))
+            messages += (said, ChatMessage("user", self._prompts.retry(reason, asked.framed)))
         story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
         logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)

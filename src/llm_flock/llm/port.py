@@ -91,12 +91,14 @@ class Reply:
     """An answer of a model.
 
     Attributes:
-        text: the raw answer.
+        text: the answer as it was written, without thoughts that have an end.
         model: `provider:model` that answered.
         settings: how it was sampled (temperature, seed, ...).
         cost_usd: price of this call [US dollars], None where no price is known.
         latency_s: from the first try to the answer, waits for retries included [s].
         faults: kinds of the transport faults that were retried before this answer came, in order.
+        finish_reason: why the model stopped writing (`stop`, `length`, ...), None where the provider does not say.
+        thought: whether it thought before it answered: thoughts are not part of the text, but may be all there is.
     """
 
     text: str
@@ -106,6 +108,8 @@ class Reply:
     cost_usd: float | None = None
     latency_s: float = 0.0
     faults: tuple[str, ...] = ()
+    finish_reason: str | None = None
+    thought: bool = False
 
 
 class LanguageModel(Protocol):

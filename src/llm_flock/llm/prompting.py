@@ -20,7 +20,6 @@ from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import Q
-from llm_flock.llm.port import Kind
 from llm_flock.llm.prompt_values import (
     MISSION,
     nearest_text,
@@ -71,7 +70,7 @@ VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON.union(PLAN),
     "step.j2": COMMON.union(STEP),
-    "retry.j2": frozenset({"json", "reason", "kind"}),
+    "retry.j2": frozenset({"json", "reason", "kind", "horizon", "point_format", "plan_format"}),
 }
 """The templates, and the variables that each may use."""
 
@@ -135,9 +134,13 @@ class PromptSet:
         """The position update message."""
         return self._question("step.j2", STEP, question)
 
-    def retry(self, reason: str, kind: Kind) -> str:
-        """The message after an answer that cannot be used; `reason` is a sentence."""
-        return self._render("retry.j2", {**self._globals(), "reason": reason, "kind": kind, "json": self.json})
+    def retry(self, reason: str, question: PlanQuestion | StepQuestion) -> str:
+        """The message after an answer that cannot be used to the same question; `reason` is a sentence."""
+        plan = isinstance(question, PlanQuestion)
+        common = self._mission(question.mission)[0]
+        variables = {name: common[name] for name in ("json", "point_format", "plan_format")}
+        about = {"reason": reason, "kind": "plan" if plan else "step", "horizon": 1 if plan else question.horizon}
+        return self._render("retry.j2", {**self._globals(), **variables, **about})
 
     def _mission(self, mission: Mission) -> tuple[dict[str, Any], str]:
         """Variables of every message, and the system message, made once for each mission."""
@@ -179,12 +182,13 @@ class PromptSet:
         here, there = (40.0, 40.0), ((45.0, 40.0),)
         plan = Plan.of(mission.ideal or ())
         self.system(mission)
-        self.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, still=there))
+        asked = PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, still=there)
+        self.plan(asked)
         step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0)
         for question in (step, replace(step, horizon=2)):
             self.step(question)
-        for kind in ("plan", "step"):
-            self.retry("the answer is an example.", kind)
+            self.retry("the answer is an example.", question)
+        self.retry("the answer is an example.", asked)
 
 
 @lru_cache(maxsize=len(PACKAGED))

@@ -34,6 +34,13 @@ _QWEN_URL = "https://dashscope-intl.aliyuncs.com/compatible-mode/v1"
 _TABLE = (
     ProviderInfo("openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True),
     ProviderInfo(
+        "openai-responses",
+        "OPENAI_API_KEY",
+        "https://api.openai.com/v1",
+        "openai-responses:gpt-5-mini",
+        key_required=True,
+    ),
+    ProviderInfo(
         "anthropic", "ANTHROPIC_API_KEY", "https://api.anthropic.com", "anthropic:claude-sonnet-4-6", key_required=True
     ),
     ProviderInfo(
@@ -48,6 +55,20 @@ _TABLE = (
 )
 PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 """The table of providers by name, in the order of the documentation."""
+
+
+_RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
+
+
+def needs_responses(provider: str, model: str, base_url: str) -> bool:
+    """Whether to ask a model through OpenAI's Responses API instead of chat completions.
+
+    OpenAI serves some families there only: o1-pro, o3-pro and gpt-5-pro, codex, and deep-research, of any version.
+    Servers at other addresses may translate, so there it takes the provider's name.
+    """
+    if provider != "openai":
+        return provider == "openai-responses"
+    return base_url == PROVIDERS["openai"].base_url and _RESPONSES_ONLY.search(model) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

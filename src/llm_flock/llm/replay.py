@@ -49,6 +49,9 @@ class CassetteLine(BaseModel):
     cost_usd: float | None
     latency_s: float
     faults: tuple[str, ...]
+    finish_reason: str | None = None
+    thought: bool = False
+    """The last two are missing in older cassettes."""
 
 
 class _Cassette:
@@ -107,6 +110,8 @@ class CassetteWriter(_Cassette):
             "cost_usd": reply.cost_usd if reply else None,
             "latency_s": reply.latency_s if reply else attempt.latency_s,
             "faults": reply.faults if reply else attempt.faults,
+            "finish_reason": reply.finish_reason if reply else None,
+            "thought": reply.thought if reply else False,
         }
         self._write(line)
 
@@ -164,6 +169,8 @@ class ReplayModel(_Cassette):
             cost_usd=line.cost_usd,
             latency_s=line.latency_s,
             faults=line.faults,
+            finish_reason=line.finish_reason,
+            thought=line.thought,
         )
 
     def _read(self, call: Call) -> CassetteLine:

@@ -138,6 +138,12 @@ class LlmEntry(Entry):
     parsed: dict[str, Any] | None = Field(None, description="What was understood; left out when not accepted")
     rejected: str | None = Field(None, description="Why the answer was not accepted, as the model was told")
     error: str | None = Field(None, description="Kind and detail of the provider's failure")
+    finish_reason: str | None = Field(
+        None, description="Why the model stopped: stop, length (cut off), ...; left out where the provider does not say"
+    )
+    thought: bool | None = Field(
+        None, description="True where the model thought apart from its text, which may be all it did; else left out"
+    )
     settings: dict[str, Any] = Field(description="Sampling settings that were sent")
     usage: CallUsage = Field(description="Tokens of this call")
     cost_usd: Finite | None = Field(None, description="Price [US dollars]; left out when not known")

@@ -133,6 +133,10 @@ class LimitConfig(ConfigSection):
     max_concurrent: Count = Field(default=1000, description="Maximum number of concurrent model calls")
     timeout_s: float = seconds(120.0, "Time-out of one try of a model call")
     max_tries: Count = Field(default=8, description="Maximum attempts per model call if the provider fails")
+    max_answer_tokens: Count | None = Field(
+        default=None,
+        description="Maximum tokens of one answer, thoughts included; a longer one is cut off and rejected",
+    )
     max_calls: Count | None = Field(default=None, description="Budget: model calls of the whole run")
     max_tokens: Count | None = Field(default=None, description="Budget: tokens in and out of the whole run")
     max_cost: float | None = Field(

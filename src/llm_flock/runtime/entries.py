@@ -85,6 +85,8 @@ def llm_entry(attempt: Attempt) -> LlmEntry:
         parsed=None if attempt.parsed is None else dict(attempt.parsed),
         rejected=attempt.rejected,
         error=None if attempt.error is None else ": ".join(attempt.error),
+        finish_reason=None if reply is None else reply.finish_reason,
+        thought=True if reply is not None and reply.thought else None,
         settings=settings,
         usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
         cost_usd=None if reply is None else reply.cost_usd,

@@ -64,7 +64,11 @@ class TeamPlanners:
         # A question waits for the local engine before its time-out begins, in a queue that delays no other model.
         self._limits, on_board = limits_of(limits.max_concurrent), limits_of(slot_count())
         settings = parse_settings(
-            n, temperature=model.temperature, seed=model.model_seed, reasoning=model.reasoning_effort
+            n,
+            temperature=model.temperature,
+            seed=model.model_seed,
+            reasoning=model.reasoning_effort,
+            max_tokens=limits.max_answer_tokens,
         )
 
         def prompts_of(text: str) -> PromptSet:

@@ -87,7 +87,7 @@ def check_prompts(folder: Path | str) -> None:
             _expect(update, f"{value:.3f}", "own and observed positions", "step")
         _expect(update, place_text(step.goal), "the goal", "step")
         reason = "the plan holds 6 points, 7 are required."
-        _expect(prompts.retry(reason, "plan"), reason, "the reason", "retry")
+        _expect(prompts.retry(reason, asked), reason, "the reason", "retry")
 
 
 def check_model(model: str, **options: Any) -> None:

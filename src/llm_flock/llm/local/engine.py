@@ -60,10 +60,12 @@ def slot_count() -> int:
 
 @dataclass(frozen=True, slots=True)
 class Completion:
-    """An answer of the engine, and its tokens."""
+    """An answer of the engine, its tokens, why it ended, and whether thoughts came apart from it."""
 
     text: str
     usage: Usage
+    finish_reason: str | None = None
+    thought: bool = False
 
 
 class Engine:
@@ -146,11 +148,17 @@ class Engine:
         text: list[str] = []
         used: dict[str, Any] = {}
         errors: list[dict[str, Any]] = []
+        reasons: list[str] = []
+        thoughts: list[str] = []
 
         def take(chunk: dict[str, Any]) -> bool:
             if "error" in chunk:
                 errors.append(chunk["error"])
-            text.extend(choice["delta"].get("content") or "" for choice in chunk.get("choices", ()))
+            for choice in chunk.get("choices", ()):
+                delta: dict[str, Any] = choice.get("delta") or {}
+                text.append(delta.get("content") or "")
+                thoughts.append(delta.get("reasoning_content") or "")
+                reasons.append(choice.get("finish_reason") or "")
             used.update(chunk.get("usage") or {})
             return stop.is_set() or self._closing.is_set()
 
@@ -172,7 +180,8 @@ class Engine:
             output=used.get("completion_tokens", 0),
             cached=details.get("cached_tokens", 0),
         )
-        return Completion("".join(text), usage)
+        reason = next(filter(None, reversed(reasons)), None)
+        return Completion("".join(text), usage, reason, any(thoughts))
 
     def close(self) -> None:
         """Stop at once and cut answers short; may be called again."""

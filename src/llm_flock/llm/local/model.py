@@ -97,14 +97,17 @@ class LocalModel:
             usage=answer.usage,
             cost_usd=0.0,
             latency_s=time.perf_counter() - started,
+            finish_reason=answer.finish_reason,
+            thought=answer.thought,
         )
 
     def _body(self, call: Call) -> dict[str, Any]:
+        longest = _longest(call)
         body: dict[str, Any] = {
             "messages": [{"role": message.role, "content": message.text} for message in call.messages],
-            "max_tokens": _longest(call),
             "chat_template_kwargs": {"enable_thinking": False},
             **self._settings,
+            "max_tokens": min(longest, self._settings.get("max_tokens", longest)),
         }
         if call.form is not None:
             body["grammar"] = answer_grammar(call.kind, call.form)

@@ -22,6 +22,7 @@ from pydantic_ai.usage import RequestUsage
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
+from llm_flock.llm.answer_forms import REASONING
 from llm_flock.llm.simulated.profiles import FAILURES, Profile
 from llm_flock.llm.simulated.prompt_reader import (
     PLAN_MARK,
@@ -117,14 +118,15 @@ class Responder:
                     rows[0][0] = math.nan
                 case _:
                     cut = True
+        reason = (
+            f"The shape is {task.shape[:200]}. I put its {task.n_places} places around the centre, "
+            f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
+            f"and take the place with my own number."
+        )
         if as_json:
-            said = json.dumps({"plan": rows, "my_plan": index})
+            said = json.dumps({REASONING: reason, "plan": rows, "my_plan": index})
         else:
-            said = (
-                f"The shape is {task.shape[:200]}. I put its {task.n_places} places around the centre, "
-                f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
-                f"and take the place with my own number.\n\nPlan: {rows}\nmy plan: {index}"
-            )
+            said = f"{reason}\n\nPlan: {rows}\nmy plan: {index}"
         return said[: len(said) * 2 // 3] if cut else said
 
     def _step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> str:
@@ -138,7 +140,9 @@ class Responder:
             reason += f" In the same way I go on, {len(path)} positions in all."
         if "malformed" in failures:
             return self._malformed_step(prompt, path)
-        return _stated(prompt, path) if prompt.json else f"{reason}\n\n{_stated(prompt, path)}"
+        if prompt.json:
+            return f'{{"{REASONING}": {json.dumps(reason)}, {_stated(prompt, path)[1:]}'
+        return f"{reason}\n\n{_stated(prompt, path)}"
 
     def _waypoint(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
         """The next waypoint, the reason for it, and whether the path ends there."""
@@ -251,7 +255,7 @@ class SimulatedModel(Model[None]):
         usage = RequestUsage(
             input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
         )
-        return ModelResponse(parts=[TextPart(text)], usage=usage, model_name=self._name)
+        return ModelResponse(parts=[TextPart(text)], usage=usage, model_name=self._name, finish_reason="stop")
 
 
 def _tokens(chars: int) -> int:

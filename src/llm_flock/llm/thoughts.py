@@ -1,0 +1,81 @@
+"""Tell a model's thoughts from what it says: thoughts hold drafts, which must never be read as the answer.
+
+Servers are to keep thoughts apart, but many leave them in the text, with their marks: `<think>...</think>` (DeepSeek
+R1, Qwen3) and its relatives, `[THINK]` (Magistral), `◁think▷` (Kimi), and channels (gpt-oss; Gemma). Some drop the
+opening mark, because it stood in the prompt, and some drop the special tokens of channels, so that `analysis` and
+`assistantfinal` stick to the text. The time is linear in the length of the text.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_MARK = re.compile(
+    r"<\s*+(?P<close>/?)\s*+(?:seed:)?(?P<name>think(?:ing)?|thoughts?|reasoning)\s*+>"
+    r"|\[(?P<close_1>/?)(?P<name_1>think)\]"
+    r"|◁(?P<close_2>/?)(?P<name_2>think)▷"
+    r"|(?:<\|(?P<name_3>channel)>thought|<(?P<close_3>channel)\|>)",
+    re.IGNORECASE,
+)
+_CHANNEL = "<|channel|>"
+_MESSAGE = "<|message|>"
+_END = re.compile(r"<\|(?:end|return|start|call)\|>")
+_BARE_CHANNEL = re.compile(r"\s*+(?:assistant)?(?:analysis|commentary)(?=[A-Z])")
+"""A channel's name without its special tokens; in English no capital follows these words directly."""
+
+_BARE_FINAL = "assistantfinal"
+
+
+@dataclass(frozen=True, slots=True)
+class Spoken:
+    """What a model says apart from its thoughts.
+
+    Attributes:
+        text: what stands after the last thought; the whole text where there is none.
+        thought: whether there is one.
+        unfinished: the last thought does not end, so nothing is said; `text` is empty.
+    """
+
+    text: str
+    thought: bool = False
+    unfinished: bool = False
+
+
+_UNFINISHED = Spoken("", thought=True, unfinished=True)
+
+
+def spoken(text: str) -> Spoken:
+    """Split what is said from the thoughts before it. Call on every text before it is read as an answer."""
+    if _CHANNEL in text:
+        return _in_channels(text)
+    if _BARE_CHANNEL.match(text):
+        _, final, said = text.rpartition(_BARE_FINAL)
+        return Spoken(said, thought=True) if final else _UNFINISHED
+    inside, after = "", -1
+    for mark in _MARK.finditer(text):
+        closes, kind = _meaning(mark)
+        if not inside and not closes:
+            inside = kind
+        elif not inside or (closes and kind == inside):
+            # A close without an opening ends a thought, too: its opening mark stood in the prompt.
+            inside, after = "", mark.end()
+    if inside:
+        return _UNFINISHED
+    return Spoken(text) if after < 0 else Spoken(text[after:], thought=True)
+
+
+def _meaning(mark: re.Match[str]) -> tuple[bool, str]:
+    """Whether a mark closes, and the kind of thought: other marks within a thought do not end it."""
+    closes = any(mark[group] for group in ("close", "close_1", "close_2", "close_3"))
+    name = mark["name"] or mark["name_1"] or mark["name_2"] or "channel"
+    return closes, name.lower()[:5]
+
+
+def _in_channels(text: str) -> Spoken:
+    """The last channel of gpt-oss, where it is `final`; all others hold thoughts."""
+    name, begun, said = text.rpartition(_CHANNEL)[2].partition(_MESSAGE)
+    if not begun or not name.strip().lower().startswith("final"):
+        return _UNFINISHED
+    end = _END.search(said)
+    return Spoken(said if end is None else said[: end.start()], thought=True)
