@@ -36,11 +36,6 @@ def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:
     return episode.bound
 
 
-def in_time(episode: Episode, bound: int | None) -> bool:
-    episode.bound = bound
-    return episode.formed_in_time
-
-
 def test_the_bound_is_from_where_the_robots_were_when_the_mission_was_given() -> None:
     episode = Episode(LINE, 0, START)
     assert bound(episode, [0, 1, 2], Mind(PLAN), Mind(PLAN), Mind(PLAN)) == 5
@@ -72,18 +67,32 @@ def test_a_moving_mission_is_met_where_it_is_then() -> None:
 PLAN_LEFT = Plan.of([[10.0, 50.0], [20.0, 50.0], [30.0, 50.0]])
 
 
-def test_forming_counts_from_the_mission_and_in_time_from_what_came_last() -> None:
+def test_forming_counts_from_the_mission() -> None:
     episode = Episode(LINE, 10, START)
     fields = {"plan_ids": ["p"], "slots": [0], "goal_distances": [0.0], "residual": None}
     for number in range(11, 14):
         episode.tracker.update(number, **fields)
     assert (episode.formed_at, episode.rounds_to_formed) == (11, 1)
     episode.disturb(59)
-    assert episode.formed_at is None and not in_time(episode, 3)
+    assert episode.formed_at is None
     for number in range(80, 83):
         episode.tracker.update(number, **fields)
     assert (episode.formed_at, episode.rounds_to_formed) == (80, 70)
-    assert in_time(episode, 1) and not in_time(episode, 0) and not in_time(episode, None)
+
+
+def test_the_deadline_follows_from_the_plan_and_from_what_came_last() -> None:
+    episode = Episode(LINE, 10, START)
+    minds = [Mind(PLAN), Mind(PLAN), Mind(PLAN)]
+    due = 3 * 5 + 20 + 2  # it has formed when it has held for two more rounds
+    assert episode.deadline([0, 1, 2], minds, 0) == 10 + due
+    episode.disturb(30)
+    assert episode.deadline([0, 1, 2], minds, 25) == 30 + due == episode.deadline([0, 1, 2], minds, 25)
+    assert episode.deadline([0, 1, 2], minds, 40) == 40 + due, "the schedule has something left"
+    assert episode.deadline([0, 1], minds[:2], 0) == 30 + 3 * 2 + 22
+    apart = episode.deadline([0, 1, 2], [Mind(None), *minds[:2]], 0)
+    assert apart == 30 + due, "before they agree, the ideal's places count"
+    words = Episode(Mission(shape="text:a cloud", n_robots=3), 0, START)
+    assert words.deadline([0], [Mind(None)], 0) == 3 * int(np.ceil((np.hypot(*(START[0] - 50)) - 0.5) / 6)) + 22
 
 
 def test_as_many_robots_as_there_are_can_be_compared_with_a_shape_of_that_number() -> None:

@@ -27,7 +27,7 @@ class Entries:
 
 def kept(sink: RecordSink) -> Journal:
     journal = Journal(Mission(shape="line", n_robots=3), sink)
-    journal.note(1, None, 0, Note("proposed", {"plan": "a", "slot": 1}))
+    journal.note(1, None, 0, Note("proposed", {"plan": "a", "slot": 1, "by": "model"}))
     journal.attempt(Attempt(call=CALL, model="x", faults=("timeout",)))
     journal.flush_attempts()
     return journal

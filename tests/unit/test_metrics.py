@@ -10,11 +10,11 @@ import pytest
 from llm_flock.metrics import (
     FormedTracker,
     bottleneck_distance,
+    deadline,
     distinct_goals,
     lower_bound_rounds,
     plans_in_use,
     robots_at_goal,
-    within_limit,
 )
 
 
@@ -60,10 +60,16 @@ def test_lower_bound_rounds_up_but_not_for_rounding(distance: float, rounds: int
     assert lower_bound_rounds([(0, 0)], [(distance, 0)], max_step=6) == rounds
 
 
-def test_the_limit_is_three_times_the_lower_bound_and_twenty() -> None:
-    assert within_limit(50, 10)
-    assert not within_limit(51, 10)
-    assert within_limit(20, 0)
+def test_a_robot_that_is_near_enough_to_its_goal_has_arrived() -> None:
+    assert lower_bound_rounds([(0, 0)], [(12.4, 0)], max_step=6, within=0.5) == 2
+    assert lower_bound_rounds([(0, 0)], [(12.6, 0)], max_step=6, within=0.5) == 3
+    assert lower_bound_rounds([(0, 0)], [(0.3, 0)], max_step=6, within=0.5) == 0
+    along = [lower_bound_rounds([(0, 0)], [(8.0, 0)], 6, lambda k: (3.0 * k, 0.0), within=w) for w in (0.0, 2.5)]
+    assert along == [3, 2], "a goal that moves away"
+
+
+def test_the_deadline_is_three_times_the_lower_bound_and_twenty() -> None:
+    assert [deadline(10), deadline(0)] == [50, 20]
 
 
 IN_ORDER: dict[str, Any] = {

@@ -159,7 +159,9 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
 
 def test_every_figure_of_a_summary_has_its_column() -> None:
     named = {column.name for column in tables.TRIALS}
-    assert set(Summary.__dataclass_fields__) - named == {"waypoints", "flight"}  # sweeps fly nothing real
+    assert set(Summary.__dataclass_fields__) - named == {"waypoints", "waypoint_shares", "flight"}, (
+        "sweeps fly nothing real"
+    )
 
 
 def test_the_data_dictionary_is_drawn_from_the_columns() -> None:

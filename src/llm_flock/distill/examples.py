@@ -233,6 +233,7 @@ def recorded_examples(path: Path) -> Iterator[Example]:
     """Questions of a run with their accepted answers, as they were asked.
 
     Questions that were asked again or follow earlier exchanges are left out: an example is one question and one answer.
+    So are answers that were clipped before they were flown.
 
     Raises:
         InputError: for field `cassette`: it cannot be read, or a line is not of a cassette.
@@ -246,7 +247,12 @@ def recorded_examples(path: Path) -> Iterator[Example]:
             line = CassetteLine.model_validate_json(text)
         except ValidationError:
             raise InputError("cassette", f"{path}, line {number}", "a line of a recording of --record-llm") from None
-        if line.parsed is None or line.text is None or [m.role for m in line.messages] != ["system", "user"]:
+        if (
+            line.parsed is None
+            or line.text is None
+            or line.clipped
+            or [m.role for m in line.messages] != ["system", "user"]
+        ):
             continue
         system, user = (message.text for message in line.messages)
         kind = "plan" if line.kind == "plan" else "path" if "path" in line.parsed else "step"

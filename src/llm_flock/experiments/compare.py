@@ -27,6 +27,7 @@ SHOWN_SEEDS = 20
 
 FIGURES = (
     "formed",
+    "formed_by_models",
     "rounds_to_formed",
     "lower_bound_rounds",
     "stopped",
@@ -37,6 +38,9 @@ FIGURES = (
     "min_separation_after_start",
     "plans_in_use",
     "distinct_goals",
+    "plan_robot",
+    "plan_by",
+    "breakers_opened",
     "model_calls",
     "calls_rejected",
     "calls_failed",
@@ -55,6 +59,7 @@ class Row:
         simulated: whether any language model was a simulated stand-in.
         trials: all of them; those that broke off count as not formed.
         formed: share of formed trials (see `Summary.formed`), with Wilson's 95 % interval.
+        by_models: share of trials that formed without help from geometry (see `Summary.formed_by_models`), likewise.
         broken: trials that broke off.
         rounds: median of rounds_to_formed over the formed trials; None without any.
         ratio: median of rounds_to_formed / lower_bound_rounds over the formed trials, a bound of 0 counted as 1.
@@ -74,6 +79,7 @@ class Row:
     simulated: bool
     trials: int
     formed: Estimate
+    by_models: Estimate
     broken: int
     rounds: float | None
     ratio: float | None
@@ -185,6 +191,7 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Row:
         simulated=any(s["simulated"] for s in known),
         trials=len(results),
         formed=wilson(len(flown), len(results)),
+        by_models=wilson(sum(s["formed_by_models"] for s in known), len(results)),
         broken=len(results) - len(known),
         rounds=median([rounds for rounds, _ in flown]),
         ratio=median([rounds / max(1, bound) for rounds, bound in flown]),
@@ -204,6 +211,7 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("shape", lambda row: row.shape),
     ("N", lambda row: str(row.n_robots)),
     ("formed % [95 %]", lambda row: _interval(row.formed, 1, factor=100.0)),
+    ("by models %", lambda row: f"{100.0 * row.by_models.value:.1f}"),
     ("rounds", lambda row: _number(row.rounds, "g")),
     ("ratio", lambda row: _number(row.ratio, ".2f")),
     ("min sep.", lambda row: _number(row.min_separation, ".6f")),
@@ -239,7 +247,7 @@ def _interval(estimate: Estimate | None, digits: int, factor: float = 1.0) -> st
 
 def _shares(counts: dict[str, int]) -> str:
     total = sum(counts.values())
-    return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items()) or "-"
+    return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items() if count) or "-"
 
 
 def _notes(row: Row) -> list[str]:

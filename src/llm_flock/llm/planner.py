@@ -27,6 +27,9 @@ CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], str | None]
 """A reason to reject an answer, as a sentence for the model, or None."""
 
+ClipsStep: TypeAlias = Callable[[StepQuestion, StepAnswer], bool]
+"""Whether a rejected answer will be flown clipped, which is quicker than asking again."""
+
 
 def parse_history(text: str) -> int | None:
     """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
@@ -84,6 +87,7 @@ class LanguagePlanner:
         max_retries: number of rejected answers that are sent back before giving up.
         history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
         on_attempt: called after every call, with its outcome.
+        clips: tells which answers that `check_step` rejects are accepted all the same.
         frame: coordinates of the prompts, see `frame`.
 
     Raises:
@@ -101,6 +105,7 @@ class LanguagePlanner:
         on_attempt: AttemptSink = lambda _: None,
         check_plan: CheckPlan | None = None,
         check_step: CheckStep | None = None,
+        clips: ClipsStep = lambda *_: False,
         frame: FrameName = "world",
     ) -> None:
         if frame == "own" and history != 0:
@@ -116,6 +121,7 @@ class LanguagePlanner:
         self._report = on_attempt
         self._check_plan = check_plan
         self._check_step = check_step
+        self._clips = clips
         self._history: list[ChatMessage] = []
         self._about: Mission | None = None
         self._round = -1
@@ -161,7 +167,7 @@ class LanguagePlanner:
         reason, unfit = "", None
         tries = 1 if asked.question.probe else 1 + self._max_retries
         for _ in range(tries):
-            call = self._call(kind, round_, messages, form)
+            call = self._call(kind, round_, messages, form, probe=asked.question.probe)
             began = time.perf_counter()
             try:
                 reply = await self._model.ask(call)
@@ -173,6 +179,9 @@ class LanguagePlanner:
                 rejected = _objection(asked, framed, answer, check)
             except AnswerError as error:
                 answer, rejected = None, str(error)
+            clipped = None
+            if rejected is not None and self._will_be_clipped(asked.question, answer):
+                clipped, rejected = rejected, None
             self._report(
                 Attempt(
                     call=call,
@@ -180,6 +189,7 @@ class LanguagePlanner:
                     reply=reply,
                     parsed=_plain(asked.question, answer) if answer is not None and rejected is None else None,
                     rejected=rejected,
+                    clipped=clipped,
                     faults=reply.faults,
                     latency_s=reply.latency_s,
                 )
@@ -195,13 +205,19 @@ class LanguagePlanner:
         logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
+    def _will_be_clipped(self, question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer | None) -> bool:
+        is_step = isinstance(question, StepQuestion) and isinstance(answer, StepAnswer)
+        return is_step and self._clips(question, answer)
+
     def _forget_other_missions(self, mission: Mission) -> None:
         """Forget exchanges about another mission; one whose centre has moved is still the same."""
         if self._about is None or not _same_task(self._about, mission):
             self._history = []
         self._about = mission
 
-    def _call(self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm) -> Call:
+    def _call(
+        self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm, *, probe: bool
+    ) -> Call:
         """The next call; attempts are numbered within a round, over both kinds of questions."""
         if round_ != self._round:
             self._round, self._attempt = round_, 0
@@ -213,6 +229,7 @@ class LanguagePlanner:
             messages=messages,
             schema=answer_schema(kind, form) if form.json else None,
             form=form,
+            probe=probe,
         )
         self._attempt += 1
         return call

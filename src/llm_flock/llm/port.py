@@ -66,6 +66,7 @@ class Call:
         robot: its id.
         round: motion round.
         attempt: 0 for the first try, then 1, 2, ... as rejected answers are sent back.
+        probe: whether the model's last answers could not be used, so that this is a try whether it has recovered.
         messages: the whole conversation that the model sees.
         schema: JSON schema of the answer where structured answers are on, else None.
         form: form of the answer. The messages state it too, so `request_hash` leaves it out.
@@ -78,6 +79,7 @@ class Call:
     messages: tuple[ChatMessage, ...]
     schema: Mapping[str, Any] | None = None
     form: AnswerForm | None = None
+    probe: bool = False
 
     @property
     def request_hash(self) -> str:
@@ -140,6 +142,7 @@ class Attempt:
         parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
             `"path"`), None when rejected.
         rejected: why the answer was rejected, in the words that went back to the model.
+        clipped: why the answer, a step, is only flown clipped; None otherwise.
         error: kind and detail of the ModelError, None when there was a reply.
         faults: transport faults that were retried.
         latency_s: duration of the whole attempt [s].
@@ -150,6 +153,7 @@ class Attempt:
     reply: Reply | None = None
     parsed: Mapping[str, Any] | None = None
     rejected: str | None = None
+    clipped: str | None = None
     error: tuple[str, str] | None = None
     faults: tuple[str, ...] = ()
     latency_s: float = 0.0

@@ -51,7 +51,8 @@ class CassetteLine(BaseModel):
     faults: tuple[str, ...]
     finish_reason: str | None = None
     thought: bool = False
-    """The last two are missing in older cassettes."""
+    clipped: str | None = None
+    """The last three are missing in older cassettes."""
 
 
 class _Cassette:
@@ -112,6 +113,7 @@ class CassetteWriter(_Cassette):
             "faults": reply.faults if reply else attempt.faults,
             "finish_reason": reply.finish_reason if reply else None,
             "thought": reply.thought if reply else False,
+            "clipped": attempt.clipped,
         }
         self._write(line)
 

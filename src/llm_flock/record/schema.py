@@ -137,6 +137,8 @@ class LlmEntry(Entry):
     text: str | None = Field(None, description="The raw answer; left out when none came")
     parsed: dict[str, Any] | None = Field(None, description="What was understood; left out when not accepted")
     rejected: str | None = Field(None, description="Why the answer was not accepted, as the model was told")
+    clipped: str | None = Field(None, description="Why the answer was clipped before it was flown; left out if not")
+    probe: bool | None = Field(None, description="True if the circuit breaker was open before: one try only")
     error: str | None = Field(None, description="Kind and detail of the provider's failure")
     finish_reason: str | None = Field(
         None, description="Why the model stopped: stop, length (cut off), ...; left out where the provider does not say"

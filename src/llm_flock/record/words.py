@@ -17,7 +17,8 @@ def verdict(entry: LlmEntry) -> str:
         return f"no answer: {entry.error}"
     if entry.rejected is not None:
         return f"refused: {entry.rejected}"
-    return f"used: {understood(entry.parsed or {})}"
+    how = "used" if entry.clipped is None else f"used after clipping ({entry.clipped.rstrip('.')})"
+    return f"{how}: {understood(entry.parsed or {})}"
 
 
 def understood(parsed: Mapping[str, Any]) -> str:

@@ -84,6 +84,8 @@ def llm_entry(attempt: Attempt) -> LlmEntry:
         text=None if reply is None else reply.text,
         parsed=None if attempt.parsed is None else dict(attempt.parsed),
         rejected=attempt.rejected,
+        clipped=attempt.clipped,
+        probe=True if call.probe else None,
         error=None if attempt.error is None else ": ".join(attempt.error),
         finish_reason=None if reply is None else reply.finish_reason,
         thought=True if reply is not None and reply.thought else None,

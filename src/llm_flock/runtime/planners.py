@@ -81,15 +81,16 @@ class TeamPlanners:
         self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
         history = parse_history(model.history)
         shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
-        clips = config.protocol.fallback != "hold"
 
         def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
             return check_proposal(question.mission, answer.plan, question.still)
 
         def check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
-            if clips and fit_answer(question.mission, question, answer, shield_on=shield_on) is not None:
-                return None  # it is clipped and flown, which is quicker than asking again
             return check_answer(question.mission, question, answer, shield_on=shield_on)
+
+        def clips(question: StepQuestion, answer: StepAnswer) -> bool:
+            contains = verify and config.protocol.fallback != "hold"
+            return contains and fit_answer(question.mission, question, answer, shield_on=shield_on) is not None
 
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
@@ -113,6 +114,7 @@ class TeamPlanners:
                 on_attempt=self._notify,
                 check_plan=check_plan if verify else None,
                 check_step=check_step if verify else None,
+                clips=clips,
                 frame=model.frame or ("own" if trained_for(text) else "world"),
             )
 
