@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import time
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from flights import Sabotage, flight_config, flown, fly
 from slowness import slowness
@@ -188,9 +190,14 @@ class Mute(GeometryPlanner):
 def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
     from llm_flock.runtime import planners
 
-    plain = planners.GeometryPlanner
-    monkeypatch.setattr(planners, "GeometryPlanner", lambda robot, rng: (Mute if robot == 2 else plain)(robot, rng))
-    flight = figures(flown(flight_config(model="geometry", think_s=0.3, silent_rounds=2)))
+    plain, count = planners.GeometryPlanner, itertools.count()
+
+    def made(rng: np.random.Generator) -> object:
+        return (Mute if next(count) % 3 == 2 else plain)(rng)
+
+    monkeypatch.setattr(planners, "GeometryPlanner", made)
+    config = {"model": "geometry", "think_s": 0.3, "silent_rounds": 2}
+    flight = figures(flown(flight_config(**config, fallback="hold")))
     assert flight.ended == "model_silent" and flight.safe and "2 rounds in a row" in (flight.reason or "")
 
 

@@ -59,10 +59,11 @@ def test_a_server_that_is_down_makes_every_robot_hold(tmp_path: Path) -> None:
         base_url="http://127.0.0.1:9/v1",
         rounds=1,
         max_tries=2,
+        fallback="hold",
         out=str(tmp_path),
     )
     figures = result.summary
-    assert figures.robots_without_plan == 3 and figures.waypoints == {"hold": 3}
+    assert figures.robots_without_plan == 3 and figures.waypoint_shares["hold"] == 1.0
     assert figures.faults == {"connection": 6} and figures.calls_failed == 3
     record = llm_flock.read_record(tmp_path / "run.mcap")
     assert all(entry.error is not None and entry.error.startswith("connection") for entry in record.llm)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,7 @@ def test_the_literal_paper_and_the_baseline_do_not_form_the_circle() -> None:
 def test_without_the_shield_a_model_is_obeyed_to_the_letter() -> None:
     mission = llm_flock.Mission(shape="circle", n_robots=10)
     figures = llm_flock.run(mission, protocol="paper", seed=7, rounds=15).summary
-    assert set(figures.waypoints) == {"model"}
+    assert figures.waypoint_shares["model"] == 1.0
 
 
 def test_plain_geometry_needs_no_model() -> None:
@@ -163,9 +164,61 @@ def _still(line: str) -> dict[str, Any]:
 
 def test_when_no_model_answers_any_more_the_run_ends_and_says_why() -> None:
     mission = llm_flock.Mission(shape="triangle", n_robots=3)
-    figures = llm_flock.run(mission, model="simulated:flaky", max_tries=1).summary
-    assert (figures.stopped, figures.rounds) == ("no_answers", 3)
-    assert figures.reason
+    for fallback, rounds in (("breaker", 2), ("hold", 3)):
+        figures = llm_flock.run(mission, model="simulated:flaky", max_tries=1, fallback=fallback).summary
+        assert (figures.stopped, figures.rounds) == ("no_answers", rounds)
+        assert figures.reason and "simulated" in figures.reason
+
+
+def test_when_no_model_gives_a_plan_the_run_ends_and_says_what_was_wrong() -> None:
+    figures = llm_flock.run(llm_flock.Mission(n_robots=10), model="simulated:distorted", seed=2).summary
+    assert figures.stopped == "no_plan" and figures.rounds <= 10 and figures.model_calls <= 6 * 10
+    assert figures.reason and re.match(r"\d+ of 10 robots: no usable answer in 3 tries; the last: ", figures.reason)
+    assert figures.plan_by is None and not figures.formed and figures.breakers_opened == tuple(range(10))
+
+
+def test_a_run_whose_model_may_still_be_heard_of_goes_on() -> None:
+    """A robot with a good model joins when all others are no longer asked."""
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    figures = llm_flock.run(mission, model="0-1=simulated:distorted,2=simulated:ideal", seed=2, join="2@8").summary
+    assert figures.formed and (figures.plan_robot, figures.plan_by) == (2, "simulated:ideal")
+
+
+def test_who_did_the_work_is_said() -> None:
+    mission = llm_flock.Mission(shape="square", n_robots=4)
+    good = llm_flock.run(mission, seed=3).summary
+    assert good.formed and good.formed_by_models and not good.breakers_opened and good.plan_by == "simulated:ideal"
+    assert sum(good.waypoint_shares.values()) == pytest.approx(1.0)
+    helped = llm_flock.run(mission, seed=3, model="0-2=simulated:ideal,3=simulated:collapse").summary
+    assert helped.formed and not helped.formed_by_models and 3 in helped.breakers_opened
+    planned = llm_flock.run(mission, seed=3, model="simulated:distorted", fallback="geometry").summary
+    assert planned.formed and not planned.formed_by_models and planned.plan_by == "geometry"
+    plain = llm_flock.run(mission, seed=3, model="geometry").summary
+    assert plain.formed and plain.plan_by == "geometry" and not plain.formed_by_models
+
+
+def test_the_default_number_of_rounds_follows_from_the_lower_bound() -> None:
+    wide = {"shape": "line", "n_robots": 2, "center": (500, 500), "arena": ((0, 0), (1000, 1000))}
+    far = ((1.0, 1.0), (9.0, 1.0))
+    figures = llm_flock.run(llm_flock.Mission(**wide), start_positions=far).summary
+    assert figures.formed and figures.rounds > 100
+    lost = llm_flock.run(llm_flock.Mission(**wide), start_positions=far, max_calls=20).summary
+    assert lost.stopped == "budget"
+    stuck = llm_flock.run(llm_flock.Mission(n_robots=3), model="simulated:collapse", fallback="hold", seed=1).summary
+    assert not stuck.formed and stuck.stopped == "rounds" and stuck.rounds > 22
+
+
+def test_what_is_called_formed_is_formed() -> None:
+    """A team that forms later than the deadline, in a run that was given more rounds."""
+    figures = llm_flock.run(llm_flock.Mission(shape="wedge", n_robots=13), seed=7, rounds=200).summary
+    assert (figures.stopped == "formed") == figures.formed
+
+
+def test_a_formation_out_of_radio_contact_is_warned_of_and_its_bound_is_known(caplog: pytest.LogCaptureFixture) -> None:
+    mission = llm_flock.Mission(n_robots=10, comm_range=5, sense_range=15)
+    figures = llm_flock.run(mission, seed=0, rounds=60).summary
+    assert figures.lower_bound_rounds and figures.plans_in_use == 1
+    assert "comm_range = 5 is too short" in caplog.text
 
 
 def test_influence_counts_radio_neighbours_not_sensed_ones() -> None:
@@ -188,7 +241,7 @@ def test_influence_counts_radio_neighbours_not_sensed_ones() -> None:
 def test_faulty_models_hold_their_robot_and_never_the_others(tmp_path: Path) -> None:
     mission = llm_flock.Mission(shape="square", n_robots=4)
     model = "0-2=simulated:ideal,3=simulated:malformed"
-    result = llm_flock.run(mission, model=model, seed=3, out=str(tmp_path), rounds=25)
+    result = llm_flock.run(mission, model=model, seed=3, out=str(tmp_path), rounds=25, fallback="hold")
     record = llm_flock.read_record(tmp_path / "run.mcap")
     assert result.summary.waypoints["hold"] == 25
     assert {e.robot for e in record.events if e.kind in ("held", "no_plan")} == {3}
@@ -203,7 +256,10 @@ def test_overshooting_models_are_held_to_the_step_limit_and_clipped_to_the_goal(
         steps = np.linalg.norm(np.diff(result.positions, axis=0), axis=2)
         assert steps.max() <= 6 + 1e-6
     assert [result.formed for result in results] == [False, True]
-    assert results[1].summary.waypoints["shield"] > 0 and results[1].summary.calls_rejected > 0
+    assert results[1].summary.waypoints["clipped"] > 0 and results[1].summary.calls_rejected == 0
+    assert results[1].summary.formed_by_models, "clipping is no help from outside"
+    asked_again = llm_flock.run(mission, model="simulated:overshoot", seed=3, fallback="hold").summary
+    assert asked_again.formed and asked_again.calls_rejected > 0
 
 
 def test_a_budget_stops_the_run_cleanly(tmp_path: Path) -> None:
@@ -342,10 +398,10 @@ def test_faulty_models_together_still_form_within_the_retries(tmp_path: Path, sh
     record = llm_flock.read_record(tmp_path / "run.mcap")
     reasons = [entry.rejected for entry in record.llm if entry.rejected]
     assert any("nearest to point" in reason or "apart" in reason for reason in reasons)
-    assert any("beyond your goal" in reason for reason in reasons)
+    assert any("beyond your goal" in entry.clipped for entry in record.llm if entry.clipped)
     assert max(entry.attempt for entry in record.llm) <= 5
     assert not any(event.kind == "rejected_message" for event in record.events), "no bad plan was ever sent"
-    assert "fallback" not in result.summary.waypoints
+    assert not any("beyond your goal" in reason for reason in reasons), "that is clipped and flown"
 
 
 def test_hallucinated_plans_win_without_verification_and_not_with_it() -> None:
@@ -359,10 +415,10 @@ def test_hallucinated_plans_win_without_verification_and_not_with_it() -> None:
 
 def test_plain_geometry_stands_in_only_where_the_operator_allows_it(tmp_path: Path) -> None:
     mission = llm_flock.Mission(shape="triangle", n_robots=3)
-    held = llm_flock.run(mission, model="simulated:malformed", seed=1, rounds=5)
-    assert set(held.summary.waypoints) == {"hold"} and held.summary.robots_without_plan == 3
+    held = llm_flock.run(mission, model="simulated:malformed", seed=1, rounds=5, fallback="hold")
+    assert held.summary.waypoint_shares["hold"] == 1.0 and held.summary.robots_without_plan == 3
     flown = llm_flock.run(mission, model="simulated:malformed", seed=1, fallback="geometry", out=str(tmp_path))
-    assert flown.formed and set(flown.summary.waypoints) == {"fallback"}
+    assert flown.formed and flown.summary.waypoint_shares["geometry"] == 1.0
     record = llm_flock.read_record(tmp_path / "run.mcap")
     notes = [event.detail for event in record.events if event.kind == "fallback"]
     assert {(note["question"], note["by"]) for note in notes} == {("plan", "geometry"), ("step", "geometry")}

@@ -105,7 +105,7 @@ class LanguagePlanner:
         on_attempt: AttemptSink = lambda _: None,
         check_plan: CheckPlan | None = None,
         check_step: CheckStep | None = None,
-        clips: ClipsStep = lambda *_: False,
+        clips: ClipsStep | None = None,
         frame: FrameName = "world",
     ) -> None:
         if frame == "own" and history != 0:
@@ -206,8 +206,9 @@ class LanguagePlanner:
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
     def _will_be_clipped(self, question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer | None) -> bool:
-        is_step = isinstance(question, StepQuestion) and isinstance(answer, StepAnswer)
-        return is_step and self._clips(question, answer)
+        if not isinstance(question, StepQuestion) or not isinstance(answer, StepAnswer):
+            return False
+        return self._clips is not None and self._clips(question, answer)
 
     def _forget_other_missions(self, mission: Mission) -> None:
         """Forget exchanges about another mission; one whose centre has moved is still the same."""
