@@ -16,6 +16,7 @@
             benchmarks/swarm.py (only when named)
 `local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
+`containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
 
@@ -37,7 +38,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import flight, links, local, physics, same, swarm, sweeps
+from benchmarks import containment, flight, links, local, physics, same, swarm, sweeps
 
 import llm_flock
 
@@ -169,17 +170,19 @@ def late() -> None:
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
 LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
+LONG |= {"containment-http": containment.over_http}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
 LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.table}
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["same"]:
-        same.main(sys.argv[2:])
+    commands = {"same": same.main, "containment": containment.main}
+    if sys.argv[1:2] and sys.argv[1] in commands:
+        commands[sys.argv[1]](sys.argv[2:])
         raise SystemExit
     parts = sys.argv[1:] or list(PARTS)
     if unknown := [part for part in parts if part not in PARTS | LONG]:
-        raise SystemExit(f"part {unknown[0]!r}: allowed are {', '.join(PARTS | LONG)}, same\n\n{__doc__}")
+        raise SystemExit(f"part {unknown[0]!r}: allowed are {', '.join(PARTS | LONG | commands)}\n\n{__doc__}")
     yardstick()
     for part in parts:
         (PARTS | LONG)[part]()

@@ -32,7 +32,8 @@ import numpy as np
 
 from llm_flock.errors import FlockError
 
-Answer = Callable[[list[tuple[str, str]]], str]
+Answer = Callable[[str, list[tuple[str, str]]], str]
+"""The answer of a model, by its name, to the messages of a conversation."""
 
 FAULTS = ("late", "rate_limit", "server_error", "cut", "garbage")
 GARBAGE = ("html", "broken_json", "wrong_shape", "unusable")
@@ -41,7 +42,10 @@ GARBAGE = ("html", "broken_json", "wrong_shape", "unusable")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """Rates are shares of requests in [0, 1] and must add up to at most 1; times are in seconds."""
+    """Rates are shares of requests in [0, 1] and must add up to at most 1; times are in seconds.
+
+    Models whose name begins with `bad` answer by `bad_profile`: who asks such a model has a bad one for the whole run.
+    """
 
     port: int = 0
     latency: float = 0.0
@@ -54,6 +58,7 @@ class Options:
     garbage: float = 0.0
     seed: int = 0
     profile: str = "ideal"
+    bad_profile: str = "ideal"
     fixed_answer: str = ""
 
 
@@ -148,8 +153,9 @@ class Connection(asyncio.Protocol):
                 self.send(200, completion(body, "As a robot I would rather talk about the weather."))
             case _:
                 try:
-                    messages = [(m["role"], text_of(m["content"])) for m in json.loads(body)["messages"]]
-                    self.send(200, completion(body, self.answer(messages)))
+                    asked = json.loads(body)
+                    messages = [(m["role"], text_of(m["content"])) for m in asked["messages"]]
+                    self.send(200, completion(body, self.answer(asked["model"], messages)))
                 except (FlockError, ValueError, LookupError) as error:
                     self.faults.counts["not_understood"] += 1
                     self.send(400, json.dumps({"error": {"message": repr(error)}}).encode())
@@ -199,15 +205,15 @@ def completion(request: bytes, text: str, reason: str = "stop", **message: Any) 
 def stand_in(options: Options) -> Answer:
     """Who answers: a fixed text, or a simulated model that reads the prompt; the same prompt has the same answer."""
     if options.fixed_answer:
-        return lambda messages: options.fixed_answer
+        return lambda model, messages: options.fixed_answer
     from llm_flock.llm.simulated.model import Responder
     from llm_flock.llm.simulated.profiles import parse_profile
 
-    profile = parse_profile(options.profile)
+    good, bad = parse_profile(options.profile), parse_profile(options.bad_profile)
 
-    def answer(messages: list[tuple[str, str]]) -> str:
+    def answer(model: str, messages: list[tuple[str, str]]) -> str:
         chance = np.random.default_rng([options.seed, zlib.crc32(repr(messages).encode())])
-        return Responder(profile, chance).answer(messages)
+        return Responder(bad if model.startswith("bad") else good, chance).answer(messages)
 
     return answer
 

@@ -109,3 +109,23 @@ def test_a_cap_on_answers_reaches_the_server_and_the_record(tmp_path: Path) -> N
         assert entry.finish_reason == "length" and entry.settings == {"max_tokens": 40} and entry.parsed is None
         assert entry.rejected is not None and "cut off at" in entry.rejected
     assert result.summary.plans_in_use == 0
+
+
+BAD = "openai-compatible:bad"
+
+
+@pytest.mark.parametrize(("shape", "robots"), [("circle", 10), ("square", 8)])
+@pytest.mark.parametrize("one_in", [5, 2])
+def test_robots_with_a_bad_model_harm_nobody(shape: str, robots: int, one_in: int) -> None:
+    """Every fifth or second robot's model always distorts its plan and always overshoots, over real HTTP.
+
+    `python -m benchmarks containment-http` flies twenty of each.
+    """
+    models = ",".join(f"{robot}={BAD if robot % one_in == 0 else MODEL}" for robot in range(robots))
+    with running(bad_profile="distorted,overshoot") as server:
+        figures = llm_flock.run(
+            llm_flock.Mission(shape=shape, n_robots=robots), model=models, base_url=server.base_url, seed=1
+        ).summary
+    assert figures.formed and figures.plan_by is not None and "test" in figures.plan_by
+    assert figures.min_separation is not None and figures.min_separation >= 3 - 1e-6
+    assert figures.calls_rejected <= 6 * len(range(0, robots, one_in))

@@ -355,7 +355,7 @@ def test_profiles_compose() -> None:
     ("text", "why"),
     [
         ("", "profiles of ideal, distorted"),
-        ("perfect", "profiles of ideal, distorted, overshoot, collapse, malformed, slow, flaky, brisk"),
+        ("perfect", "profiles of ideal, distorted, overshoot, collapse, malformed, slow, flaky, brisk, overlong"),
         ("ideal,", "profiles of"),
         ("text", "profiles of"),
         ("overshoot@", "overshoot@RATE"),

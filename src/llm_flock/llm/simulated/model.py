@@ -41,6 +41,9 @@ from llm_flock.protocol.geometry import turned
 CHARS_PER_TOKEN = 4
 """Tokens are only estimated here."""
 
+LATER = 2
+"""Number of failures that were added after the first results were published, the last ones of `FAILURES`."""
+
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 """Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
 
@@ -61,9 +64,9 @@ class Responder:
         if self._always_right:
             return frozenset()
         # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
-        chance = self._rng.random(len(FAILURES) - 1).tolist()
-        # `brisk` was added after published results: it draws only where it is on, so that those stay reproducible.
-        chance.append(float(self._rng.random()) if self._rates[-1] else 1.0)
+        chance = self._rng.random(len(FAILURES) - LATER).tolist()
+        # Those added after published results draw only where they are on, so that these stay reproducible.
+        chance += [float(self._rng.random()) if rate else 1.0 for rate in self._rates[-LATER:]]
         return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
 
     def latency_s(self, profile: str = "slow") -> float:
@@ -167,6 +170,11 @@ class Responder:
                 x, y, *rest = prompt.position
                 target = (x + math.cos(angle_rad), y + math.sin(angle_rad), *rest)
             reason += f" and move {task.max_step:g} units"
+        elif "overlong" in failures and distance > _reach(task):
+            far = tuple(
+                x + 3.0 * _reach(task) * (t - x) / distance for x, t in zip(prompt.position, target, strict=True)
+            )
+            return repr([round(x, sensible_decimals(task.max_step)) for x in far]), reason + " in one leap.", True
         elif distance <= _reach(task):
             places = sensible_decimals(task.max_step)
             exact = prompt.goal_text if target == prompt.goal else repr([round(x, places) for x in target])

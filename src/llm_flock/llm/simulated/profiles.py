@@ -17,6 +17,7 @@ PROFILES: Mapping[str, str] = {
     "slow": "no answer is wrong, but it takes about a second (log-normal, median 1 s, spread factor 1.6)",
     "flaky": "the call fails as a provider's would: 429 with Retry-After, 500 or a time-out",
     "brisk": "no answer is wrong, but it takes a moment (log-normal, median 0.3 s, spread factor 1.8)",
+    "overlong": "steps: towards the goal, but three times the limit while that is farther than one step",
 }
 """Every profile, and its failure."""
 
