@@ -46,6 +46,7 @@ from llm_flock.protocol.membership.all_to_all import AllToAll
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
 from llm_flock.protocol.membership.replanning import Gaps, Replanning
+from llm_flock.protocol.membership.seeking import Seeking
 from llm_flock.protocol.membership.waiting import waiting_place
 from llm_flock.protocol.messages.channel import Channel
 from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
@@ -57,9 +58,6 @@ from llm_flock.protocol.signed.certificates import Authenticator
 from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.protocol.verification.validator import Validator, fallback_notes
-
-NEAR_CENTER = 0.5
-"""A robot without a plan waits within this share of the spacing from the centre."""
 
 
 class IllegalEvent(AssertionError):
@@ -134,6 +132,7 @@ class Agent:
         self._breaker = CircuitBreaker("plan", enabled=fallback != "hold")
         self._breakers: dict[QuestionKind, CircuitBreaker] = {"plan": self._breaker, "step": self._pilot.breaker}
         self._fallback: Fallback = fallback
+        self._seeking = Seeking(robot)
         self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
@@ -368,6 +367,7 @@ class Agent:
         return notes
 
     def _begin_mission(self) -> None:
+        self._seeking = Seeking(self.robot)
         for breaker in self._breakers.values():
             breaker.begin_mission()
 
@@ -388,8 +388,8 @@ class Agent:
         effects, target, idle = list[Effect](), None, None
         if plan is None and self._fallback != "hold" and self._breaker.refusals:
             # It goes where others will look for it, and takes the first acceptable plan that it hears.
-            target = self.mission.center
-            if math.dist(scene.here, target) > NEAR_CENTER * self.mission.spacing:
+            target = self._seeking.target(self.mission, scene.here)
+            if target is not None:
                 return Phase.MOVING, self._pilot.seek(scene, self.mission, target)
             idle = "no plan yet: waiting to be found"
         elif plan is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from driven_agent import says
@@ -34,6 +35,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, PER_BEAT
 from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.motion.pace import Pace
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
@@ -236,6 +238,19 @@ def test_a_model_that_only_just_passes_its_checks_is_too_slow() -> None:
     assert robot.agent.goal is not None and math.dist(robot.here, robot.agent.goal) < 1e-9
     assert "geometry" in robot.origins and robot.agent.open_breakers == ("step",)
     assert any(n.kind == "breaker" and "nearer to the goal" in n.detail["reason"] for n in robot.notes)
+
+
+def test_a_robot_that_has_almost_arrived_or_is_blocked_is_not_called_slow() -> None:
+    pace = Pace()
+    goal = IDEAL.points[0]
+    question = StepQuestion(
+        mission=MISSION, robot=0, round=1, position=(goal[0] + 0.15, goal[1]), neighbors=(), plan=IDEAL, slot=0
+    )
+    for _ in range(20):
+        assert pace.too_slow(question, (goal[0] + 0.14, goal[1])) is None
+    blocked = replace(question, position=(goal[0] + 20.0, goal[1]), neighbors=((goal[0] + 17.0, goal[1]),))
+    for _ in range(20):
+        assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0)) is None
 
 
 def test_the_purist_holds_and_asks_for_ever() -> None:

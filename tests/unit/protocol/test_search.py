@@ -158,3 +158,50 @@ def test_the_tour_ends_when_the_last_stranger_is_heard_of() -> None:
 def test_for_the_silent_a_short_look_must_do() -> None:
     search, _, ways = looking_on(2, table(0, 1, 2, NO_OWNER), strangers=0, silent=1)
     assert search.given_up and len(ways) == LOOKS_FOR_SILENT
+
+
+def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_first_tour_on() -> None:
+    """It has nowhere else to go; one that was silent with a plan is looked for in vacant slots, and only once."""
+    owners = table(0, NO_OWNER, 2, 3)
+    ways: list[tuple[tuple[float, ...], ...]] = []
+    for without_plan, silent in ((1, 0), (0, 1)):
+        search = Search()
+        for _ in range(10):
+            search = advance(
+                search,
+                position=(0.0, 0.0),
+                plan=PLAN,
+                slot=0,
+                table=owners,
+                center=CENTER,
+                spacing=10.0,
+                at_goal=True,
+                strangers=0,
+                silent=silent,
+                without_plan=without_plan,
+            )
+            if search.way:
+                break
+        ways.append(search.way)
+    assert ways == [(PLAN.points[1], CENTER), (PLAN.points[1],)]
+
+
+def test_nobody_is_looked_for_where_a_body_stands() -> None:
+    """Its robot is out of radio range, or not heard for the loss of messages; it needs no visit."""
+    owners = table(0, NO_OWNER, 2, 3)
+    search = Search()
+    for _ in range(30):
+        search = advance(
+            search,
+            position=(0.0, 0.0),
+            plan=PLAN,
+            slot=0,
+            table=owners,
+            center=CENTER,
+            spacing=10.0,
+            at_goal=True,
+            strangers=1,
+            silent=0,
+            standing={1},
+        )
+        assert search.target is None

@@ -86,7 +86,8 @@ class ConnectivityRecovery:
             spacing=mission.spacing,
             at_goal=math.dist(here, places.points[slot]) <= AT_GOAL * mission.spacing,
             strangers=len(live.strangers),
-            silent=len(live.silent),
+            silent=len(live.silent - live.without_plan),
+            without_plan=len(live.silent & live.without_plan),
             standing=standing,
         )
         notes = list[Note]()

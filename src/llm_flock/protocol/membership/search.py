@@ -32,7 +32,7 @@ PATIENCE_PER_PLACE = 4
 """Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""
 
 LOOKS = 4
-"""Visits to a vacant slot while robots are missing that were never heard of."""
+"""Visits to a vacant slot while robots are missing that were never heard of, or had no plan when they last were."""
 
 LOOKS_FOR_SILENT = 1
 """Visits where all missing robots have been heard of before, and are probably dead."""
@@ -88,19 +88,21 @@ def advance(
     at_goal: bool,
     strangers: int,
     silent: int,
+    without_plan: int = 0,
     standing: Collection[int] = (),
 ) -> Search:
     """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
 
     The bid of a vacant slot in `table` is its number of visits. Nobody looks for robots in slots on which one is seen
     `standing`. `strangers` robots have never been heard of, and the
-    heartbeats of `silent` ones have stopped.
+    heartbeats of `silent` ones have stopped. Those of robots `without_plan` have stopped too, which told before that
+    these follow no plan: they wait to be found, and not in vacant slots alone, so each tour ends at the centre.
     """
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
-    search = _updated(search, plan, slot, vacant, center, many=strangers + silent > MANY)
-    if not vacant or not (strangers or silent):  # a team in touch fills its vacant slots by agreement
+    search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
+    if not vacant or not (strangers or silent or without_plan):  # a team in touch fills its vacant slots by agreement
         return replace(search, way=(), waited=0, gaps=(), looked=())
-    most = LOOKS if strangers else LOOKS_FOR_SILENT
+    most = LOOKS if strangers or without_plan else LOOKS_FOR_SILENT
     due = [a for a in vacant if table[a][1] < most]
     gaps = tuple(a for a in vacant if table[a][1] >= most)
     looks = int(min((table[a][1] for a in due), default=most))
@@ -117,7 +119,7 @@ def advance(
     if waited < PATIENCE * 2**looks + int(PATIENCE_PER_PLACE * max(0.0, nearest - NEXT_TO)):
         return replace(search, waited=waited + 1)
     tour = _tour(plan, slot, due)
-    return replace(search, way=tour if looks < LOOKS // 2 else (*tour, center))
+    return replace(search, way=(*tour, center) if without_plan or looks >= LOOKS // 2 else tour)
 
 
 def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:

@@ -6,6 +6,7 @@ import math
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.planning import StepQuestion
+from llm_flock.protocol.verification.plans import ROUNDING
 from llm_flock.protocol.verification.steps import blocked
 
 WEIGHT = 0.25
@@ -26,11 +27,11 @@ class Pace:
 
     def too_slow(self, question: StepQuestion, waypoint: Point) -> str | None:
         """Count a waypoint that passed its checks. Returns the reason to refuse it, or None."""
-        mission, before = question.mission, math.dist(question.position, question.goal)
-        possible = min(mission.max_step, before)
-        if waypoint == question.goal or possible == 0.0 or blocked(mission, question):
+        mission, goal = question.mission, question.goal
+        before, after = math.dist(question.position, goal), math.dist(waypoint, goal)
+        if min(before, after) <= ROUNDING * mission.spacing or blocked(mission, question):
             return None
-        gain = (before - math.dist(waypoint, question.goal)) / possible
+        gain = (before - after) / min(mission.max_step, before)
         self._average += WEIGHT * (min(gain, 1.0) - self._average)
         if self._average >= SLOWEST:
             return None
