@@ -31,6 +31,7 @@ from llm_flock.protocol.events import (
     Received,
 )
 from llm_flock.protocol.membership.replanning import Gaps
+from llm_flock.protocol.messages.order_time import order_time
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.transport.memory import LinkFaults, MemoryTransport
@@ -142,16 +143,17 @@ class StillTeam:
         """One round of all that are awake.
 
         Args:
-            given: missions that robots are given at its start.
+            given: missions that robots are given at its start, one after the other.
             junk: payloads from outside that every robot receives in each communication round.
         """
         self.number += 1
         deaf = self.silent | self.cut_off
+        times = {i: order_time(self.number, k) for k, i in enumerate(given or {})}
         near = graph.neighbors(self.places, self.mission.comm_range)
         heard_by = [() if i in deaf else tuple(j for j in near[i] if j not in deaf) for i in range(len(near))]
         for i in self.awake:
             if given and i in given:
-                self.agents[i].handle(MissionGiven(mission=given[i]))
+                self.agents[i].handle(MissionGiven(mission=given[i], ordered_at=times[i]))
             sensed = {j: self.places[j] for j in near[i]}
             for effect in self.agents[i].handle(round_began(self.number, self.places[i], sensed, len(heard_by[i]))):
                 if isinstance(effect, AskPlan):

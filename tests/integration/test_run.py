@@ -427,3 +427,15 @@ def test_plain_geometry_stands_in_only_where_the_operator_allows_it(tmp_path: Pa
 def test_a_fallback_needs_verification() -> None:
     with pytest.raises(InputError, match="fallback"):
         llm_flock.run(llm_flock.Mission(), protocol="paper", fallback="geometry")
+
+
+def test_of_several_orders_in_a_round_the_team_flies_the_last_one() -> None:
+    """Given to robots at the two ends of a line that are no neighbours."""
+    line = llm_flock.Mission(shape="line", n_robots=4)
+    orders = [
+        {"round": 8, "robot": 3, "set": {"spacing": 12}},
+        {"round": 8, "robot": 0, "set": {"shape": "square", "spacing": 10}},
+    ]
+    figures = llm_flock.run(line, seed=2, changes=orders)
+    assert figures.formed and [m.shape for m in figures.summary.missions] == ["line", "line", "square"]
+    assert figures.summary.missions[-1].formed is not None and figures.summary.missions[1].formed is None

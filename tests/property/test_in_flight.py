@@ -50,7 +50,7 @@ def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults:
 
 @cases(6)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS, later=st.integers(0, 3))
-def test_of_two_missions_given_to_two_robots_all_end_on_the_same_one(
+def test_of_two_missions_given_to_two_robots_all_end_on_the_last_one_given(
     seed: int, n: int, faults: LinkFaults, later: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -67,9 +67,31 @@ def test_of_two_missions_given_to_two_robots_all_end_on_the_same_one(
     team.rounds(40)
     assert_at_rest(team)
     assert slots(team) == list(range(n))
-    assert team.agents[0].mission in (one, other)
-    if not later:
-        assert team.agents[0].mission.digest == max(one.digest, other.digest)
+    assert team.agents[0].mission == other
+
+
+@cases(6)
+@given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, earlier=st.integers(1, 4))
+def test_the_last_order_is_flown_however_many_were_given_elsewhere(
+    seed: int, n: int, faults: LinkFaults, earlier: int
+) -> None:
+    """A robot that is cut off gets the last order, after the others got several; and the reverse."""
+    rng = np.random.default_rng(seed)
+    team = StillTeam(circle(n), connected_places(n, rng), rng, faults, time_out=1000)
+    team.rounds(2)
+    alone, taker = (int(robot) for robot in rng.permutation(n)[:2])
+    last = team.mission.change(shape="line", since=3 + earlier)
+    for alone_is_last in (True, False):
+        team.cut_off = {alone}
+        for k in range(earlier):
+            order = team.mission.change(center=(60.0 + k, 50.0), since=team.number + 1)
+            team.round({(taker if alone_is_last else alone): order})
+        last = team.mission.change(shape="line", center=(50.0 + alone_is_last, 50.0), since=team.number + 1)
+        team.round({(alone if alone_is_last else taker): last})
+        team.cut_off = set()
+        team.rounds(40)
+        assert_at_rest(team)
+        assert team.agents[0].mission == last
 
 
 @cases(6)

@@ -91,7 +91,7 @@ def test_missions_change_one_after_another() -> None:
             {"round": 40, "robot": 2, "set": {"center": [50, 50], "velocity": None}},
         ],
     )
-    first, second, third = (found.missions[when] for when in (11, 30, 40))
+    first, second, third = (found.missions[when][0] for when in (11, 30, 40))
     assert (first[0], second[0]) == (4, 2) and found.last == 40
     assert first[1].shape == "triangle" and first[1].center == (61, 50) and first[1].since == 11
     assert (second[1].shape, second[1].n_places, second[1].n_robots) == ("line", 5, 6)
@@ -102,7 +102,7 @@ def test_missions_change_one_after_another() -> None:
 def test_points_of_a_changed_mission_come_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("0,0\n10,0\n20,0\n")
     found = schedule(changes=[{"round": 3, "robot": 0, "set": {"shape": f"points:{tmp_path / 'p.csv'}"}}])
-    mission = found.missions[3][1]
+    mission = found.missions[3][0][1]
     assert (mission.shape, mission.n_places, mission.n_robots) == ("points", 3, 6)
 
 
@@ -111,7 +111,6 @@ def test_points_of_a_changed_mission_come_from_a_file(tmp_path: Path) -> None:
     [
         ({"round": 5, "robot": 6, "set": {}}, "robot from 0 to 5"),
         ({"round": 100_001, "robot": 0, "set": {}}, "round from 1 to 100000"),
-        ({"round": 9, "robot": 1, "set": {}}, "one change a round"),
         ({"round": 5, "robot": 3, "set": {}}, "awake in round 5"),
         ({"round": 5, "robot": 4, "set": {}}, "awake in round 5"),
         ({"round": 5, "robot": 0, "set": {"shape": "square"}}, "divisible by 4"),
@@ -135,9 +134,24 @@ def test_a_change_that_cannot_be_is_refused(change: dict[str, Any], words: str) 
     assert caught.value.field == "changes"
 
 
+def test_several_orders_in_a_round_are_given_one_after_the_other() -> None:
+    changes = [
+        {"round": 9, "robot": 1, "set": {"spacing": 11}},
+        {"round": 5, "robot": 3, "set": {"spacing": 12}},
+        {"round": 9, "robot": 1, "set": {"spacing": 13}},
+        {"round": 9, "robot": 0, "set": {"center": [40, 40]}},
+    ]
+    found = schedule(changes=changes).missions
+    assert {when: [(robot, mission.spacing) for robot, mission in orders] for when, orders in found.items()} == {
+        5: [(3, 12.0)],
+        9: [(1, 11.0), (1, 13.0), (0, 13.0)],
+    }
+    assert found[9][-1][1].center == (40.0, 40.0)
+
+
 def test_a_robot_takes_a_change_in_the_round_in_which_it_begins() -> None:
     change = {"round": 6, "robot": 4, "set": {"spacing": 11}}
-    assert schedule(join="4@6", changes=[change]).missions[6][0] == 4
+    assert schedule(join="4@6", changes=[change]).missions[6][0][0] == 4
 
 
 def test_changes_come_from_a_file_of_the_run_or_from_a_flag(tmp_path: Path) -> None:
@@ -147,7 +161,7 @@ def test_changes_come_from_a_file_of_the_run_or_from_a_flag(tmp_path: Path) -> N
         'set = {shape = "square", center = [60, 50]}\n'
     )
     config = load_config(file)
-    assert config.schedule().missions[20][1].shape == "square"
+    assert config.schedule().missions[20][0][1].shape == "square"
     assert build_config(config.model_dump(mode="json")) == config
     table = {"round": 20, "robot": 3, "set": {"shape": "square", "center": [60, 50]}}
     (tmp_path / "changes.json").write_text(json.dumps([table]))

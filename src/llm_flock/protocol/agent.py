@@ -155,8 +155,8 @@ class Agent:
         return self._agreement.mission
 
     @property
-    def mission_counter(self) -> int:
-        """Number of missions before the one in force, as far as this robot knows."""
+    def ordered_at(self) -> int:
+        """Operator's time of the order for the mission in force, 0 for the first, as far as this robot knows."""
         return self._agreement.stamp.counter
 
     @property
@@ -352,7 +352,7 @@ class Agent:
 
     def _give_mission(self, event: MissionGiven) -> list[Effect]:
         before = self.mission
-        note = self._messaging.give_mission(event.mission, event.authorization)
+        note = self._messaging.give_mission(event)
         if self.mission is not before:
             self._begin_mission()
         return [note]

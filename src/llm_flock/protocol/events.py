@@ -80,9 +80,17 @@ class HeartbeatDue(msgspec.Struct, frozen=True):
 
 
 class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator gives this robot another mission, signed in teams with keys; the robot passes it on."""
+    """The operator gives this robot another mission; the robot passes it on.
+
+    Attributes:
+        mission: the mission.
+        ordered_at: the operator's own time of the order, higher than that of every earlier order: see
+            `llm_flock.protocol.messages.order_time`. Not used where the order is signed.
+        authorization: the operator's signature, which covers its time; in teams with keys only.
+    """
 
     mission: Mission
+    ordered_at: int
     authorization: Authorization | None = None
 
 

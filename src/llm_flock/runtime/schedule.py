@@ -47,7 +47,7 @@ class Schedule:
     asleep: frozenset[int]  # robots that are not awake at the start of the run
     kills: Mapping[int, tuple[int, ...]]
     joins: Mapping[int, tuple[int, ...]]  # for the first time or again
-    missions: Mapping[int, tuple[int, Mission]]
+    missions: Mapping[int, tuple[tuple[int, Mission], ...]]  # in the order in which they are given
 
     @property
     def last(self) -> int:
@@ -135,9 +135,9 @@ def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> fr
 
 def _missions(
     mission: Mission, changes: Sequence[Change], schedule: Schedule, rounds: int
-) -> dict[int, tuple[int, Mission]]:
+) -> dict[int, tuple[tuple[int, Mission], ...]]:
     """The mission of each change, made from the one before as it is in that round."""
-    found: dict[int, tuple[int, Mission]] = {}
+    found: dict[int, tuple[tuple[int, Mission], ...]] = {}
     for change in sorted(changes, key=lambda change: change.round):
         when, robot = change.round, change.robot
         value = change.model_dump()
@@ -145,8 +145,6 @@ def _missions(
             raise InputError("changes", value, f"a robot from 0 to {mission.n_robots - 1}")
         if when > rounds:
             raise InputError("changes", value, f"a round from 1 to {rounds}, the most that are flown")
-        if when in found:
-            raise InputError("changes", value, "one change a round")
         if not _awake(schedule, robot, when):
             raise InputError("changes", value, f"a robot that is awake in round {when}")
         fields = dict(change.set)
@@ -162,7 +160,7 @@ def _missions(
             if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
                 allowed = f"only fields that a robot accepts by radio ({', '.join(sorted(MISSION_FIELDS - {'since'}))})"
                 raise InputError("changes", value, f"{allowed}, not {field}")
-        found[when], mission = (robot, new), new
+        found[when], mission = (*found.get(when, ()), (robot, new)), new
     return found
 
 

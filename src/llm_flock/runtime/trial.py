@@ -17,6 +17,7 @@ from llm_flock.arrays import Points
 from llm_flock.protocol import events
 from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note
 from llm_flock.protocol.membership.liveness import patience
+from llm_flock.protocol.messages.order_time import order_time
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.record.schema import SummaryMessage
 from llm_flock.runtime.bodies import Bodies
@@ -169,7 +170,7 @@ class Trial:
         return tracker.in_order and self.round >= self._noticed
 
     def _let_happen(self, number: int) -> None:
-        """Carry out the schedule of this round: deaths, then joins, then another mission."""
+        """Carry out the schedule of this round: deaths, then joins, then other missions."""
         journal, roster, schedule = self.journal, self.roster, self.schedule
         killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
         for robot in killed:
@@ -180,11 +181,10 @@ class Trial:
             journal.note(number, None, robot, Note("joined", {}))
         if killed or joined:
             journal.episode.disturb(number - 1)
-        if number in schedule.missions:
-            robot, mission = schedule.missions[number]
+        for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
             journal.mission_given(mission, number - 1, self.bodies.positions)
-            self._tell(robot, events.MissionGiven(mission=mission))
+            self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
 
     async def _fly_round(self, number: int) -> None:
         self._let_happen(number)

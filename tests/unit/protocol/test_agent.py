@@ -166,7 +166,7 @@ def test_another_mission_makes_the_robot_plan_again() -> None:
     for event in (AgreementEnded(), Decided(StepAnswer(waypoint=(48.0, 50.0))), Arrived()):
         agent.handle(event)
     new = MISSION.change(center=(60, 50), since=2)
-    agent.handle(MissionGiven(mission=new))
+    agent.handle(MissionGiven(mission=new, ordered_at=1))
     assert agent.mission == new and agent.plan is None and agent.claim.slot is None
     (ask,) = agent.handle(began(2))
     assert isinstance(ask, AskPlan) and ask.question.mission == new

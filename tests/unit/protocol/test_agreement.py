@@ -73,7 +73,7 @@ def test_a_plan_counts_only_with_its_mission() -> None:
     driven.comm_round(says(1, mission=new, counter=1, plan=ahead))
     assert driven.agent.plan == PLAN and driven.agent.mission == LINE
     driven.end()
-    driven.agent.handle(MissionGiven(mission=new))
+    driven.agent.handle(MissionGiven(mission=new, ordered_at=1))
     driven.begin()
     assert driven.agent.plan == PLAN, "the stand-in planner proposes it again"
     driven.comm_round(says(1, plan=ahead))
@@ -166,7 +166,7 @@ def test_a_repeated_message_counts_for_its_own_mission_only() -> None:
     for _ in range(2):
         driven.comm_round(same)
     assert driven.agent.plan == PLAN
-    driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2)))
+    driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2), ordered_at=1))
     driven.comm_round(same)
     assert driven.agent.plan is None
 

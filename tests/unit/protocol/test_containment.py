@@ -302,7 +302,7 @@ def test_another_mission_is_asked_about_at_once() -> None:
     robot = Robot(no_plan).fly(2)
     assert robot.agent.hopeless is not None
     robot.model = good_plan, backwards
-    robot.agent.handle(MissionGiven(mission=MISSION.change(spacing=11.0)))
+    robot.agent.handle(MissionGiven(mission=MISSION.change(spacing=11.0), ordered_at=1))
     assert robot.agent.hopeless is None
     robot.fly(1)
     assert robot.asked[2].probe and robot.agent.plan is not None and robot.agent.open_breakers == ()

@@ -31,7 +31,7 @@ def test_another_mission_drops_messages_and_keeps_heartbeats() -> None:
     driven = DrivenAgent(make())
     driven.begin()
     driven.agent.handle(Received(says(1, plan=PLAN, beats=(0, 7, 3))))
-    driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2)))
+    driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2), ordered_at=1))
     assert driven.agent._messaging.drain() == []
     assert driven.agent._liveness.beats[1:] == (7, 3)
 
@@ -108,7 +108,7 @@ def test_another_mission_makes_a_repeated_payload_new(by_radio: bool) -> None:
     if by_radio:
         driven.comm_round(says(2, mission=new, counter=1, text=mission_text(new)))
     else:
-        driven.agent.handle(MissionGiven(mission=new))
+        driven.agent.handle(MissionGiven(mission=new, ordered_at=1))
     assert driven.agent.mission == new
     assert opened.during(lambda: driven.comm_round(same)) == 1
     assert driven.agent.plan is None, "its plan belongs to the mission before"

@@ -147,7 +147,7 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     stamp = MissionStamp(10**9, square.digest)
     forged = Authorization(counter=stamp.counter, signature=liar.keys.sign(mission_statement(stamp)))
     for authorization in (None, forged):
-        (note,) = team.agents[0].handle(MissionGiven(mission=square, authorization=authorization))
+        (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=0, authorization=authorization))
         assert (note.kind, note.detail["reason"]) == ("rejected_message", "no_order")  # type: ignore[union-attr]
     text = mission_text(square)
     lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text=text))
@@ -157,9 +157,9 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     team.end()
 
     authorization = Authorization(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
-    (note,) = team.agents[0].handle(MissionGiven(mission=square, authorization=authorization))
+    (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=0, authorization=authorization))
     assert note.kind == "mission"  # type: ignore[union-attr]
-    (note,) = team.agents[0].handle(MissionGiven(mission=square, authorization=authorization))
+    (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=0, authorization=authorization))
     assert note.detail["reason"] == "old_mission"  # type: ignore[union-attr]
     team.fly(8)
     assert {agent.mission.center for agent in team.agents} == {(52.0, 50.0)}

@@ -12,12 +12,13 @@ from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.events import Note
+from llm_flock.protocol.events import MissionGiven, Note
 from llm_flock.protocol.membership.all_to_all import given_all_to_all
-from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
+from llm_flock.protocol.messages.channel import Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
 from llm_flock.protocol.messages.message import Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
+from llm_flock.protocol.messages.order_time import time_text
 from llm_flock.protocol.plan import Plan
 
 REMEMBERED_PAYLOADS = 256
@@ -155,18 +156,18 @@ class Messaging:
         self._refused_plans.add(plan.digest)
         return [note]
 
-    def give_mission(self, mission: Mission, authorization: Authorization | None) -> Note:
-        """Take a mission that the operator gives to this robot."""
-        current = self._agreement.stamp
-        counter = current.counter + 1 if authorization is None else authorization.counter
-        stamp = MissionStamp(counter, mission.digest)
+    def give_mission(self, order: MissionGiven) -> Note:
+        """Take a mission that the operator gives to this robot, unless a later order is known already."""
+        current, signed = self._agreement.stamp, order.authorization
+        stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
         try:
-            self._channel.check_mission(stamp, authorization)
+            self._channel.check_mission(stamp, signed)
             if stamp <= current:
-                raise MessageError("old_mission", f"mission {current.counter} is in force")
+                later = f"an order of {time_text(current.counter)} is in force, this one is of"
+                raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
         except MessageError as error:
             return self._reject(error)
-        return self._begin_mission(mission, stamp)
+        return self._begin_mission(order.mission, stamp)
 
     def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         self._newest.clear()

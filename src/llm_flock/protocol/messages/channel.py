@@ -16,7 +16,7 @@ from llm_flock.protocol.messages.message import Message, MissionStamp
 
 
 class Authorization(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator's signature on a mission's digest and counter, which is higher than that of the mission before."""
+    """The operator's signature on a mission's digest and on the time of the order, `counter`."""
 
     counter: int
     signature: bytes

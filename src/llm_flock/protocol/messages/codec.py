@@ -25,6 +25,7 @@ from llm_flock.protocol.messages.message import (
     Offer,
     Provenance,
 )
+from llm_flock.protocol.messages.order_time import LATEST
 from llm_flock.protocol.plan import Plan
 
 WIRE_VERSION = 6
@@ -35,6 +36,7 @@ FEW = 0.5
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_ROUND)]
+OrderTime = Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]
 Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 
 
@@ -49,7 +51,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     sender: Id
     sequence: Counter
     neighbors: Id
-    mission: Counter
+    mission: OrderTime
     mission_digest: Digest
     mission_text: str | None
     provenance: _WireProvenance | None

@@ -51,7 +51,10 @@ UNSAID: BidEntry = (0, 0.0, NO_OWNER)
 
 
 class MissionStamp(msgspec.Struct, frozen=True, order=True):
-    """Identifies a mission: counter of changes, then content; the mission with the higher stamp is in force."""
+    """Identifies a mission: operator's time of the order, 0 for the first one, then content.
+
+    The mission with the higher stamp is in force, so that of the last order.
+    """
 
     counter: int
     digest: str
@@ -65,7 +68,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """Where a plan comes from: fixed when it is proposed, and carried along unchanged.
 
     Attributes:
-        mission: counter of the mission that the plan was made for.
+        mission: time of the order for the mission that the plan was made for.
         mission_digest: content of that mission.
         epoch: counter of plans for that mission.
         neighbors: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).

@@ -105,7 +105,7 @@ class AgentLoop:
             self.notes.append(ReportedEvent(kind="rejected_message", detail=detail))
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
-        self.handle(events.MissionGiven(mission=mission, authorization=signed))
+        self.handle(events.MissionGiven(mission=mission, ordered_at=order.counter, authorization=signed))
 
     def _sight(self) -> dict[str, Any]:
         """Sensor readings; a robot under way uses the waypoint that it flies to as its position."""
@@ -266,7 +266,7 @@ class AgentLoop:
             round=self.round,
             period=self.period,
             phase=agent.phase.value,
-            mission=(agent.mission_counter, mission.digest),
+            mission=(agent.ordered_at, mission.digest),
             plan_id=None if plan is None else plan.digest,
             points=points,
             proposer=None if origin is None else origin.proposer,

@@ -91,16 +91,16 @@ def receive(
     link.listen(kind, number, take)
 
 
-def mission_order(config: SwarmConfig, fields: dict[str, Any]) -> MissionOrder:
-    """An order that changes these fields of the mission.
+def mission_order(config: SwarmConfig, fields: dict[str, Any], ordered_at: int) -> MissionOrder:
+    """An order that changes these fields of the mission, given at this time of the operator's clock.
 
     With keys the operator signs it, and it holds the whole mission: that of the configuration with these fields
-    changed. Its counter is the Unix time, so a later order has a higher one.
+    changed.
     """
-    keys = load_keys(config, OPERATOR)
+    keys, counter = load_keys(config, OPERATOR), ordered_at
     if keys is None:
-        return MissionOrder(fields=fields)
-    mission, counter = config.mission.change(**fields), int(time.time())
+        return MissionOrder(fields=fields, counter=counter)
+    mission = config.mission.change(**fields)
     whole = mission.model_dump(mode="json", include=set(MISSION_FIELDS))
     signature = keys.sign(mission_statement(MissionStamp(counter, mission.digest)))
     return MissionOrder(fields=whole, counter=counter, signature=signature)

@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
+from llm_flock.protocol.messages.order_time import OperatorClock
 from llm_flock.record.schema import SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
 from llm_flock.runtime.entries import run_info
@@ -24,6 +25,9 @@ CHECK_S = 0.1
 
 MEET_S = 5.0
 """Longest search of an operator for a robot that takes a mission [s]."""
+
+HEAR_S = 0.5
+"""Time for which an operator listens to the robots' reports before it gives an order [s]: a few of each."""
 
 SEND_S = 0.3
 """Time for a message to leave before its session is closed [s]."""
@@ -77,8 +81,12 @@ async def run_watch(
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
-    """Give another mission to one robot: the given one, or any. Returns the robot that took it, None if none did."""
-    order = mission_order(config, dict(fields))
+    """Give another mission to one robot: the given one, or any. Returns the robot that took it, None if none did.
+
+    The order is later than those that robots report within `HEAR_S`, whatever the clock of this machine says.
+    """
+    clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
+    mission_order(config, dict(fields), clock.next())  # refuses what is not allowed before anybody is looked for
     found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def on_alive(number: int, alive: bool) -> None:
@@ -87,10 +95,12 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
 
     with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
+        receive(link, "report", RobotReport, lambda _, report: clock.witness(report.mission[0]))
         try:
             taker = await asyncio.wait_for(found, MEET_S)
         except TimeoutError:
             return None
-        link.publish("mission", taker, pack(order))
+        await asyncio.sleep(HEAR_S)
+        link.publish("mission", taker, pack(mission_order(config, dict(fields), clock.next())))
         await asyncio.sleep(SEND_S)
         return taker

@@ -5,14 +5,15 @@ docs/reference/wire.md has a table of their topics.
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
+from llm_flock.protocol.messages.order_time import LATEST
 
-WIRE_VERSION = 1
+WIRE_VERSION = 2
 
 
 class Beacon(msgspec.Struct, array_like=True, frozen=True):
@@ -57,10 +58,10 @@ class Command(msgspec.Struct, array_like=True, frozen=True):
 
 
 class MissionOrder(msgspec.Struct, frozen=True):
-    """Fields of the mission to change, by name; with keys, signed by the operator."""
+    """Fields of the mission to change, by name, and the operator's time of the order; with keys, signed by it."""
 
     fields: dict[str, Any]
-    counter: int = 0
+    counter: Annotated[int, msgspec.Meta(gt=0, lt=LATEST)]
     signature: bytes = b""
 
 
@@ -79,7 +80,7 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     round: int  # own count of motion rounds
     period: int  # own count of heartbeat periods
     phase: str  # of its state machine
-    mission: tuple[int, str]  # counter and digest of the mission in force
+    mission: tuple[int, str]  # time of the order for the mission in force, and its digest
     plan_id: str | None  # digest of the plan it follows
     points: tuple[Point, ...] | None  # that plan's places, in the first report that names it
     proposer: int | None  # robot that proposed it
