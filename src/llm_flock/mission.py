@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sized
+from collections.abc import Iterable, Iterator, Sized
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, Self, cast
 
@@ -12,9 +12,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import formations
-from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.arrays import MAX_COORDINATE, Point, Points
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
+from llm_flock.obstacles.regions import free_regions, region_of
 
 MIN_LENGTH = 1e-3
 """Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
@@ -28,6 +29,13 @@ Length = Annotated[float, Field(ge=MIN_LENGTH, allow_inf_nan=False)]
 
 ORIENTATIONS = 72
 """Number of evenly spaced orientations in which the shape is tried among the obstacles."""
+
+CENTER_TOLERANCE = 0.05
+"""Largest distance of the mean of a plan's places from the centre, as a share of the spacing: half a unit at the
+paper's spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
+
+SHIFTS = 8
+"""Directions in which the shape is also shifted, by a little less than that, if no orientation fits."""
 
 START_DENSITY = 0.35
 """Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
@@ -181,18 +189,43 @@ class Mission(BaseModel):
                 raise InputError("obstacles", obstacle.model_dump(exclude_none=True), allowed)
         if not self.obstacles or self.ideal is None:
             return
-        points = np.array(self.ideal)
-        for k in range(ORIENTATIONS):
-            turned = points.copy()
-            turned[:, :2] = formations.rotated(points[:, :2], self.center[:2], 2 * math.pi * k / ORIENTATIONS)
-            if all(clearance(tuple(row), self.obstacles) >= self.body_radius for row in turned.tolist()):
-                return
-        raise InputError(
-            "obstacles",
-            f"{len(self.obstacles)} obstacles",
-            f"obstacles that leave room for '{self.shape}' around the centre in some orientation, with every place at "
-            f"least safe_distance / 2 = {self.body_radius:g} from every obstacle",
-        )
+        if next(self.placements(), None) is None:
+            raise InputError(
+                "obstacles",
+                f"{len(self.obstacles)} obstacles",
+                f"obstacles that leave room for '{self.shape}' around the centre in some orientation, with every place "
+                f"at least safe_distance / 2 = {self.body_radius:g} from every obstacle, and a way between any two",
+            )
+
+    def placements(self, angle_rad: float = 0.0) -> Iterator[Points]:
+        """The ideal points, shape (n, d) [units], wherever obstacles leave room for all of them; none without an ideal.
+
+        Turned about the centre by `angle_rad` first, then in `ORIENTATIONS` evenly spaced steps, then the same slightly
+        shifted. Without obstacles every orientation comes.
+        """
+        if self.ideal is None:
+            return
+        points, reach = np.array(self.ideal), 0.9 * CENTER_TOLERANCE * self.spacing
+        around = [2 * math.pi * k / SHIFTS for k in range(SHIFTS)] if self.obstacles else []
+        for shift in ((0.0, 0.0), *((reach * math.cos(a), reach * math.sin(a)) for a in around)):
+            for k in range(ORIENTATIONS):
+                turned = points.copy()
+                angle = angle_rad + 2 * math.pi * k / ORIENTATIONS
+                turned[:, :2] = formations.rotated(points[:, :2], self.center[:2], angle) + np.array(shift)
+                rows: list[list[float]] = turned.tolist()
+                fits = all(clearance(tuple(row), self.obstacles) >= self.body_radius for row in rows)
+                if fits and len(self.regions_of(map(tuple, rows))) <= 1:
+                    yield turned
+
+    def regions_of(self, points: Iterable[Point]) -> frozenset[int]:
+        """Regions of the plane between obstacles and walls in which these points are; robots cannot change regions.
+
+        Empty without obstacles and in space, where everything is in reach of everything.
+        """
+        if not self.obstacles or self.dim != 2:
+            return frozenset()
+        regions = free_regions(self.arena, self.obstacles, self.body_radius)
+        return frozenset(region_of(point, regions) for point in points)
 
     @property
     def n_places(self) -> int:

@@ -8,13 +8,11 @@ import numpy as np
 
 from llm_flock import formations
 from llm_flock.arrays import Point, Points
+from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
 from llm_flock.protocol.verification.steps import shortened
-
-TURNS = 72
-"""Orientations tried to keep the places off bodies that stand still."""
 
 
 def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
@@ -25,20 +23,27 @@ def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Point
 
 
 def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer | NoAnswer:
-    """The ideal points in an orientation, the same every time, and the place with the robot's id (modulo the places).
+    """The ideal points, and the place with the robot's id (modulo the places); the same answer every time.
 
-    No answer for a shape in words: its points are unknown.
+    They are turned by `angle_rad`, or else to the first orientation from there, and the first small shift, that passes
+    `check_proposal`. No answer for a shape in words, whose points are unknown, or if nothing passes.
     """
-    mission = question.mission
+    mission, reason = question.mission, ""
     if mission.ideal is None:
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-    turns = (angle_rad + 2 * math.pi * k / TURNS for k in range(TURNS))
-    plans = (Plan.of(turned(np.array(mission.ideal), mission.center, angle).tolist()) for angle in turns)
-    plan = next(plans)
-    if question.still:  # the first orientation with no place on a body that stands still
-        free = (p for p in (plan, *plans) if check_proposal(mission, p, question.still) is None)
-        plan = next(free, plan)
-    return PlanAnswer(plan=plan, slot=question.robot % len(plan))
+    placements = mission.placements(angle_rad) if mission.velocity is None else [_turned(mission, angle_rad)]
+    for points in placements:
+        plan = Plan.of(points.tolist())
+        objection = check_proposal(mission, plan, question.still, question.position)
+        if objection is None:
+            return PlanAnswer(plan=plan, slot=question.robot % len(plan))
+        reason = reason or objection
+    why = f"the first was refused: {reason}" if reason else "obstacles are in the way of all of them"
+    return NoAnswer(cause="answer", reason=f"geometry found no orientation and shift that fits; {why}")
+
+
+def _turned(mission: Mission, angle_rad: float) -> Points:
+    return turned(np.array(mission.ideal), mission.center, angle_rad)
 
 
 def straight_path(question: StepQuestion) -> StepAnswer:

@@ -83,7 +83,7 @@ class TeamPlanners:
         shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
 
         def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-            return check_proposal(question.mission, answer.plan, question.still)
+            return check_proposal(question.mission, answer.plan, question.still, question.position)
 
         def check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
             return check_answer(question.mission, question, answer, shield_on=shield_on)

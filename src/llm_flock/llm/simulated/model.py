@@ -29,6 +29,7 @@ from llm_flock.llm.simulated.prompt_reader import (
     STEP_MARK,
     StepPrompt,
     Task,
+    clear_of_obstacles,
     formation,
     numbers,
     read_plan,
@@ -36,6 +37,7 @@ from llm_flock.llm.simulated.prompt_reader import (
     read_task,
     sensible_decimals,
 )
+from llm_flock.mission import ORIENTATIONS
 from llm_flock.protocol.geometry import turned
 
 CHARS_PER_TOKEN = 4
@@ -101,8 +103,11 @@ class Responder:
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
 
     def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str]) -> str:
-        angle_rad = self._rng.uniform(0.0, 2 * math.pi)
-        points = turned(formation(task), task.center, angle_rad)
+        angle_rad, points = self._rng.uniform(0.0, 2 * math.pi), formation(task)
+        for k in range(ORIENTATIONS if task.obstacles else 1):
+            points = turned(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
+            if clear_of_obstacles(points, task):
+                break
         if "distorted" in failures:
             stretch = self._rng.uniform(0.6, 1.4, len(task.center))
             noise = self._rng.normal(0.0, 0.2 * task.spacing, points.shape)

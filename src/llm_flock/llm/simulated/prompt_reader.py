@@ -14,6 +14,7 @@ from llm_flock.arrays import Point, Points
 from llm_flock.errors import InputError
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
@@ -23,6 +24,9 @@ _PLACES = re.compile(r"^- Places: ([0-9]+) ", re.MULTILINE)
 _LINE = re.compile(r"^- ([A-Z][a-z ]+): (.*)$", re.MULTILINE)
 _ROBOT = re.compile(r"You are robot ([0-9]+)")
 _POLYGON = re.compile(r"a regular polygon with ([0-9]+) sides")
+_ROUND = re.compile(r"of radius ([0-9.]+) around \[([^\]]+)\]")
+_CORNERS = re.compile(r"with the corners \[((?:\[[^\]]+\],? ?)+)\]")
+_CORNER = re.compile(r"\[([^\]]+)\]")
 _GIVEN = "relative to its centre its places are [["
 
 PLAN_MARK = "Work out a plan:"
@@ -35,13 +39,15 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The content of the system message: the shape in words, and lengths [units]."""
+    """The content of the system message: the shape in words, lengths [units], obstacles, and how far to keep away."""
 
     shape: str
     n_places: int
     center: Point
     spacing: float
     max_step: float
+    obstacles: tuple[Obstacle, ...] = ()
+    clearance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +93,23 @@ def read_task(system: str) -> Task:
     spacing, max_step = numbers(lines.get("Spacing", "")), numbers(lines.get("Step limit", ""))
     if team is None or "Shape" not in lines or not (center and spacing and max_step):
         raise _other_words("system.j2", system)
-    return Task(shape=lines["Shape"], n_places=int(team[1]), center=center, spacing=spacing[0], max_step=max_step[0])
+    obstacles = lines.get("Obstacles", "")
+    return Task(
+        shape=lines["Shape"],
+        n_places=int(team[1]),
+        center=center,
+        spacing=spacing[0],
+        max_step=max_step[0],
+        obstacles=_obstacles(obstacles),
+        clearance=next(iter(numbers(obstacles)), 0.0),
+    )
+
+
+def _obstacles(text: str) -> tuple[Obstacle, ...]:
+    """The obstacles of their line in the system message."""
+    round_ones = [Obstacle(radius=float(radius), center=numbers(at)) for radius, at in _ROUND.findall(text)]
+    corners = [[numbers(corner) for corner in _CORNER.findall(rows)] for rows in _CORNERS.findall(text)]
+    return (*round_ones, *(Obstacle(polygon=tuple((x, y) for x, y in rows)) for rows in corners))
 
 
 def read_plan(text: str) -> tuple[int, bool]:
@@ -158,6 +180,11 @@ def formation(task: Task) -> Points:
         points = np.hstack([points, height])
     points.setflags(write=False)
     return points
+
+
+def clear_of_obstacles(points: Points, task: Task) -> bool:
+    """Whether all places, shape (n, d) [units], are far enough from the task's obstacles."""
+    return all(clearance(tuple(row), task.obstacles) >= task.clearance for row in points.tolist())
 
 
 def _spec(words: str) -> str:

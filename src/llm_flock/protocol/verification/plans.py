@@ -19,12 +19,9 @@ from scipy.spatial import KDTree
 
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
-from llm_flock.mission import Mission
+from llm_flock.mission import CENTER_TOLERANCE, Mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.plan import DECIMALS, Plan
-
-CENTER_TOLERANCE = 0.05
-"""Largest distance of the mean of the places from the centre, as a share of the spacing: half a unit at the paper's
-spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
 
 SPACING_TOLERANCE = 0.1
 """Share by which the distance of a place from its nearest other place may differ from the shape's."""
@@ -64,8 +61,10 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     """The reason to refuse a plan, as a sentence for the model, or None. Call before a plan is adopted or forwarded.
 
     The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
-    mean at the centre; no pair nearer than the safe distance; every place about as far from its nearest one as in the
-    shape; and, if the ideal is known, close to it after the best rotation and correspondence.
+    mean at the centre; all half the safe distance away from obstacles, and in one region, so that robots can get from
+    each to each; no pair nearer than the safe distance; every place about as far from its nearest one as in the shape;
+    and, if the ideal is known, close to it after the best rotation and correspondence. A formation that travels passes
+    obstacles: where they are does not matter for its plan.
     """
     return _verdict(mission, plan)[1]
 
@@ -75,11 +74,16 @@ def blocked_within(mission: Mission) -> float:
     return mission.safe_distance - metrics.AT_GOAL * mission.spacing
 
 
-def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point]) -> str | None:
-    """As `check_plan`, for a plan that the robot proposes itself: no body that stands `still` may block a place."""
+def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], position: Point) -> str | None:
+    """As `check_plan`, for a plan that a robot at `position` proposes itself.
+
+    No body that stands `still` may block a place, and the robot must be able to get there.
+    """
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
+    if mission.velocity is None and len(mission.regions_of((position, plan.points[0]))) > 1:
+        return f"there is no way from {at_text(position)}, where you are, to its points: obstacles are in between."
     for body in still:
         for i, point in enumerate(plan.points):
             if math.dist(point, body) < blocked_within(mission):
@@ -98,7 +102,12 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
 @lru_cache(maxsize=4096)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     """Class and reason. Cached, so that a plan is checked once even if many robots of a process receive it."""
-    reason = _fault_of_form(mission, plan) or _fault_of_place(mission, plan) or _fault_of_spacing(mission, plan)
+    reason = (
+        _fault_of_form(mission, plan)
+        or _fault_of_place(mission, plan)
+        or _fault_of_world(mission, plan)
+        or _fault_of_spacing(mission, plan)
+    )
     if reason is not None:
         return PlanClass.REFUSED, reason
     residual = _residual(mission, plan)
@@ -162,6 +171,31 @@ def _fault_of_place(mission: Mission, plan: Plan) -> str | None:
         center = at_text(mission.center)
         return f"the mean of its points is {at_text(mean)}, {number_text(off)} away from {center}, where it must be."
     return None
+
+
+def _fault_of_world(mission: Mission, plan: Plan) -> str | None:
+    """A place at an obstacle, or one that is cut off from another."""
+    if not mission.obstacles or mission.velocity is not None:
+        return None
+    # Robots keep the whole distance: they end as near to a place as the rounding of coordinates, and so at their goal.
+    least = mission.body_radius - ROUNDING * mission.spacing
+    for i, point in enumerate(plan.points):
+        gap, obstacle = min(((o.distance(point), o) for o in mission.obstacles), key=lambda found: found[0])
+        if gap < least:
+            where = f"inside {_obstacle_text(obstacle)}" if gap < 0 else f"{number_text(gap)} from "
+            where += "" if gap < 0 else _obstacle_text(obstacle)
+            return f"point {i} is {where}, at least {number_text(mission.body_radius)} is required."
+    cut_off = (i for i, x in enumerate(plan.points) if len(mission.regions_of((plan.points[0], x))) > 1)
+    lonely = next(cut_off, None)
+    if lonely is not None:
+        return f"there is no way from point 0 to point {lonely}: obstacles are in between."
+    return None
+
+
+def _obstacle_text(obstacle: Obstacle) -> str:
+    if obstacle.polygon is not None:
+        return f"the polygon with a corner at {at_text(obstacle.polygon[0])}"
+    return f"the {'disc' if obstacle.dim == 2 else 'ball'} around {at_text(obstacle.center or ())}"
 
 
 def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:

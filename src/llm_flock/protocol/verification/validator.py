@@ -43,7 +43,7 @@ class Validator:
         """The planner's answer, or a failure with the reason to refuse its plan. Call with every answer."""
         if not isinstance(answer, PlanAnswer) or not self.verify:
             return answer
-        objection = check_proposal(question.mission, answer.plan, question.still)
+        objection = check_proposal(question.mission, answer.plan, question.still, question.position)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
 
     def fit(self, question: StepQuestion, answer: StepAnswer) -> StepAnswer | NoAnswer:
