@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from llm_flock.errors import InputError
-from llm_flock.record.words import verdict
+from llm_flock.record.words import verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record.reader import RunRecord
@@ -69,8 +69,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
         ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe_distance:g})"),
-        ("plan by", _supplier(summary)),
-        ("waypoints by", shares_text(summary.waypoint_shares)),
+        ("work", escape(work_text(summary.to_dict())) or "none"),
         ("model calls", f"{summary.model_calls} ({summary.calls_rejected} rejected, {summary.calls_failed} failed)"),
         ("tokens", f"{summary.tokens_input:,} in, {summary.tokens_output:,} out"),
         ("cost", _number(summary.cost_usd, "{:.4f} USD") if not summary.simulated else "none (simulated)"),
@@ -83,7 +82,6 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     ]
     special = [
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
-        ("circuit breakers", _breakers(summary.breakers_opened)),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
         ("empty places", str(summary.gaps or "")),
@@ -104,25 +102,6 @@ def _formed(summary: Summary) -> str:
         alone = "" if summary.formed_by_models else ", [bold]with help for the models[/]"
         return f"[bold green]yes[/], in round {summary.rounds_to_formed}{bound}{last}{alone}"
     return f"[bold red]no[/]{bound}"
-
-
-def _supplier(summary: Summary) -> str:
-    if summary.plan_robot is None:
-        return "no common plan"
-    return escape(f"robot {summary.plan_robot} ({summary.plan_by or 'unknown'})")
-
-
-def shares_text(shares: Mapping[str, float]) -> str:
-    """Shares above zero as percentages, the largest first."""
-    found = sorted(((share, who) for who, share in shares.items() if share > 0.0), reverse=True)
-    return ", ".join(f"{who} {100.0 * share:.0f} %" for share, who in found) or "none"
-
-
-def _breakers(robots: Sequence[int]) -> str:
-    if not robots:
-        return ""
-    some = ", ".join(map(str, robots[:12])) + (", ..." if len(robots) > 12 else "")
-    return f"opened for {len(robots)} robot{'s' if len(robots) > 1 else ''} ({some}): geometry answered for the models"
 
 
 def no_success(summary: Summary, fallback: str | None) -> str:
@@ -148,6 +127,8 @@ def show_overview(record: RunRecord) -> None:
     console.print(
         Text(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
     )
+    if record.result is not None and (work := work_text(record.result)):
+        console.print(Text(work))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
     for row in record.metrics:
         table.add_row(

@@ -240,13 +240,14 @@ def _row(trial: TrialResult) -> dict[str, Any]:
     """The values of one trial, by column; names that are no columns are ignored."""
     config, costs = trial.config, [earlier.cost_usd for earlier in trial.earlier]
     summary: Mapping[str, Any] = trial.summary or {}
+    opened = summary.get("breakers_opened")
     own = ("cell", "simulated", "stopped", "formed", "cut", "error", "code", "record")
     return {
         **summary,
         **{f"{WAYPOINTS}{origin}": (summary["waypoints"].get(origin, 0) if summary else None) for origin in _ORIGINS},
         **{name: _counts(summary.get(name)) for name in ("faults", "messages_rejected")},
         **{name: _words(summary.get(name)) for name in ("models", "killed", "joined")},
-        "breakers_opened": _words(map(str, summary["breakers_opened"])) if "breakers_opened" in summary else None,
+        "breakers_opened": None if opened is None else _words(map(str, opened)),
         "missions": len(summary["missions"]) if summary else None,
         "trial": trial.id,
         "seed": config["trial"]["seed"],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from llm_flock.record.schema import LlmEntry
@@ -19,6 +19,27 @@ def verdict(entry: LlmEntry) -> str:
         return f"refused: {entry.rejected}"
     how = "used" if entry.clipped is None else f"used after clipping ({entry.clipped.rstrip('.')})"
     return f"{how}: {understood(entry.parsed or {})}"
+
+
+def work_text(result: Mapping[str, Any]) -> str:
+    """Who supplied the plan in force at the end of a run, and its waypoints; empty for records that do not say."""
+    parts: list[str] = []
+    if result.get("plan_robot") is not None:
+        parts.append(f"plan by robot {result['plan_robot']} ({result.get('plan_by') or 'unknown'})")
+    shares = cast("Mapping[str, float]", result.get("waypoint_shares") or {})
+    flown = sorted(((share, who) for who, share in shares.items() if share > 0.0), reverse=True)
+    if flown:
+        parts.append("waypoints by " + ", ".join(f"{who} {100.0 * share:.0f} %" for share, who in flown))
+    opened = cast("list[int]", result.get("breakers_opened") or [])
+    if opened:
+        parts.append("circuit breakers opened for " + robots_text(opened))
+    return " · ".join(parts)
+
+
+def robots_text(robots: Sequence[int]) -> str:
+    """Some robots by their ids, twelve at most."""
+    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", ..." if len(robots) > MOST_PLACES else "")
+    return f"robot{'s' if len(robots) > 1 else ''} {some}"
 
 
 def understood(parsed: Mapping[str, Any]) -> str:

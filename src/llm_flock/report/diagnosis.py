@@ -13,6 +13,7 @@ from llm_flock.experiments.compare import TOLERANCE
 from llm_flock.metrics import AT_GOAL, IN_SHAPE
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import SILENT, ChatLine, LlmEntry
+from llm_flock.record.words import robots_text
 
 LONGEST = 6000
 """Letters of a message that are shown at most."""
@@ -56,12 +57,13 @@ class Cause(NamedTuple):
 def find_causes(record: RunRecord) -> tuple[Cause, ...]:
     """Everything that went wrong in a record, the worst first.
 
-    First, that no model answered or the budget ended; then that two robots came too near; then the first of these that
-    holds: several plans, two robots with one goal, a robot away from its goal, a plan that is not the shape. Where
-    nothing of all this holds, the run took too long.
+    First, that no model answered, the budget ended, or no model gave an acceptable plan; then that two robots came too
+    near; then the first of these that holds: several plans, two robots with one goal, a robot away from its goal, a plan
+    that is not the shape; then whose model was no longer asked. Where nothing of all this holds, the run took too long.
     """
     ending = next((found for find in (_plans, _goals, _away, _shape) if (found := find(record)) is not None), None)
-    found = tuple(cause for cause in (_unanswered(record), _crash(record), ending) if cause is not None)
+    causes = (_unanswered(record), _no_plan(record), _crash(record), ending, _contained(record))
+    found = tuple(cause for cause in causes if cause is not None)
     return found or (Cause("It took too many rounds.", record.rounds),)
 
 
@@ -82,6 +84,28 @@ def _unanswered(record: RunRecord) -> Cause | None:
     # A call that the budget refused was never made: there is no conversation to show.
     calls = () if stopped == "budget" else _last_calls(record, entry.robot, entry.kind, entry.round)
     return Cause(f"{what} in round {entry.round}: {entry.error}.", entry.round, calls)
+
+
+def _no_plan(record: RunRecord) -> Cause | None:
+    result = record.result or {}
+    refused = [entry for entry in record.llm if entry.kind == "plan" and entry.rejected is not None]
+    if result.get("stopped") != "no_plan" or not refused:
+        return None
+    entry = refused[-1]
+    calls = _last_calls(record, entry.robot, "plan", entry.round)
+    return Cause(f"No model proposed an acceptable plan; most often, {result.get('reason')}", entry.round, calls)
+
+
+def _contained(record: RunRecord) -> Cause | None:
+    opened = {e.robot: e for e in record.events if e.kind == "breaker" and e.detail.get("state") == "open"}
+    open_now = [robot for robot, kinds in enumerate(record.states[-1].open_breakers) if kinds and robot in opened]
+    if not open_now:
+        return None
+    event = opened[open_now[0]]
+    sentence = f"At the end the models of {robots_text(open_now)} were no longer asked; robot {event.robot}'s because"
+    kind = str(event.detail.get("question"))
+    calls = _last_calls(record, event.robot, kind, event.round)
+    return Cause(f"{sentence} {event.detail.get('reason')}", event.round, calls)
 
 
 def _crash(record: RunRecord) -> Cause | None:

@@ -21,6 +21,7 @@ class CellLine:
     Attributes:
         outcomes: number of trials by outcome; they add up to `trials`.
         formed: share of all trials that formed, with Wilson's interval.
+        by_models: share of the trials of which it is known that formed without help from geometry; None without any.
         rounds: median of the rounds to the formation, over the trials that formed.
         ratio: median of these rounds over the lower bound.
         error: mean distance to the ideal shape at the end [units], over the `errors_known` trials that have one.
@@ -35,6 +36,7 @@ class CellLine:
     cell: ResultCell
     trials: int
     formed: Estimate
+    by_models: Estimate | None
     outcomes: Mapping[str, int]
     rounds: float | None
     ratio: float | None
@@ -82,12 +84,14 @@ def _cell_line(cell: ResultCell, trials: Sequence[TrialRow], method: Method) -> 
         return mean_interval(known(values), method=method)
 
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
+    alone = [bool(said) for trial in trials if (said := trial.figures.get("formed_by_models")) is not None]
     errors = known(trial.error for trial in trials)
     calls = sum(known(trial.figures["model_calls"] for trial in trials))
     return CellLine(
         cell=cell,
         trials=len(trials),
         formed=wilson(sum(trial.formed for trial in trials), len(trials)),
+        by_models=wilson(sum(alone), len(alone)) if alone else None,
         outcomes=Counter(trial.outcome for trial in trials),
         rounds=median(known(trial.figures["rounds_to_formed"] for trial in trials if trial.formed)),
         ratio=median(known(trial.ratio for trial in trials)),

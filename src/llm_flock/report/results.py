@@ -22,14 +22,18 @@ from llm_flock.experiments.sweep import PLAN_NAME, SWEEP_NAME
 from llm_flock.runtime.rules import PRESETS
 
 OUTCOMES: Mapping[str, str] = {
-    "formed": "the formation was built in time",
-    "not formed": "all rounds were flown, or it was built too late",
+    "formed": "the formation was built",
+    "not formed": "all rounds were flown",
     "budget": "a budget was used up first",
+    "no plan": "no model proposed an acceptable plan, and none is asked any more",
     "no answers": "no model answered any more",
     "interrupted": "the run was stopped from outside",
     "broke off": "an error ended the run",
 }
 """Outcomes of trials; each trial has exactly one."""
+
+ENDINGS = {"budget": "budget", "no_plan": "no plan", "no_answers": "no answers", "interrupted": "interrupted"}
+"""Outcome of a trial that did not form, by why it stopped; otherwise it is `not formed`."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -74,7 +78,7 @@ class TrialRow:
 
     @property
     def formed(self) -> bool:
-        """Whether the formation was built in time."""
+        """Whether the formation was built."""
         return self.outcome == "formed"
 
     @property
@@ -255,9 +259,7 @@ def _outcome(row: Mapping[str, Any]) -> str:
         return "broke off"
     if row["formed"]:
         return "formed"
-    return {"budget": "budget", "no_answers": "no answers", "interrupted": "interrupted"}.get(
-        row["stopped"], "not formed"
-    )
+    return ENDINGS.get(row["stopped"], "not formed")
 
 
 def as_number(text: str) -> float | None:

@@ -34,13 +34,14 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     columns: dict[str, Callable[[CellLine], str]] = {
         "trials": lambda line: str(line.trials),
         "formed % [95 %]": lambda line: interval(line.formed, 1, 100.0),
+        "by the models alone % [95 %]": lambda line: interval(line.by_models, 1, 100.0),
         **{name: lambda line, end=name: str(line.outcomes[end]) for name in ends},
         "too near": lambda line: str(line.too_near),
         "smallest separation [units]": lambda line: number(line.min_separation, 3),
     }
     note = (
         "Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
-        "are counted as not formed. Too near: trials in which two robots were nearer than the safe distance. "
+        "are counted as not formed. By the models alone: geometry stood in for no plan, waypoint or answer. Too near: trials in which two robots were nearer than the safe distance. "
     ) + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends)
     return _sheet(results, "How the trials ended", columns, {line.cell: line for line in lines}, note)
 

@@ -12,7 +12,7 @@ TRACKS: tuple[dict[str, str], ...] = (
     {
         "name": "fallbacks",
         "mark": "square",
-        "about": "No answer was of use: geometry, or no plan at all, took its place",
+        "about": "No answer was of use: geometry, or no plan at all, took its place; a circuit breaker switched",
     },
     {"name": "shield", "mark": "cross", "about": "A way was bent, held or given up for safety"},
     {"name": "faults", "mark": "bolt", "about": "A robot died or joined, a call failed, a message was refused"},

@@ -16,6 +16,9 @@ from llm_flock.viewer.recording import Recording
 from llm_flock.viz.style import plan_look
 
 DECIMALS = 3
+BENT = frozenset({"clipped", "shield", "detour", "geometry"})
+"""Origins of waypoints that differ from what the model asked for."""
+
 MOST_FRAMES = 256
 LARGEST = 10_000_000
 """Largest number that a request may contain."""
@@ -104,7 +107,8 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
         "i": [round(share, 2) for share in state.influence],
         "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],
         "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
-        "h": [robot for robot, origin in enumerate(state.origins) if origin in ("shield", "detour", "fallback")],
+        "h": [robot for robot, origin in enumerate(state.origins) if origin in BENT],
+        "b": [robot for robot, kinds in enumerate(state.open_breakers) if kinds],
     }
 
 

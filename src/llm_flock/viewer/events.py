@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 from llm_flock.record.schema import ProtocolEvent
 
@@ -11,6 +12,8 @@ _TRACKS = {
     "adopted": "plans",
     "fallback": "fallbacks",
     "no_plan": "fallbacks",
+    "breaker": "fallbacks",
+    "clipped": "shield",
     "shielded": "shield",
     "separating": "shield",
     "deadlock": "shield",
@@ -31,18 +34,46 @@ def track_of_event(event: ProtocolEvent) -> str | None:
     return _TRACKS.get(event.kind)
 
 
+def breaker_text(event: ProtocolEvent) -> str:
+    """An open circuit breaker in a sentence without its subject."""
+    detail = event.detail
+    question, refusals, wait = detail.get("question"), detail.get("refusals"), detail.get("wait")
+    probe = "" if wait is None else f", and then only in round {event.round + int(wait)}"
+    return (
+        f"its model is not asked for a {question} after {refusals} refusals in a row (circuit breaker open since round "
+        f"{event.round}{probe}); the last: {detail.get('reason')}"
+    )
+
+
+def _at(point: object) -> str:
+    return "[" + ", ".join(f"{x:.4g}" for x in cast("list[float]", point)) + "]" if isinstance(point, list) else "-"
+
+
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:
     """An event as a sentence without its subject; `plan_name` gives the letters that stand for a plan."""
     detail = event.detail
     match event.kind:
         case "proposed":
-            return f"proposed plan {plan_name(detail.get('plan'))}"
+            by = " made by geometry" if detail.get("by") == "geometry" else ""
+            return f"proposed plan {plan_name(detail.get('plan'))}{by}"
         case "adopted":
             return f"took plan {plan_name(detail.get('plan'))} over from robot {detail.get('from')}"
         case "claimed":
             before = detail.get("before")
             swap = "" if before is None else f" instead of {before}"
             return f"claimed place {detail.get('slot')}{swap}"
+        case "breaker":
+            closed = f"is asked for a {detail.get('question')} again: its last answer was usable"
+            return breaker_text(event) if detail.get("state") == "open" else f"its model {closed}"
+        case "clipped":
+            return f"flew its model's waypoint clipped to the step limit or the goal, to {_at(detail.get('flown'))}"
+        case "fallback":
+            helper = "geometry" if detail.get("by") == "geometry" else "a neighbour's plan"
+            return (
+                f"was helped by {helper}, for its model gave no usable {detail.get('question')}: {detail.get('reason')}"
+            )
+        case "no_plan":
+            return f"has no plan from its model: {detail.get('reason')}"
         case "killed":
             return "died"
         case "joined":

@@ -9,6 +9,7 @@ from typing import Any
 from nicegui import events, ui
 from nicegui.element import Element
 
+from llm_flock.record.words import work_text
 from llm_flock.viewer import canvases
 from llm_flock.viewer.canvases import Canvas
 from llm_flock.viewer.events import in_words
@@ -137,6 +138,8 @@ class Player:
             self._simulated.set_visibility(False)
             self._where = ui.label("round 0").classes("flock-where").props('aria-live="polite"')
             self._state = ui.badge("").classes("flock-state")
+            with self._state:
+                self._work = ui.tooltip("")
 
     def _call_arenas(self, name: str, *arguments: Any) -> None:
         for element in self._arenas:
@@ -155,6 +158,7 @@ class Player:
             state = "still running" if any(run.live for run in self.runs) else "reading …"
         else:
             state = _end(self.runs[0])
+            self._work.set_text(work_text(self.runs[0].result or {}) or state)
         self._state.set_text(failure or state)
         self._state.props(f"color={'negative' if failure else 'positive' if cursor['following'] else 'grey-8'}")
         self._simulated.set_visibility(any(run.simulated for run in self.runs))
@@ -236,5 +240,9 @@ def _end(run: Recording) -> str:
         return "ended early"
     formed = run.result.get("rounds_to_formed")
     if run.result.get("formed"):
-        return "formed" if formed is None else f"formed in round {formed}"
+        # Older records do not say whether the models did it alone.
+        helped = "" if run.result.get("formed_by_models", True) else ", with help for the models"
+        return ("formed" if formed is None else f"formed in round {formed}") + helped
+    if run.result.get("stopped") == "no_plan":
+        return "not formed: no model proposed an acceptable plan"
     return f"not formed ({run.result.get('stopped', 'ended')})"

@@ -23,7 +23,7 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
-from llm_flock.viewer.events import track_of_event
+from llm_flock.viewer.events import breaker_text, track_of_event
 from llm_flock.viz.style import plan_look, rules
 
 logger = logging.getLogger(__name__)
@@ -33,11 +33,15 @@ ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "la
 
 
 class PlanOrigin(NamedTuple):
-    """One step on the way of a plan to a robot: `robot` has it from `round` on, from `source` (None: proposed it)."""
+    """One step on the way of a plan to a robot: `robot` has it from `round` on, from `source`.
+
+    The first one proposed it, so its source is None; then `by` says who made the plan: `model` or `geometry`.
+    """
 
     round: int
     robot: int
     source: int | None
+    by: str = "model"
 
 
 class HeardClaim(NamedTuple):
@@ -86,6 +90,7 @@ class Recording:
         self.plan_numbers: dict[str, int] = {}
         self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
         self._events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
+        self._breakers: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
         self._calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)
         self._origins: defaultdict[tuple[int, str], list[PlanOrigin]] = defaultdict(list)
 
@@ -101,8 +106,11 @@ class Recording:
             case ProtocolEvent():
                 self._events[entry.round].append(entry)
                 self._mark(entry.round, track_of_event(entry))
+                if entry.kind == "breaker":
+                    self._breakers[entry.robot].append(entry)
                 if entry.kind in ("proposed", "adopted"):
-                    origin = PlanOrigin(entry.round, entry.robot, entry.detail.get("from"))
+                    by = str(entry.detail.get("by", "model"))
+                    origin = PlanOrigin(entry.round, entry.robot, entry.detail.get("from"), by)
                     self._origins[entry.robot, str(entry.detail.get("plan"))].append(origin)
             case FlightEvent(round=number, robot=robot, kind=kind, detail=detail):
                 if kind not in ROUTINE:
@@ -180,6 +188,11 @@ class Recording:
     def last_call(self, number: int, robot: int) -> int | None:
         """The last round, up to the given one, in which the robot's model was called."""
         return next((k for k in range(number, -1, -1) if (k, robot) in self._calls), None)
+
+    def breakers(self, number: int, robot: int) -> list[str]:
+        """What a robot's open circuit breakers have seen by a round, a sentence each; empty while all are closed."""
+        newest = {event.detail.get("question"): event for event in self._breakers[robot] if event.round <= number}
+        return [breaker_text(event) for event in newest.values() if event.detail.get("state") == "open"]
 
     def plan_name(self, plan_id: str | None) -> str:
         """The letters that stand for a plan; a dash for none."""

@@ -21,9 +21,17 @@ def show_robot(run: Recording, robot: int, number: int) -> None:
             f"plan {run.plan_name(state.plan_ids[robot])} · {slot} · influence {state.influence[robot]:.2f} · "
             f"{state.phases[robot].replace('_', ' ')} · moved by {state.origins[robot]}"
         ).classes("flock-facts")
+        _breakers(run, robot, number)
         _conversation(run, robot, number)
         _provenance(run, robot, number)
         _claims(run, robot, number)
+
+
+def _breakers(run: Recording, robot: int, number: int) -> None:
+    for sentence in run.breakers(number, robot):
+        with ui.row().classes("flock-verdict"):
+            ui.icon("electrical_services", color="warning").props('aria-label="circuit breaker open"')
+            ui.label(sentence[0].upper() + sentence[1:]).classes("flock-said")
 
 
 def _conversation(run: Recording, robot: int, number: int) -> None:
@@ -44,7 +52,8 @@ def _conversation(run: Recording, robot: int, number: int) -> None:
 
 def _call(entry: LlmEntry) -> None:
     with ui.element("section").classes("flock-call"):
-        ui.label(f"{entry.kind} · try {entry.attempt + 1}").classes("flock-call-title")
+        probe = " · probe" if entry.probe else ""
+        ui.label(f"{entry.kind} · try {entry.attempt + 1}{probe}").classes("flock-call-title")
         ui.label(entry.model.replace(",", ", ")).classes("flock-hint")
         prompt = ui.expansion(f"Prompt ({len(entry.messages)} messages)").props("dense").classes("flock-prompt")
 
@@ -75,7 +84,9 @@ def _provenance(run: Recording, robot: int, number: int) -> None:
         return
     ui.label("Provenance of its plan").classes("flock-role")
     words = [
-        f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})" for step in steps
+        f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})"
+        + (", made by geometry" if step.by == "geometry" else "")
+        for step in steps
     ]
     ui.label(" → ".join(words)).classes("flock-facts")
 

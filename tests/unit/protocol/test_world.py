@@ -42,7 +42,7 @@ FIRST = IDEAL.points[0]
 
 
 def test_no_place_lies_at_an_obstacle_and_the_reason_says_which() -> None:
-    mission = circle(disc(*FIRST, 0.5))
+    mission = circle(disc(FIRST[0], FIRST[1], 0.5))
     assert check_plan(mission, IDEAL) == (
         f"point 0 is inside the disc around [{FIRST[0]:.4g}, 50], at least 1.5 is required."
     )
@@ -63,7 +63,7 @@ def test_a_rounded_place_that_a_robot_still_reaches_is_accepted() -> None:
 
 
 def test_a_formation_that_travels_passes_obstacles() -> None:
-    travels = circle(disc(*FIRST, 0.5), velocity=(1.0, 0.0))
+    travels = circle(disc(FIRST[0], FIRST[1], 0.5), velocity=(1.0, 0.0))
     assert check_plan(travels, IDEAL) is None
     answer = geometric_plan(asked(travels))
     assert isinstance(answer, PlanAnswer) and answer.plan == IDEAL
@@ -105,7 +105,7 @@ def test_a_robot_does_not_propose_where_it_cannot_get_to() -> None:
 
 
 def test_geometry_turns_and_shifts_its_plan_until_it_fits() -> None:
-    turned = circle(disc(*FIRST, 0.5))
+    turned = circle(disc(FIRST[0], FIRST[1], 0.5))
     shifted = Mission(
         shape="line", n_robots=2, center=(50, 50), obstacles=tuple(_ring(6.3, 24, 0.2)), safe_distance=2.0
     )

@@ -336,6 +336,7 @@ export class Arena {
     const dead = new Set(frame.d);
     const asleep = new Set(frame.z);
     const bent = new Set(frame.h);
+    const opened = new Set(frame.b);
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     frame.x.forEach((at, robot) => {
@@ -351,6 +352,7 @@ export class Arena {
         pen.stroke();
         pen.setLineDash([]);
         if (this.selected.includes(robot)) this.ring(x, y);
+        if (opened.has(robot)) this.tag(x, y);
       }
       if (!few && !this.selected.includes(robot)) return;
       const size = Math.max(10, Math.min(16, this.radius * 1.05));
@@ -358,6 +360,18 @@ export class Arena {
       pen.fillStyle = dead.has(robot) || asleep.has(robot) ? theme().paper : ink;
       pen.fillText(dead.has(robot) ? "×" : String(robot), x, y + 0.5);
     });
+  }
+
+  /** A square with a G at a robot whose circuit breaker is open: geometry answers for its model. */
+  tag(x, y) {
+    const { pen } = this.surface;
+    const half = Math.max(5, this.radius * 0.45);
+    const [left, top] = [x + this.radius * 0.75, y - this.radius * 0.75];
+    pen.fillStyle = theme().warn;
+    pen.fillRect(left - half, top - half, 2 * half, 2 * half);
+    pen.fillStyle = theme().paper;
+    pen.font = `700 ${Math.round(half * 1.6)}px ${FONT}`;
+    pen.fillText("G", left, top + 0.5);
   }
 
   /** Letters of plans and influence, below all disks: where robots stand close, their numbers come first. */
