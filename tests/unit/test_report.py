@@ -34,7 +34,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 def test_every_trial_is_counted_once(results: Results) -> None:
     counts = results.outcomes()
     assert list(counts) == list(OUTCOMES)
-    assert counts == {"formed": 12, "not formed": 18, "budget": 4, "no answers": 0, "interrupted": 0, "broke off": 2}
+    assert {end: count for end, count in counts.items() if count} == {
+        "formed": 12,
+        "not formed": 18,
+        "budget": 4,
+        "broke off": 2,
+    }
     lines = cell_lines(results)
     assert [sum(line.outcomes.values()) for line in lines] == [SEEDS] * 6
     broken = next(line for line in lines if line.cell.protocol == "baseline")

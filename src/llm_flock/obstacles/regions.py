@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-
-import shapely
+from typing import TYPE_CHECKING
 
 from llm_flock.arrays import Point
 from llm_flock.obstacles.obstacle import Obstacle
+
+if TYPE_CHECKING:
+    import shapely  # imported where it is used: missions without obstacles start faster without it
 
 ARC = 64
 """Sides of a quarter of a circle. Outlines of grown obstacles lie inside the exact ones, by less than 1e-4 radii: a gap
@@ -26,6 +28,8 @@ def free_regions(
 
     A centre stays inside the arena, and `radius` away from obstacles.
     """
+    import shapely
+
     grown = [_shape(obstacle, radius) for obstacle in obstacles]
     (left, low), (right, high) = arena
     free = shapely.box(left, low, right, high).difference(shapely.union_all(grown))
@@ -35,11 +39,15 @@ def free_regions(
 
 def region_of(point: Point, regions: Sequence[shapely.Polygon]) -> int:
     """Index of the region that a point is in, or nearest to; -1 if there is none."""
+    import shapely
+
     here = shapely.Point(point)
     return min(range(len(regions)), key=lambda k: regions[k].distance(here), default=-1)
 
 
 def _shape(obstacle: Obstacle, radius: float) -> shapely.Geometry:
+    import shapely
+
     if obstacle.polygon is not None:
         return shapely.buffer(shapely.Polygon(obstacle.polygon), radius, quad_segs=ARC)
     assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a disc or a polygon"

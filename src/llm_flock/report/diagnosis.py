@@ -58,8 +58,9 @@ def find_causes(record: RunRecord) -> tuple[Cause, ...]:
     """Everything that went wrong in a record, the worst first.
 
     First, that no model answered, the budget ended, or no model gave an acceptable plan; then that two robots came too
-    near; then the first of these that holds: several plans, two robots with one goal, a robot away from its goal, a plan
-    that is not the shape; then whose model was no longer asked. Where nothing of all this holds, the run took too long.
+    near; then the first of these that holds: several plans, two robots with one goal, a robot away from its goal, a
+    plan that is not the shape; then whose model was no longer asked. Where nothing of all this holds, the run took too
+    long.
     """
     ending = next((found for find in (_plans, _goals, _away, _shape) if (found := find(record)) is not None), None)
     causes = (_unanswered(record), _no_plan(record), _crash(record), ending, _contained(record))

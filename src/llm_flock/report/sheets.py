@@ -41,7 +41,8 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     }
     note = (
         "Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
-        "are counted as not formed. By the models alone: geometry stood in for no plan, waypoint or answer. Too near: trials in which two robots were nearer than the safe distance. "
+        "are counted as not formed. By the models alone: geometry stood in for no plan, waypoint or answer. "
+        "Too near: trials in which two robots were nearer than the safe distance. "
     ) + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends)
     return _sheet(results, "How the trials ended", columns, {line.cell: line for line in lines}, note)
 

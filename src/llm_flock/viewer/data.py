@@ -108,7 +108,7 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
         "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],
         "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
         "h": [robot for robot, origin in enumerate(state.origins) if origin in BENT],
-        "b": [robot for robot, kinds in enumerate(state.open_breakers) if kinds],
+        "b": [k for k, kinds in enumerate(state.open_breakers) if "step" in kinds or (kinds and not state.plan_ids[k])],
     }
 
 

@@ -38,10 +38,10 @@ def breaker_text(event: ProtocolEvent) -> str:
     """An open circuit breaker in a sentence without its subject."""
     detail = event.detail
     question, refusals, wait = detail.get("question"), detail.get("refusals"), detail.get("wait")
-    probe = "" if wait is None else f", and then only in round {event.round + int(wait)}"
+    probe = "" if wait is None else f"; next probe in round {event.round + int(wait)}"
     return (
-        f"its model is not asked for a {question} after {refusals} refusals in a row (circuit breaker open since round "
-        f"{event.round}{probe}); the last: {detail.get('reason')}"
+        f"its model is not asked for a {question} after {refusals} refusals in a row (circuit breaker open{probe}); "
+        f"the last: {detail.get('reason')}"
     )
 
 
