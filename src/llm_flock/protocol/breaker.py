@@ -1,8 +1,10 @@
 """The circuit breaker between a robot and its model: a model whose answers stay unusable is no longer asked.
 
 The pattern is Nygard's (Release It!, 2007). A closed breaker passes questions on. After `THRESHOLD` refused questions
-in a row it opens: plain geometry answers, and costs nothing. After a wait the breaker is half-open and passes on one
-question, a probe without a second try. A usable answer closes the breaker; another refusal opens it for twice as long.
+in a row it opens: plain geometry answers, and costs nothing. It also opens for a model that is refused again and again
+with usable answers in between, which make up for a refusal only slowly (`RECOVERY`). After a wait the breaker is
+half-open and passes on one question, a probe without a second try. A usable answer closes the breaker; another refusal
+opens it for twice as long.
 """
 
 from __future__ import annotations
@@ -21,6 +23,9 @@ QuestionKind: TypeAlias = Literal["plan", "step"]
 THRESHOLD = 2
 """Refused questions in a row that open a closed breaker. Each of them was asked again with the reason, so with the
 default of two retries a hopeless model costs six calls."""
+
+RECOVERY = 0.25
+"""Part of a refusal that a usable answer makes up for: four make up for one."""
 
 FIRST_WAIT = 2
 """Rounds from the opening of a breaker to the first probe; each refused probe doubles the wait."""
@@ -57,6 +62,7 @@ class CircuitBreaker:
         self._wait = FIRST_WAIT
         self._due = 0
         self._doubted = False
+        self._score = 0.0  # refusals, less what usable answers have made up for
 
     @property
     def is_open(self) -> bool:
@@ -71,7 +77,7 @@ class CircuitBreaker:
 
     def begin_mission(self) -> None:
         """Another mission, so other questions: forget the refusals, and if the breaker is open, probe at once."""
-        self.refusals, self._due = 0, 0
+        self.refusals, self._due, self._score = 0, 0, 0.0
 
     def usable(self) -> list[Note]:
         """The model's answer could be used. Returns a note if that closes the breaker."""
@@ -82,17 +88,19 @@ class CircuitBreaker:
         if not closes:
             self._wait = FIRST_WAIT
         self.refusals, self.reason = 0, None
+        self._score = 0.0 if closes else max(0.0, self._score - RECOVERY)
         return [self._note(None, "")] if closes else []
 
     def refused(self, number: int, answer: NoAnswer) -> list[Note]:
         """The model's answer to a question of this round is unusable. Returns a note if the breaker is open now."""
         self.refusals += 1
+        self._score += 1.0
         self.reason = answer
         if not self._enabled:
             return []
         if self.state is BreakerState.HALF_OPEN or (self._doubted and not self.is_open):
             self._wait = min(2 * self._wait, LONGEST_WAIT)
-        elif self.refusals < THRESHOLD:
+        elif self._score < THRESHOLD:
             return []
         self.state, self._doubted = BreakerState.OPEN, False
         self._due = number + self._wait

@@ -34,7 +34,8 @@ def asked_in(breaker: CircuitBreaker, rounds: range) -> list[int]:
 def test_it_opens_after_refusals_in_a_row_and_says_so() -> None:
     breaker = CircuitBreaker("plan", enabled=True)
     assert breaker.refused(1, FAILURE) == [] and breaker.asks(2)
-    assert breaker.usable() == [] and breaker.refusals == 0
+    for _ in range(4):
+        assert breaker.usable() == [] and breaker.refusals == 0
     assert breaker.refused(3, FAILURE) == [] and not breaker.is_open
     (note,) = breaker.refused(4, FAILURE)
     assert note.kind == "breaker" and note.detail == {
@@ -45,6 +46,24 @@ def test_it_opens_after_refusals_in_a_row_and_says_so() -> None:
         "reason": "not readable",
     }
     assert breaker.is_open and breaker.reason == FAILURE and not breaker.asks(5)
+
+
+@pytest.mark.parametrize("good", [1, 2])
+def test_a_model_that_is_bad_at_every_second_question_is_contained_too(good: int) -> None:
+    breaker = CircuitBreaker("step", enabled=True)
+    number = 0
+    while not breaker.is_open:
+        for _ in range(good):
+            breaker.usable()
+        breaker.refused(number := number + 1, FAILURE)
+        assert number < 10
+    assert number == 3
+    rarely = CircuitBreaker("step", enabled=True)
+    for number in range(50):
+        for _ in range(4):
+            rarely.usable()
+        rarely.refused(number, FAILURE)
+    assert not rarely.is_open, "a model that is refused once in five questions is still asked"
 
 
 def test_probes_come_at_growing_intervals_up_to_a_longest_one() -> None:
@@ -69,7 +88,7 @@ def test_a_model_that_has_just_recovered_gets_no_second_chance_until_it_has_answ
     assert breaker.asks(5) and breaker.refused(5, FAILURE) and not breaker.asks(8) and breaker.asks(9)
     breaker.usable()
     breaker.usable()
-    assert breaker.refused(12, FAILURE) == []
+    assert breaker.refused(12, FAILURE) == [], "from then on it takes two again"
     (note,) = breaker.refused(13, FAILURE)
     assert note.detail["wait"] == FIRST_WAIT
 

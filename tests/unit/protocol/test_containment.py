@@ -312,3 +312,15 @@ def test_an_order_that_changes_nothing_is_no_other_mission() -> None:
     robot = Robot(no_plan).fly(2)
     robot.agent.handle(Received(b"nothing"))
     assert robot.agent.hopeless is not None
+
+
+def test_a_path_of_tiny_steps_is_not_flown_to_its_end() -> None:
+    robot = Robot(on_event=True)
+
+    def crawl(question: StepQuestion) -> StepAnswer:
+        way = [towards(question, 0.2 * k) for k in range(1, 21)]
+        return StepAnswer(waypoint=way[0], path=tuple(way[1:]))
+
+    robot.model = good_plan, crawl
+    robot.fly(25)
+    assert robot.agent.goal in [move.waypoint for move in robot.moves] and "geometry" in robot.origins

@@ -192,7 +192,10 @@ class Pilot:
         if trigger is not None:
             return trigger
         fit = self._validator.waypoint(question, _shifted(committed.answer, scene.ahead))
-        return Trigger.UNFIT if isinstance(fit, NoAnswer) else None
+        if isinstance(fit, NoAnswer):
+            return Trigger.UNFIT
+        slow = self._fallback != "hold" and self._pace.too_slow(question, fit) is not None
+        return Trigger.UNFIT if slow else None
 
     def _move(
         self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation, asked: Point | None
