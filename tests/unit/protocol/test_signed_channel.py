@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 import pytest
 from signed_team import Liar, SignedTeam, channel_of, evidence_of, good_plan, line_up
 from toy_keys import ToyKeys
@@ -147,7 +148,8 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     stamp = MissionStamp(10**9, square.digest)
     forged = Authorization(counter=stamp.counter, signature=liar.keys.sign(mission_statement(stamp)))
     for authorization in (None, forged):
-        (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=0, authorization=authorization))
+        order = MissionGiven(mission=square, ordered_at=stamp.counter, authorization=authorization)
+        (note,) = team.agents[0].handle(order)
         assert (note.kind, note.detail["reason"]) == ("rejected_message", "no_order")  # type: ignore[union-attr]
     text = mission_text(square)
     lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text=text))
@@ -157,13 +159,41 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     team.end()
 
     authorization = Authorization(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
-    (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=0, authorization=authorization))
+    (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=stamp.counter, authorization=authorization))
     assert note.kind == "mission"  # type: ignore[union-attr]
-    (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=0, authorization=authorization))
+    (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=stamp.counter, authorization=authorization))
     assert note.detail["reason"] == "old_mission"  # type: ignore[union-attr]
     team.fly(8)
     assert {agent.mission.center for agent in team.agents} == {(52.0, 50.0)}
     assert team.settled()
+
+
+def signed(mission: Mission, time: int) -> MissionGiven:
+    signature = ToyKeys(OPERATOR).sign(mission_statement(MissionStamp(time, mission.digest)))
+    authorization = Authorization(counter=time, signature=signature)
+    return MissionGiven(mission=mission, ordered_at=time, authorization=authorization)
+
+
+def test_an_older_order_does_not_replace_the_signature_that_is_passed_on(team: SignedTeam) -> None:
+    """Otherwise a robot would show the signature of another mission with its own, and nobody would take it over."""
+    last, older = MISSION.change(center=(52.0, 50.0)), MISSION.change(center=(47.0, 50.0))
+    team.agents[0].handle(signed(last, 7))
+    (note,) = team.agents[0].handle(signed(older, 6))
+    assert note.detail["reason"] == "old_mission"  # type: ignore[union-attr]
+    team.fly(3)
+    assert {agent.mission.center for agent in team.agents} == {(52.0, 50.0)} and team.counts("no_order") == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_signed_orders_to_several_robots_the_last_one_given_is_flown(seed: int) -> None:
+    """They arrive in any order, the last one at another robot than the others, and messages are lost."""
+    team = SignedTeam(MISSION, line_up(5), seed=seed, loss=0.3)
+    team.fly(2)
+    orders = [signed(MISSION.change(center=(46.0 + k, 50.0)), 10 + k) for k in range(4)]
+    for k in np.random.default_rng(seed).permutation(4).tolist():
+        team.agents[3 if k == 3 else 0].handle(orders[k])
+    team.fly(10)
+    assert {agent.mission.center for agent in team.agents} == {(49.0, 50.0)} and team.settled()
 
 
 def test_signatures_of_one_kind_are_not_those_of_another() -> None:

@@ -161,10 +161,10 @@ class Messaging:
         current, signed = self._agreement.stamp, order.authorization
         stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
         try:
-            self._channel.check_mission(stamp, signed)
-            if stamp <= current:
+            if stamp <= current:  # first: an older signature must not replace that of the mission in force
                 later = f"an order of {time_text(current.counter)} is in force, this one is of"
                 raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
+            self._channel.check_mission(stamp, signed)
         except MessageError as error:
             return self._reject(error)
         return self._begin_mission(order.mission, stamp)
