@@ -129,3 +129,20 @@ def test_robots_with_a_bad_model_harm_nobody(shape: str, robots: int, one_in: in
     assert figures.formed and figures.plan_by is not None and "test" in figures.plan_by
     assert figures.min_separation is not None and figures.min_separation >= 3 - 1e-6
     assert figures.calls_rejected <= 6 * len(range(0, robots, one_in))
+
+
+@pytest.mark.parametrize("body", ["nested", "surrogate"])
+def test_a_hostile_body_ends_no_run_and_no_record(tmp_path: Path, body: str) -> None:
+    """Lists in lists that no parser gets to the end of, and half of a character in the name of the model."""
+    nested = b'{"choices":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    named = completion(b"", "Plan: none").replace(b'"stand-in"', b'"half \\ud800 name"')
+    with answering(nested if body == "nested" else named) as (url, _):
+        figures = llm_flock.run(
+            llm_flock.Mission(shape="triangle", n_robots=3),
+            model=f"0={MODEL},1-2=simulated:ideal",
+            base_url=url,
+            max_tries=1,
+            seed=1,
+            out=str(tmp_path),
+        ).summary
+    assert figures.formed and figures.breakers_opened == (0,) and llm_flock.read_record(tmp_path / "run.mcap").complete

@@ -94,7 +94,7 @@ def test_what_comes_over_the_wire_is_checked() -> None:
     assert unpack(BeaconedMessage, pack(BeaconedMessage(beacon=beacon, message=b"abc"))) == BeaconedMessage(
         beacon=beacon, message=b"abc"
     )
-    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x01abc", "malformed")):
+    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x02abc", "malformed")):
         with pytest.raises(MessageError) as caught:
             unpack(WorldState, payload)
         assert caught.value.reason == reason

@@ -238,3 +238,16 @@ def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:
     Store(tmp_path).save(trial("circle", 10, "flock", 0, simulated=True))
     for drawing in draw_all(Results.read(tmp_path), "flock"):
         assert [legend.get_title().get_text() for legend in drawing.figure.legends] == ["simulated language models"]
+
+
+def test_a_run_without_a_plan_and_a_model_that_is_not_asked_are_explained(tmp_path: Path) -> None:
+    import llm_flock
+
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    llm_flock.run(mission, model="simulated:distorted", seed=1, out=str(tmp_path / "none"))
+    first, *_ = find_causes(read_record(tmp_path / "none" / "run.mcap"))
+    assert first.sentence.startswith("No model proposed an acceptable plan; most often, ") and first.entries
+    model = "0=simulated:malformed,1-2=simulated:ideal"
+    llm_flock.run(mission, model=model, seed=1, rounds=4, out=str(tmp_path / "short"))
+    *_, last = find_causes(read_record(tmp_path / "short" / "run.mcap"))
+    assert last.sentence.startswith("At the end the models of robot 0 were no longer asked; robot 0's because")

@@ -10,9 +10,10 @@ from sample_records import FakeRun, llm_entry, make_record
 from llm_flock.errors import InputError
 from llm_flock.record.schema import BodySample, FlightEvent, ProtocolEvent, RoundEnd
 from llm_flock.record.stream import RecordStream
-from llm_flock.record.words import understood, verdict
+from llm_flock.record.words import understood, verdict, work_text
 from llm_flock.record.writer import RecordWriter
 from llm_flock.viewer.data import frames, news
+from llm_flock.viewer.events import in_words
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.paths import newest_in, records_in, title_of
 from llm_flock.viewer.recording import Recording
@@ -151,3 +152,31 @@ def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_pa
         run.write(FlightEvent(round=2, time_s=1.0, kind=kind, robot=robot, detail={}))
     assert news(run, 0, 0, 0)["marks"]["2"]["faults"] == 2
     assert [event.kind for event in run.events(2) if event.robot == 1][-2:] == ["aloft", "link_lost"]
+
+
+def test_an_open_circuit_breaker_is_shown_in_words_and_marked(tmp_path: Path) -> None:
+    """A real run with one hopeless model: the panel's sentences, the frames' marks, and who did the work."""
+    import llm_flock
+
+    path = tmp_path / "run.mcap"
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    result = llm_flock.run(mission, model="0=simulated:malformed,1-2=simulated:ideal", seed=1, out=str(tmp_path))
+    assert result.formed and result.summary.breakers_opened == (0,)
+    run = replayed(path)
+    opened = next(k for k, state in enumerate(run.states) if "step" in state.open_breakers[0])
+    (sentence,) = [text for text in run.breakers(opened, 0) if "step" in text]
+    assert (
+        "its model is not asked for a step after 2 refusals in a row" in sentence and "next probe in round" in sentence
+    )
+    assert run.breakers(0, 0) == run.breakers(opened, 1) == []
+    assert frames(run, opened, 1)[0]["b"] == [0] and frames(run, 0, 1)[0]["b"] == []
+    assert run.marks[opened]["fallbacks"] > 0
+    assert any(call.probe for k in range(run.rounds + 1) for call in run.calls(k, 0))
+    words = [in_words(event, run.plan_name) for k in range(run.rounds + 1) for event in run.events(k)]
+    assert any("was helped by geometry, for its model gave no usable step" in text for text in words)
+    work = work_text(run.result or {})
+    assert (
+        work.startswith("plan by robot ")
+        and "geometry" in work
+        and work.endswith("circuit breakers opened for robot 0")
+    )

@@ -110,7 +110,8 @@ def no_success(summary: Summary, fallback: str | None) -> str:
     if summary.stopped == "no_answers":
         return f"no model answered, {spent}: {summary.reason}"
     hint = "; --fallback geometry lets geometry make the plan" if fallback == "breaker" else ""
-    return f"no robot proposed an acceptable plan, {spent}; most often, {summary.reason}{hint}"
+    reason = (summary.reason or "").rstrip(".")
+    return f"no robot has a plan, and no model of the team gives an acceptable one, {spent}; most often, {reason}{hint}"
 
 
 def _number(value: float | None, form: str) -> str:

@@ -93,8 +93,8 @@ def swarm(
             table.add_row(key.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
         Console().print(table)
     if result.stopped == "no_plan":
-        spent = f"after {result.model_calls} calls; most often, {result.reason}"
-        print(f"error: no robot proposed an acceptable plan, {spent}", file=sys.stderr)
+        why = f"after {result.model_calls} calls; most often, {result.reason}"
+        print(f"error: no robot has a plan, and no model gives an acceptable one, {why}", file=sys.stderr)
     if not result.formed:
         raise typer.Exit(EXIT_FAILED)
 

@@ -133,7 +133,7 @@ class PydanticModel:
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
             retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
             raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
-        except (ValueError, TypeError, AttributeError, LookupError, AssertionError) as error:
+        except (ValueError, TypeError, AttributeError, LookupError, AssertionError, RecursionError) as error:
             # A malformed body that the SDK's parser trips over must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"
@@ -164,11 +164,9 @@ class PydanticModel:
         said = spoken(response.text or "")
         # A thought that does not end stays, with its mark: the record shows what was refused.
         raw = said.text.lstrip() if said.thought and not said.unfinished else response.text or ""
-        text = scrub(raw, self._secrets)
-        if not text.isascii():  # UTF-8 and so the records cannot hold lone surrogates
-            text = text.encode("utf-8", "replace").decode("utf-8")
+        text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
-        answered_by = scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH]
+        answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH])
         answered_by = answered_by or self.name.partition(":")[2]
         cost = self._cost if self._cost is not None else cost_usd(self._price_list, answered_by, usage)
         return Reply(
@@ -184,8 +182,13 @@ class PydanticModel:
 
     def _clean(self, text: str) -> str:
         # Scrub before cutting: a key cut in half would not be recognised.
-        text = " ".join(scrub(text, self._secrets).split())
+        text = _encodable(" ".join(scrub(text, self._secrets).split()))
         return text if len(text) <= DETAIL_LENGTH else text[: DETAIL_LENGTH - 3] + "..."
+
+
+def _encodable(text: str) -> str:
+    """The text without lone surrogates, which neither UTF-8 nor the records can hold."""
+    return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
 
 
 def finish_reason(response: ModelResponse) -> str | None:

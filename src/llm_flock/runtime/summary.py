@@ -44,7 +44,7 @@ def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFig
         rounds=rounds,
         formed=episode.formed_at is not None,
         formed_by_models=episode.formed_at is not None
-        and by != GEOMETRY
+        and GEOMETRY not in (by, *trial.planners.names)
         and not journal.breakers_opened
         and not journal.waypoints[Origin.GEOMETRY.value],
         rounds_to_formed=episode.rounds_to_formed,

@@ -10,12 +10,13 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
+import msgspec
 import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.protocol import events
-from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note
+from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.messages.order_time import order_time
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
@@ -192,6 +193,9 @@ class Trial:
         for comm_round in range(self.config.protocol.comm_rounds or 1):
             self._exchange(comm_round)
         moves = await self._think_steps()
+        for robot, move in moves.items():
+            if move.origin is Origin.MODEL and self.planners.model_of(robot) == "geometry":
+                moves[robot] = msgspec.structs.replace(move, origin=Origin.GEOMETRY)
         await self._move(moves)
         for robot in self.roster.awake:
             self._tell(robot, events.Arrived())

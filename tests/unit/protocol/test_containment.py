@@ -253,6 +253,32 @@ def test_a_robot_that_has_almost_arrived_or_is_blocked_is_not_called_slow() -> N
         assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0)) is None
 
 
+def test_a_model_that_is_slow_between_refusals_is_found_out_too() -> None:
+    """A third of a step at every second question, and prose at the others."""
+    robot = Robot()
+
+    def half_good(question: StepQuestion) -> StepAnswer | NoAnswer:
+        return REFUSED if question.round % 2 else StepAnswer(waypoint=towards(question, 2.0))
+
+    robot.model = good_plan, half_good
+    robot.fly(12)
+    assert robot.agent.goal in [move.waypoint for move in robot.moves]
+
+
+def test_a_place_that_travels_has_to_be_reached_not_followed() -> None:
+    """Whoever flies half of what is left trails behind by a whole step of the formation."""
+    travels = MISSION.change(velocity=(2.0, 0.0))
+    goal = IDEAL.points[0]
+    reasons: list[str | None] = []
+    for mission, after in ((travels, 1.0), (travels, 0.2), (MISSION, 1.0)):
+        question = StepQuestion(
+            mission=mission, robot=0, round=1, position=(goal[0] - 2.0, goal[1]), neighbors=(), plan=IDEAL, slot=0
+        )
+        pace = Pace()
+        reasons.append([pace.too_slow(question, (goal[0] - after, goal[1])) for _ in range(6)][-1])
+    assert reasons[0] is not None and reasons[1:] == [None, None]
+
+
 def test_the_purist_holds_and_asks_for_ever() -> None:
     robot = Robot(fallback="hold").fly(6)
     assert robot.origins == ["hold"] * 6 and robot.here == START and not robot.agent.open_breakers

@@ -131,6 +131,7 @@ class Pilot:
             return [*self.breaker.usable(), *self._commit(fit, question, scene, answer.waypoint)]
         notes: list[Effect] = [*self.breaker.refused(scene.round, fit)]
         if self._fallback == "breaker" and not self.breaker.is_open:
+            self._pace.held()
             return [*notes, *self._commit(fit, question, scene, answer.waypoint)]
         notes.extend(fallback_notes("step", "geometry", fit))
         return [*notes, *self._by_geometry(question, scene, answer.waypoint)]
