@@ -1,6 +1,6 @@
 """One bad mind harms nobody: teams with models that are always bad, and what they cost.
 
-    python -m benchmarks containment [--trials N] [--jobs N]     1,000 trials of each case and team, and the hopeless ones
+    python -m benchmarks containment [--trials N] [--jobs N]     1,000 trials of each case and team
     python -m benchmarks containment-http                        twenty missions of each of 4 cases over HTTP
 
 All models are simulated. Calls are compared with those of the same team with ideal models on the same seeds.
@@ -39,7 +39,8 @@ def _some(n: int, bad: int, profile: str) -> str:
 def cases(trials: int, jobs: int) -> None:
     """Every case on every team."""
     print(
-        f"{trials} trials each, simulated language models; bars: formed >= 99.9 %, separation never below the safe distance (3), calls as each line says"
+        f"{trials} trials each, simulated language models; bars: formed >= 99.9 %, "
+        "separation never below the safe distance, calls as each line says"
     )
     for shape, n in TEAMS:
         ideal_calls = 0.0
