@@ -16,6 +16,7 @@ from llm_flock.arrays import MAX_COORDINATE, Point, Points
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.obstacles.regions import free_regions, region_of
+from llm_flock.printable import hidden
 
 MIN_LENGTH = 1e-3
 """Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
@@ -156,6 +157,8 @@ class Mission(BaseModel):
             InputError: the shape does not exist for this number of places, violates the safe distance, or does not
                 fit into the arena.
         """
+        if (found := hidden(self.shape)) is not None:
+            raise InputError("shape", self.shape, f"letters that everybody sees, not {found!a}")
         if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
             raise InputError(
                 "points", "given" if self.points else "missing", "given with shape 'points', and only with it"

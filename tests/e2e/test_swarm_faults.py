@@ -88,7 +88,7 @@ def test_a_killed_robot_that_starts_again_takes_its_place() -> None:
 
 def test_a_divided_team_agrees_again() -> None:
     def healed(observer: Observer) -> bool:
-        return formed(observer) and observer.in_order and observer.reports[0].stamp - (observer.began_s or 0.0) > 13.0
+        return formed(observer) and observer.in_order and observer.heard_s[0] - (observer.began_s or 0.0) > 13.0
 
     check(fly(swarm_config(6, partition="1-11"), until=healed), 6)
 

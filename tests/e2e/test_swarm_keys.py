@@ -16,7 +16,7 @@ from llm_flock.trust.keys import make_keys
 
 
 def saying(message: Message) -> bytes:
-    beacon = Beacon(stamp=time.time(), position=(50.0, 50.0), end=(50.0, 50.0))
+    beacon = Beacon(stamp=time.time(), position=(50.0, 50.0))
     return pack(BeaconedMessage(beacon=beacon, message=encode(message)))
 
 

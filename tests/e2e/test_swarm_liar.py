@@ -112,7 +112,7 @@ class Liar:
         """Tell where the body is, which is true, and whatever is not."""
         if self.here is None:
             return
-        beacon = Beacon(stamp=time.time(), position=self.here, end=self.here)
+        beacon = Beacon(stamp=time.time(), position=self.here)
         self.link.publish("beacon", LIAR, pack(beacon))
         for lie in self.lies():
             self.link.publish("say", LIAR, pack(BeaconedMessage(beacon=beacon, message=lie)))

@@ -271,8 +271,11 @@ def running(**options: Any) -> Iterator[Server]:
 
 
 @contextlib.contextmanager
-def answering(body: bytes) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """A server in a thread that gives one response to all; yields its address and the requests as they come."""
+def answering(body: bytes, repeat: int = 1, **headers: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """A server in a thread that gives one response to all; yields its address and the requests as they come.
+
+    The body is sent `repeat` times in one response. Each request gets a field `sent`: how many times that was done.
+    """
     seen: list[dict[str, Any]] = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -280,9 +283,14 @@ def answering(body: bytes) -> Iterator[tuple[str, list[dict[str, Any]]]]:
             seen.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
             self.send_response(200)
             self.send_header("Content-Type", "application/json")
-            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Content-Length", str(len(body) * repeat))
+            for name, value in headers.items():
+                self.send_header(name.replace("_", "-"), value)
             self.end_headers()
-            self.wfile.write(body)
+            with contextlib.suppress(ConnectionError):
+                for number in range(repeat):
+                    self.wfile.write(body)
+                    seen[-1]["sent"] = number + 1
 
         def log_message(self, format: str, *args: Any) -> None:
             """Stay quiet."""

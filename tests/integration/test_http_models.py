@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import math
 import time
 from collections import Counter
 
 import numpy as np
 import pytest
-from integration.fault_server import Server, running
+from integration.fault_server import Server, answering, running
 from slowness import slowness
 
 from llm_flock.errors import BudgetExceeded, ModelError
@@ -85,6 +86,21 @@ def test_cut_connections_and_garbage_have_their_kinds() -> None:
         *garbage, unusable = asyncio.run(many(server))
     assert [error.kind for error in garbage if isinstance(error, ModelError)] == ["garbage"] * 3
     assert isinstance(unusable, Reply)  # a proper response: whether its text is of use is the planner's question
+
+
+def test_a_body_without_end_is_not_read_to_its_end() -> None:
+    """1.2 GB in one response: memory for a few megabytes of it is all that is spent."""
+    with answering(b" " * (1 << 20), repeat=1200) as (url, requests):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and error.kind == "garbage" and "larger than 8 MiB" in error.detail
+    assert requests[-1]["sent"] < 64
+
+
+def test_a_few_bytes_that_unpack_to_many_are_refused() -> None:
+    packed = gzip.compress(b" " * (100 << 20))
+    with answering(packed, Content_Encoding="gzip") as (url, _):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and error.kind == "garbage" and "compressed" in error.detail
 
 
 def test_a_server_that_is_not_there_is_a_connection_fault() -> None:

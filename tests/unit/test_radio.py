@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 
 from llm_flock.errors import MessageError
 from llm_flock.members import OPERATOR
 from llm_flock.mission import Mission
-from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, WorldState, pack, unpack
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.seal import PlainSeal
@@ -23,10 +25,10 @@ PLACES = [(50.0, 50.0), (60.0, 50.0), (66.0, 50.0), (50.0, 52.0)]
 def radio(**faults: float) -> Radio:
     rng = np.random.default_rng(3)
     links = LinkFaults.model_validate(faults)
-    own = Radio(0, MISSION, faults=links, rng=rng, beacon_s=0.1, delay_s=0.1, clock_error_s=0.002)
+    own = Radio(0, MISSION, faults=links, rng=rng, beacon_s=0.1, delay_s=0.1, clock_error_s=0.002, speed=10.0)
     own.frame(100.0, PLACES)
     for sender in (1, 2, 3):
-        seen = Seen(stamp=100.0, position=PLACES[sender], end=PLACES[sender])
+        seen = Seen(stamp=100.0, position=PLACES[sender])
         own.place(sender, seen)
         if own.carries(sender):
             own.beacon(sender, seen)
@@ -42,7 +44,14 @@ def test_the_air_carries_within_range_only() -> None:
 
 def test_who_has_not_said_where_it_is_is_not_heard() -> None:
     own = Radio(
-        0, MISSION, faults=LinkFaults(), rng=np.random.default_rng(0), beacon_s=0.1, delay_s=0.1, clock_error_s=0.0
+        0,
+        MISSION,
+        faults=LinkFaults(),
+        rng=np.random.default_rng(0),
+        beacon_s=0.1,
+        delay_s=0.1,
+        clock_error_s=0.0,
+        speed=10.0,
     )
     assert not own.carries(1) and own.neighbors(0.0) == 0
     own.frame(0.0, PLACES)
@@ -62,13 +71,32 @@ def test_beacons_go_stale() -> None:
     assert own.neighbors(100.4) == 2 and own.neighbors(100.6) == 0
 
 
-def test_a_sighting_is_the_newest_and_tells_its_age() -> None:
+def test_a_body_in_sight_is_where_the_sensors_see_it_whatever_its_beacon_says() -> None:
     own = radio()
-    own.beacon(1, Seen(stamp=100.2, position=(59.0, 50.0), end=(58.0, 50.0)))
-    own.beacon(1, Seen(stamp=99.0, position=(0.0, 0.0), end=(0.0, 0.0)))
-    first = next(s for s in own.sightings(100.3) if s.position[1] == 50.0)
-    assert first.committed == (58.0, 50.0) and first.age_s == pytest.approx(0.102)
+    own.beacon(1, Seen(stamp=100.2, position=(65.0, 50.0)))
+    (one, other) = own.sightings(100.3)
+    assert {one.position, other.position} == {PLACES[1], PLACES[3]}
+    assert one.age_s == other.age_s == pytest.approx(0.302)
     assert own.unseen_s(100.3) == pytest.approx(0.302)
+    assert own.contradicted == 1
+    own.beacon(3, Seen(stamp=100.2, position=(50.0, 53.0)))
+    assert own.contradicted == 1, "as far as it may have flown since"
+
+
+def test_a_beacon_helps_out_of_sight_unless_the_sensors_would_have_seen_that() -> None:
+    own = radio()
+    own.frame(100.1, [PLACES[0], PLACES[1], (66.0, 50.0), PLACES[3]])
+    own.beacon(2, Seen(stamp=100.2, position=(64.5, 50.0)))
+    assert (64.5, 50.0) in [s.position for s in own.sightings(100.3)]
+    own.beacon(2, Seen(stamp=100.25, position=(51.0, 50.0)))
+    assert [s.position for s in own.sightings(100.3)] == [PLACES[1], PLACES[3]]
+    assert own.contradicted == 1
+    own.beacon(2, Seen(stamp=100.27, position=(64.5, 50.0)))
+    own.frame(100.3, [PLACES[0], PLACES[1], (66.0, 50.0), PLACES[3]])
+    assert len(own.sightings(100.3)) == 2, "the sensors are newer"
+    own.beacon(2, Seen(stamp=100.4, position=(64.5, 50.0)))
+    own.forget_beacons()
+    assert len(own.sightings(100.4)) == 2
 
 
 def test_loss_duplicates_and_delays_are_injected() -> None:
@@ -89,15 +117,31 @@ def test_loss_duplicates_and_delays_are_injected() -> None:
 
 
 def test_what_comes_over_the_wire_is_checked() -> None:
-    beacon = Beacon(stamp=1.0, position=(1.0, 2.0), end=(3.0, 4.0))
+    beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     assert unpack(Beacon, pack(beacon)) == beacon
     assert unpack(BeaconedMessage, pack(BeaconedMessage(beacon=beacon, message=b"abc"))) == BeaconedMessage(
         beacon=beacon, message=b"abc"
     )
-    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x02abc", "malformed")):
+    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x03abc", "malformed")):
         with pytest.raises(MessageError) as caught:
             unpack(WorldState, payload)
         assert caught.value.reason == reason
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e9])
+def test_no_number_that_is_none_comes_over_the_wire(bad: float) -> None:
+    near = (1.0, 2.0)
+    sent: list[msgspec.Struct] = [
+        Beacon(stamp=1.0, position=(1.0, bad)),
+        Beacon(stamp=1e4 * bad, position=near),
+        BeaconedMessage(beacon=Beacon(stamp=1.0, position=(bad, 2.0)), message=b""),
+        Command(number=1, stamp=1.0, origin=near, target=(bad, bad)),
+        Command(number=1, stamp=1.0, origin=(bad, bad), target=near),
+        Command(number=1, stamp=1e4 * bad, origin=near, target=near),
+    ]
+    for message in sent:
+        with pytest.raises(MessageError, match="malformed"):
+            unpack(type(message), pack(message))
 
 
 def test_the_plain_seal_only_names_the_sender() -> None:

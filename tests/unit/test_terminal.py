@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import ast
+import io
+import logging
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from sample_records import llm_entry, make_record
 
+from llm_flock.cli import terminal
 from llm_flock.cli.display import live_line, show_conversation, show_overview
+from llm_flock.cli.terminal import Screen, say
+from llm_flock.errors import InputError
+from llm_flock.mission import Mission
+from llm_flock.printable import CleanFormatter, printable
 from llm_flock.record.reader import RunRecord, read_record
+from llm_flock.record.schema import ChatLine
 from llm_flock.runtime.trial import TrialProgress
 
 AWKWARD = ["text:{x}", "text:[/]foo", "text:{task.fields[label]} [bold", "text:a\\"]
@@ -60,3 +69,69 @@ def test_a_conversation_shows_any_model(
     monkeypatch.setenv("COLUMNS", "200")
     show_conversation(replace(record, llm=(llm_entry(1, 0, model="openai:[/]x"),)), 0, None)
     assert capsys.readouterr().out.count("openai:[/]x") == 3
+
+
+HOSTILE = "\x1b]8;;http://bad.example\x1b\\here\x1b[2J\x9b31m\u202egnp\u2066\r\x00\U000e0041"
+
+
+def shown(text: str) -> bool:
+    """Whether nothing but text was written."""
+    return all(letter == "\n" or letter.isprintable() for letter in text)
+
+
+def test_nothing_in_a_record_drives_the_terminal(
+    record: RunRecord, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    call = llm_entry(1, robot=0).model_copy(
+        update={
+            "model": HOSTILE,
+            "text": HOSTILE,
+            "rejected": HOSTILE,
+            "faults": [HOSTILE],
+            "messages": [ChatLine(role=HOSTILE, text=HOSTILE)],
+        }
+    )
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": HOSTILE}})
+    hostile = replace(record, llm=(call,), missions=(mission,), result={"plan_robot": 1, "plan_by": HOSTILE})
+    show_overview(hostile)
+    show_conversation(hostile, 0, None)
+    out = capsys.readouterr().out
+    assert shown(out) and "here" in out and "\\x1b[2J" in out
+
+
+def test_errors_logs_and_paths_are_cleaned(capsys: pytest.CaptureFixture[str]) -> None:
+    say(f"error: {HOSTILE}", error=True)
+    say(Path(HOSTILE.replace("\x00", "")))
+    said = capsys.readouterr()
+    assert shown(said.out) and shown(said.err) and "\\u202e" in said.err
+    log = logging.LogRecord("x", logging.WARNING, "", 1, "%s", (HOSTILE,), None)
+    assert shown(CleanFormatter("%(message)s").format(log))
+
+
+def test_colours_of_our_own_stay_and_ordinary_text_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    file = io.StringIO()
+    Screen(file=file, force_terminal=True, color_system="standard").print("[bold red]no[/]")
+    assert "\x1b[1;31mno" in file.getvalue()
+    for text in ("Grüße, 編隊\n\tαβγ", "👩\u200d🚀", "می\u200cخواهم"):
+        assert printable(text) == text
+
+
+def test_the_command_line_writes_through_one_door() -> None:
+    """Who prints past `terminal` prints uncleaned."""
+    for path in Path(terminal.__file__).parent.glob("*.py"):
+        calls = [
+            node.func.id
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        ]
+        assert path.name == "terminal.py" or not {"print", "Console"} & set(calls), path.name
+
+
+@pytest.mark.parametrize("letter", ["\x1b", "\n", "\t", "\x85", "\u202e", "\u2028", "\u200b", "\ud800"])
+def test_a_shape_in_words_holds_no_hidden_letters(letter: str) -> None:
+    with pytest.raises(InputError, match="letters that everybody sees") as caught:
+        Mission(shape=f"text:a heart{letter}", n_robots=4)
+    assert caught.value.field == "shape"
+    assert Mission(shape="text:ein Herz für João", n_robots=4).shape.endswith("João")

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import logging
 import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from llm_flock.cli.comparison import compare
@@ -33,7 +31,9 @@ from llm_flock.cli.report import export, report
 from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, swarm, watch, world
 from llm_flock.cli.sweep import sweep
+from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import FlockError, InputError
+from llm_flock.printable import log_to_stderr
 from llm_flock.renamed import current_flag
 from llm_flock.viewer.command import view
 
@@ -71,14 +71,14 @@ def run(
             result = run_trial(config=settings, on_round=on_round)
     except KeyboardInterrupt:
         where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""
-        print(f"interrupted{where}", file=sys.stderr)
+        say(f"interrupted{where}", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_output:
-        print(json.dumps(result.summary.to_dict(), allow_nan=False))
+        say(json.dumps(result.summary.to_dict(), allow_nan=False))
     else:
-        Console().print(summary_table(result.summary, settings.mission.safe_distance))
+        Screen().print(summary_table(result.summary, settings.mission.safe_distance))
     if result.summary.stopped in ("no_answers", "no_plan"):
-        print(f"error: {no_success(result.summary, settings.protocol.fallback)}", file=sys.stderr)
+        say(f"error: {no_success(result.summary, settings.protocol.fallback)}", error=True)
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -115,7 +115,7 @@ def figure(
     else:
         raise InputError("kind", kind, "snapshots, error or comparison")
     figures.save(drawn, target)
-    print(target)
+    say(target)
 
 
 @app.command()
@@ -135,7 +135,7 @@ def animate(
     found = read_record(path)
     for target in [out] if out else both:
         draw(found, target, fps=fps)
-        print(target)
+        say(target)
 
 
 @app.command()
@@ -169,7 +169,7 @@ def keys(
     except ImportError:
         raise InputError("command", "keys", "possible once installed: pip install 'llm-flock[network]'") from None
     make_keys(folder, robots, days=days)
-    print(f"keys of {robots} robots, operator, world and watcher in {folder}; keep {folder / 'authority'} offline")
+    say(f"keys of {robots} robots, operator, world and watcher in {folder}; keep {folder / 'authority'} offline")
 
 
 app.add_typer(distill)
@@ -185,7 +185,7 @@ def shapes() -> None:
     table = Table("shape", "robots", "description")
     for shape in formations.shapes():
         table.add_row(shape.name, shape.legal, shape.description)
-    Console().print(table)
+    Screen().print(table)
 
 
 @app.command()
@@ -197,7 +197,7 @@ def models() -> None:
     for provider in PROVIDERS.values():
         table.add_row(provider.name, provider.key_env, provider.base_url or "-", provider.example)
     table.add_row("local", "-", "this process", "local:smollm2")
-    Console().print(table)
+    Screen().print(table)
 
 
 def _record_file(path: Path) -> Path:
@@ -219,13 +219,13 @@ def _labels(runs: list[Any]) -> list[str]:
 
 def main() -> None:
     """Entry point: turn expected errors into one line on stderr and an exit code."""
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    log_to_stderr()
     sys.argv[1:] = map(current_flag, sys.argv[1:])
     try:
         app()
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", error=True)
         sys.exit(EXIT_INPUT)
     except FlockError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", error=True)
         sys.exit(EXIT_FAILED)

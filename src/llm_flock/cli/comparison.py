@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.terminal import say
 
 if TYPE_CHECKING:
     from llm_flock.experiments.grid import Cell
@@ -59,14 +59,14 @@ def compare(
                 if finished == trials:
                     if not quiet:
                         text = f"{cell.protocol} {cell.shape} {cell.n_robots}: {formed} of {trials} formed"
-                        print(text, file=sys.stderr)
+                        say(text, error=True)
                     finished = formed = 0
 
             jobs = jobs or os.cpu_count() or 1
             rows = comparison.compare(found, trials=trials, first_seed=first_seed, jobs=jobs, on_result=note)
     except KeyboardInterrupt:
-        print(f"interrupted{f'; finished trials are in {out}' if out else ''}", file=sys.stderr)
+        say(f"interrupted{f'; finished trials are in {out}' if out else ''}", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
-    print(json.dumps([asdict(row) for row in rows], allow_nan=False) if json_output else comparison.markdown(rows))
+    say(json.dumps([asdict(row) for row in rows], allow_nan=False) if json_output else comparison.markdown(rows))
     if any(row.broken for row in rows):
         raise typer.Exit(EXIT_FAILED)

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from llm_flock.cli.terminal import Screen
 from llm_flock.errors import InputError
+from llm_flock.printable import printable
 from llm_flock.record.words import verdict, work_text
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialPr
 
     A terminal redraws one line; a log or a pipe gets a line per round.
     """
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     redraws = enabled and console.is_terminal
     bar = Progress(
         SpinnerColumn(),
@@ -120,7 +121,7 @@ def _number(value: float | None, form: str) -> str:
 
 def show_overview(record: RunRecord) -> None:
     """Print the mission, and its progress round by round."""
-    console = Console()
+    console = Screen()
     mission = record.mission.mission
     simulated = " · simulated language models" if record.run.simulated else ""
     state = "complete" if record.complete else "ends early (the run was stopped)"
@@ -158,14 +159,16 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
     ]
     if not found:
         raise InputError("robot/round", f"{robot}/{round_number}", "a robot and round with model calls in this record")
-    console = Console()
+    console = Screen()
     for entry in found:
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
         for message in entry.messages:
-            console.print(Panel(Text(message.text), title=Text(f"{title} · {message.role}"), title_align="left"))
+            console.print(
+                Panel(Text(printable(message.text)), title=Text(f"{title} · {message.role}"), title_align="left")
+            )
         if entry.text is not None:
             answer = Text(f"{title} · answer")
-            console.print(Panel(Text(entry.text), title=answer, title_align="left", border_style="green"))
+            console.print(Panel(Text(printable(entry.text)), title=answer, title_align="left", border_style="green"))
         faults = f" · faults: {', '.join(entry.faults)}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
         console.print(Text(f"{verdict(entry)} · {tokens} · {entry.latency_s:.3f} s{faults}"))

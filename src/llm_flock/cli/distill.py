@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, cast, get_args
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from llm_flock.cli.terminal import Screen
 from llm_flock.errors import InputError
 
 distill = typer.Typer(
@@ -69,7 +69,7 @@ def train(
         torch.set_num_threads(threads)
     student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed)
     lessons = [student.lesson(example) for example in found]
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     console.print(f"{len(lessons)} examples, on {student.device}")
 
     def tell(progress: TrainingProgress) -> None:
@@ -123,7 +123,7 @@ def evaluate(
         table.add_row(name, str(m.asked), *shares, f"{m.error:.2f}", f"{m.shielded_error:.2f}")
     for p in formations:
         table.add_row(f"plan of {p.team}", str(p.asked), "", "", f"{p.passed:.1%}", "", "")
-    Console().print(table)
+    Screen().print(table)
 
 
 @distill.command()

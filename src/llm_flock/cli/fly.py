@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -28,6 +26,7 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.terminal import Screen, say
 from llm_flock.runtime.flight.config import FlightConfig
 
 if TYPE_CHECKING:
@@ -66,10 +65,10 @@ def fly(
     result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet))
     summary = None if result.result is None else result.result.summary
     if json_output:
-        print(json.dumps(_plain(result), allow_nan=False))
+        say(json.dumps(_plain(result), allow_nan=False))
     elif summary is not None and summary.flight is not None:
-        Console().print(summary_table(summary, settings.mission.safe_distance))
-        Console().print(_flight_table(summary.flight))
+        Screen().print(summary_table(summary, settings.mission.safe_distance))
+        Screen().print(_flight_table(summary.flight))
     if summary is None or summary.flight is None or not summary.flight.safe or summary.flight.ended != "mission":
         raise typer.Exit(EXIT_FAILED)
 
@@ -80,7 +79,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
 
     async def confirm(report: PreflightReport) -> bool:
         if not as_json:
-            Console().print(_preflight_table(report.checks))
+            Screen().print(_preflight_table(report.checks))
         if yes:
             return True
         answer = await ask(f"Type '{WORD}' to take off, anything else to stay: ")
@@ -90,7 +89,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
 
     def on_stage(stage: str) -> None:
         if live:
-            print(stage, file=sys.stderr)
+            say(stage, error=True)
         if stage == TAKING_OFF:  # until then the terminal belongs to the question
             keyboard.listen()
             stack.enter_context(bar)
@@ -102,16 +101,16 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
             try:
                 result = await flight.run(confirm)
             except asyncio.CancelledError:
-                print("interrupted; nothing has taken off", file=sys.stderr)
+                say("interrupted; nothing has taken off", error=True)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
     if not result.report.passed and not as_json:
-        Console().print(_preflight_table(result.report.checks))
+        Screen().print(_preflight_table(result.report.checks))
         for check in result.report.checks:
             if not check.passed:
-                print(f"error: {check}", file=sys.stderr)
-        print("error: the preflight was not passed; nothing has taken off", file=sys.stderr)
+                say(f"error: {check}", error=True)
+        say("error: the preflight was not passed; nothing has taken off", error=True)
     elif result.result is None:
-        print("not confirmed; nothing has taken off", file=sys.stderr)
+        say("not confirmed; nothing has taken off", error=True)
     return result
 
 
@@ -120,13 +119,13 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
 
     plan = asyncio.run(dry_run(settings))
     if as_json:
-        print(json.dumps(_plan(plan), allow_nan=False))
+        say(json.dumps(_plan(plan), allow_nan=False))
     else:
         for table in _plan_tables(settings, plan):
-            Console().print(table)
+            Screen().print(table)
         for fault in plan.faults:
-            print(f"error: {fault}", file=sys.stderr)
-        print(f"{sum(len(step.targets) for step in plan.steps)} set-points, {len(plan.faults)} faults")
+            say(f"error: {fault}", error=True)
+        say(f"{sum(len(step.targets) for step in plan.steps)} set-points, {len(plan.faults)} faults")
     if plan.faults:
         raise typer.Exit(EXIT_FAILED)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+
+from llm_flock.cli.terminal import say
 
 Results = Annotated[
     Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it", show_default=False)
@@ -47,11 +48,11 @@ def report(
         most=gallery,
         formats=[ending.strip() for ending in formats.split(",")],
         fly_again=fly_again,
-        on_step=lambda step: None if quiet else print(step, file=sys.stderr),
+        on_step=lambda step: None if quiet else say(step, error=True),
     )
     for path in written:
         if path.suffix in (".html", ".md"):
-            print(path)
+            say(path)
 
 
 def export(
@@ -62,4 +63,4 @@ def export(
     from llm_flock.experiments.tables import export_csv
 
     for path in export_csv(folder, out or folder):
-        print(path)
+        say(path)

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 import typer
 
+from llm_flock.cli.terminal import say
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Position
 
@@ -40,7 +41,7 @@ def stand_ins(
         raise InputError("port", port, f"{len(homes)} free UDP ports from there on ({error})") from None
     with drones:
         for uri, home in zip(drones.uris, homes, strict=True):
-            print(f"{uri} at {', '.join(f'{x:g}' for x in home)}", flush=True)
+            say(f"{uri} at {', '.join(f'{x:g}' for x in home)}")
         end = math.inf if seconds is None else time.monotonic() + seconds
         try:
             while time.monotonic() < end:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sys
 from collections.abc import Coroutine
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -26,6 +24,7 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.process import run
@@ -60,7 +59,7 @@ def world(config: ConfigPath = None, **flags: Any) -> None:
 
     settings = world_config(SwarmConfig.load(config, **parse_flags(flags)))
     listens = f"the world listens on {settings.network.listen}"
-    _run_until_stopped(run_world(settings, lambda: print(listens, file=sys.stderr)))
+    _run_until_stopped(run_world(settings, lambda: say(listens, error=True)))
 
 
 @with_config_flags(without=SET_BY_SWARM, kind=SwarmConfig)
@@ -81,20 +80,20 @@ def swarm(
         with bar:
             result = asyncio.run(run_swarm(settings, on_round))
     except KeyboardInterrupt:
-        print(f"interrupted; all {n_robots} robots have ended", file=sys.stderr)
+        say(f"interrupted; all {n_robots} robots have ended", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_output:
-        print(json.dumps(result.to_dict(), allow_nan=False))
+        say(json.dumps(result.to_dict(), allow_nan=False))
     else:
         simulated = " (simulated language models)" if result.simulated else ""
         title = escape(f"{shape}, {n_robots} robots, {settings.model.model}{simulated}")
         table = Table(title=title, show_header=False, title_justify="left")
         for key, value in result.to_dict().items():
             table.add_row(key.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
-        Console().print(table)
+        Screen().print(table)
     if result.stopped == "no_plan":
         why = f"after {result.model_calls} calls; most often, {result.reason}"
-        print(f"error: no robot has a plan, and no model gives an acceptable one, {why}", file=sys.stderr)
+        say(f"error: no robot has a plan, and no model gives an acceptable one, {why}", error=True)
     if not result.formed:
         raise typer.Exit(EXIT_FAILED)
 
@@ -131,7 +130,7 @@ def mission(
     taker = asyncio.run(give_mission(settings, fields, robot_id))
     if taker is None:
         raise InputError("connect", settings.network.connect, "where a swarm runs; nobody was there")
-    print(f"given to robot {taker}")
+    say(f"given to robot {taker}")
 
 
 def _change(text: str) -> tuple[str, Any]:

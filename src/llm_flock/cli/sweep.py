@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
-from rich.console import Console
 
 from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_SWEEP, parse_flags, with_config_flags
+from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 
 
@@ -73,7 +72,7 @@ def sweep(
     for trial in flown.values():
         cells[trial.cell].append(trial)
     show = not quiet and not json_output
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
 
     def note(cell: str) -> None:
         if show and console.is_terminal:
@@ -99,7 +98,7 @@ def sweep(
                 display=tally,
             )
     except KeyboardInterrupt:
-        print(f"interrupted; finished trials are in {folder}, and the same command goes on", file=sys.stderr)
+        say(f"interrupted; finished trials are in {folder}, and the same command goes on", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     show_status(status, folder, as_json=json_output)
     if status.broken or not status.complete:

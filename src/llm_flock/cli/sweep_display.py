@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -11,12 +10,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
+from llm_flock.cli.terminal import Screen, say
 from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_file import Sweep
 from llm_flock.experiments.sweep_forecast import Expected, Tally
@@ -29,7 +28,7 @@ PLAIN_S = 10.0
 @contextmanager
 def sweep_line(name: str, expected: Mapping[str, Expected], *, enabled: bool) -> Generator[Tally]:
     """One line on stderr that shows a tally: trials, ETA, and calls, tokens and money, spent and expected."""
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     redraw = enabled and console.is_terminal
     shown = 0.0
 
@@ -90,7 +89,7 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
     if as_json:
         cells = {cell: {"trials": count, **asdict(expected[cell].times(count))} for cell, count in left.items()}
         found = {"name": sweep.file.sweep.name, "trials": len(sweep.trials), "left": sum(left.values())}
-        print(json.dumps({**found, "expected": asdict(total), "cells": cells}, allow_nan=False))
+        say(json.dumps({**found, "expected": asdict(total), "cells": cells}, allow_nan=False))
         return
     table = Table(title=escape(sweep.file.sweep.name), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("cell", overflow="fold")
@@ -100,7 +99,7 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
         table.add_row(escape(cell), *_figures(count, expected[cell].times(count)))
     table.add_section()
     table.add_row(f"all {len(left)} cells", *_figures(sum(left.values()), total))
-    console = Console()
+    console = Screen()
     console.print(table)
     console.print(
         f"{len(sweep.trials)} trials, {len(sweep.trials) - sum(left.values())} of them flown.", highlight=False
@@ -132,12 +131,12 @@ def short(number: float) -> str:
 def show_status(status: SweepStatus, folder: Path, *, as_json: bool) -> None:
     """Print how a sweep ended."""
     if as_json:
-        print(json.dumps({"dir": str(folder), **asdict(status), "complete": status.complete}))
+        say(json.dumps({"dir": str(folder), **asdict(status), "complete": status.complete}))
         return
     left = status.trials - status.finished
-    print(f"{status.finished} of {status.trials} trials: {status.formed} formed, {status.broken} broken off")
-    print(folder)
+    say(f"{status.finished} of {status.trials} trials: {status.formed} formed, {status.broken} broken off")
+    say(folder)
     if status.other_code:
-        print(f"{status.other_code} of them were flown by other code (column `code`)", file=sys.stderr)
+        say(f"{status.other_code} of them were flown by other code (column `code`)", error=True)
     if status.reason is not None:
-        print(f"{status.reason}; {left} trials are left ({status.cut} were cut short)", file=sys.stderr)
+        say(f"{status.reason}; {left} trials are left ({status.cut} were cut short)", error=True)

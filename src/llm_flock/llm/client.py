@@ -219,6 +219,10 @@ def error_kind(error: Exception) -> str:
             return "rate_limit"
         case pai.ModelUnavailableError() | pai.ModelServerError():
             return "server"
+        case httpx2.DecodingError():
+            return "garbage"
+        case pai.ModelConnectionError() if isinstance(_origin(error), httpx2.DecodingError):
+            return "garbage"
         case pai.ModelConnectionError() | httpx2.HTTPError() | OSError():
             return "connection"
         case pai.ModelQuotaExceededError() | pai.ModelRequestRejectedError() | pai.ContentFilterError():
@@ -233,13 +237,17 @@ def error_kind(error: Exception) -> str:
 
 def _story(error: Exception) -> str:
     """One line about an exception, with the transport's cause where pydantic-ai says only "Connection error."."""
-    text = str(error) or type(error).__name__
-    cause = error.__cause__
-    while cause is not None and cause.__cause__ is not None:
-        cause = cause.__cause__
-    if isinstance(error, pai.ModelConnectionError) and cause is not None:
+    text, cause = str(error) or type(error).__name__, _origin(error)
+    if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
     return text
+
+
+def _origin(error: BaseException) -> BaseException:
+    """The exception with which it began."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
 
 
 def to_model_messages(messages: tuple[ChatMessage, ...]) -> list[ModelMessage]:

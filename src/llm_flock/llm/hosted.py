@@ -5,6 +5,7 @@ Imports the providers' SDKs, which takes most of a second: import this module on
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
 from typing import Any
 
 import httpx2
@@ -25,6 +26,9 @@ from llm_flock.llm.providers import needs_responses
 CONNECT_TIMEOUT_S = 10.0
 PER_POOL = 8
 """Requests that one connection pool serves at once."""
+
+MOST_ANSWER_BYTES = 8 << 20
+"""Largest body of a response that is read [bytes]; the longest answers of today's models have about one tenth of it."""
 
 NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
@@ -76,8 +80,37 @@ class ManyPools(httpx2.AsyncBaseTransport):
             await pool.aclose()
 
 
+class _Bounded(httpx2.AsyncByteStream):
+    """A response's body, which fails instead of growing beyond the limit."""
+
+    def __init__(self, body: httpx2.AsyncByteStream) -> None:
+        self._body = body
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        read = 0
+        async for chunk in self._body:
+            read += len(chunk)
+            if read > MOST_ANSWER_BYTES:
+                raise httpx2.DecodingError(f"the response is larger than {MOST_ANSWER_BYTES >> 20} MiB")
+            yield chunk
+
+    async def aclose(self) -> None:
+        await self._body.aclose()
+
+
+async def _bound(response: httpx2.Response) -> None:
+    """Refuse a response before it fills the memory: by its size, also of what is packed in few bytes."""
+    packed = response.headers.get("content-encoding", "identity")
+    if packed != "identity":
+        raise httpx2.DecodingError(f"the response is compressed ({packed[:20]}), which was not asked for")
+    assert isinstance(response.stream, httpx2.AsyncByteStream)
+    response.stream = _Bounded(response.stream)
+
+
 def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
+
+    A response has at most `MOST_ANSWER_BYTES`, and is not compressed: a few kilobytes can unpack to gigabytes.
 
     Proxies from the environment (HTTPS_PROXY and its relatives) are honoured; requests through one share its pool.
     """
@@ -85,6 +118,8 @@ def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
         timeout=httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
         limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
         mounts={"all://": ManyPools()},
+        headers={"Accept-Encoding": "identity"},
+        event_hooks={"response": [_bound]},
     )
 
 

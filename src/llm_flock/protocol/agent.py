@@ -160,6 +160,11 @@ class Agent:
         return self._agreement.stamp.counter
 
     @property
+    def authorization(self) -> bytes:
+        """The operator's signature on that order; empty for the first mission, and in teams without keys."""
+        return self._messaging.order
+
+    @property
     def open_breakers(self) -> tuple[QuestionKind, ...]:
         """Kinds of questions that its model is not asked, because it gave no usable answers."""
         return tuple(kind for kind, breaker in self._breakers.items() if breaker.is_open)

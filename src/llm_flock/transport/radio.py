@@ -3,6 +3,9 @@
 A network of processes reaches every robot. So each receiver drops messages that a radio would not have carried: those
 of a sender beyond the mission's radio range, by the sender's last beacon. A real radio replaces `Radio.carries`, and
 real sensors replace `Radio.frame`. Loss, duplicates and delays can be injected here for tests.
+
+Sensors decide, beacons help: a body in sight is where the sensors see it, whatever it says itself. What it says counts
+only while the sensors could not have seen it.
 """
 
 from __future__ import annotations
@@ -24,18 +27,20 @@ FRESH_BEACONS = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Position of a body at one time, by the wall clock [s], and the end of the segment that it flew, if announced."""
+    """Position of a body at one time, by the wall clock [s]."""
 
     stamp: float
     position: Point
-    end: Point | None = None
 
 
 class Radio:
     """What one robot receives and senses of the others, within the ranges of the mission.
 
     Injected faults are drawn by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference
-    between two wall clocks of the swarm [s].
+    between two wall clocks of the swarm [s], `speed` the largest speed of a body [units/s].
+
+    Attributes:
+        contradicted: number of beacons that the sensors refuted.
     """
 
     def __init__(
@@ -48,8 +53,10 @@ class Radio:
         beacon_s: float,
         delay_s: float,
         clock_error_s: float,
+        speed: float,
     ) -> None:
         self.position: Point | None = None
+        self.contradicted = 0
         self.cut: frozenset[int] = frozenset()
         self._robot = robot
         self._reach = mission.comm_range
@@ -58,6 +65,7 @@ class Radio:
         self._rng = rng
         self._fresh_s = FRESH_BEACONS * beacon_s
         self._delay_s = delay_s
+        self._speed = speed
         self._clock_error_s = clock_error_s
         self._beacons: dict[int, Seen] = {}
         self._heard: dict[int, Seen] = {}
@@ -99,6 +107,18 @@ class Radio:
         known = self._heard.get(sender)
         if known is None or beacon.stamp > known.stamp:
             self._heard[sender] = beacon
+            self.contradicted += self._refuted(sender, beacon)
+
+    def _refuted(self, sender: int, beacon: Seen) -> bool:
+        """Whether a body cannot be where its beacon says, by the last reading of the sensors."""
+        if self.position is None:
+            return False
+        # An honest beacon holds the position of a reading that may be as old as a beacon period.
+        flown = self._speed * (abs(beacon.stamp - self._read_s) + self._fresh_s / FRESH_BEACONS + self._clock_error_s)
+        seen = self._sensed.get(sender)
+        if seen is not None:
+            return math.dist(seen.position, beacon.position) > flown
+        return math.dist(self.position, beacon.position) < self._sight - flown
 
     def frame(self, stamp: float, positions: Sequence[Point]) -> None:
         """Take the sensors' reading: the own position, and the bodies within sensing range; the rest is ignored."""
@@ -123,20 +143,25 @@ class Radio:
         return {j: self._sensed[j].position for j in sorted(self._sensed)}
 
     def sightings(self, now: float) -> list[Sighting]:
-        """The newest position of each body, with its age, for the shield.
+        """Every body that may be near, where it was and how long ago, for the shield.
 
-        A body that was out of sight at the last reading, and has not been heard since, is left out: it was out of sight
+        A body in sight is where the sensors saw it. One out of sight is where it has said since the last reading,
+        unless the sensors would have seen it there. Nothing is known of the others but that they were out of sight
         `unseen_s` ago.
         """
-        found: list[Sighting] = []
-        for j in self._sensed.keys() | self._heard.keys():
-            known = [seen for seen in (self._sensed.get(j), self._heard.get(j)) if seen is not None]
-            newest = max(known, key=lambda seen: seen.stamp)
-            if newest.stamp < self._read_s:
-                continue
-            age_s = max(0.0, now - newest.stamp) + self._clock_error_s
-            found.append(Sighting(position=newest.position, age_s=age_s, committed=newest.end))
-        return found
+        heard = (
+            seen
+            for j, seen in self._heard.items()
+            if j not in self._sensed and seen.stamp >= self._read_s and not self._refuted(j, seen)
+        )
+        return [
+            Sighting(position=seen.position, age_s=max(0.0, now - seen.stamp) + self._clock_error_s)
+            for seen in (*self._sensed.values(), *heard)
+        ]
+
+    def forget_beacons(self) -> None:
+        """Forget what others have said about themselves."""
+        self._heard.clear()
 
     def unseen_s(self, now: float) -> float:
         """Age of the last reading: a body that is not among the sightings was out of sight then [s]."""

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from llm_flock.errors import InputError
+from llm_flock.printable import printable
 
 DEFAULT_PORT = 8765
 EXIT_INPUT = 2
@@ -106,5 +107,5 @@ def main() -> None:
     try:
         app(prog_name="llm-flock")
     except InputError as error:
-        typer.echo(f"error: {error}", err=True)
+        typer.echo(printable(f"error: {error}"), err=True)
         sys.exit(EXIT_INPUT)

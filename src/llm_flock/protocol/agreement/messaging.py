@@ -46,6 +46,11 @@ class Messaging:
         """Messages and claims refused so far, by reason."""
         return self._refused + self._channel.rejected
 
+    @property
+    def order(self) -> bytes:
+        """The operator's signature on the mission in force; empty for the first one, and without keys."""
+        return self._channel.order
+
     def begin_round(self, near: frozenset[int]) -> None:
         """Begin a round with these robots sensed within radio range. Call after the agreement's `begin_round`."""
         self._dissemination.begin_round(near, self._agreement.neighbors)

@@ -65,6 +65,11 @@ class Channel:
             raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
         return inbound
 
+    @property
+    def order(self) -> bytes:
+        """The operator's signature on the mission in force; empty for the first one, and without keys."""
+        return b""
+
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
         """Check that a mission was given by the operator; without keys any robot may pass one on."""
 

@@ -9,9 +9,6 @@ line of sight is off by 2 e, which is added to m. So all schedules, and all dela
 If that room is negative, a robot may still move away: as long as its direction makes an obtuse angle with every
 position that the other may reach during the period, its own move does not bring the two nearer. If both do so, both
 add to the distance.
-
-A body that has announced a segment and flies it to its end is sighted with that segment: others keep clear of all of
-it, and add m only for what the body may fly after its end.
 """
 
 from __future__ import annotations
@@ -21,7 +18,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from llm_flock.arrays import Point
-from llm_flock.obstacles.polygons import nearest_on_segment
 from llm_flock.protocol.motion.projection import TOLERANCE, HalfSpace, clip, nearest_move
 
 
@@ -32,12 +28,10 @@ class Sighting:
     Attributes:
         position: its position [units; world frame].
         age_s: age of this information [s].
-        committed: end of the segment that it has announced and is flying [units; world frame]; None without one.
     """
 
     position: Point
     age_s: float
-    committed: Point | None = None
 
 
 def async_half_spaces(
@@ -62,28 +56,17 @@ def async_half_spaces(
     longest = speed * period_s
     sides: list[HalfSpace] = []
     for other in others:
-        end = other.position if other.committed is None else other.committed
-        nearest = nearest_on_segment(position, other.position, end)
-        gap = math.dist(position, nearest)
-        flown = max(0.0, speed * (other.age_s + period_s) - math.dist(other.position, end))
-        margin = flown + 2.0 * error
+        gap = math.dist(position, other.position)
+        margin = speed * (other.age_s + period_s) + 2.0 * error
         room = gap - safe_distance - margin
         if room >= longest:
             continue
         if gap <= max(margin, TOLERANCE):
             return None  # it may be in any direction by now
-        if room >= 0.0:
-            sides.append(_towards(position, nearest, room))
-            continue
-        # (y - position) . u <= 0 for every y within the margin of the segment, if it holds around both its ends.
-        for y in dict.fromkeys((other.position, end)):
-            sides.append(_towards(position, y, -longest * margin / math.dist(position, y)))
+        # Without room: (y - position) . u <= 0 for every y that the other may reach.
+        room = room if room >= 0.0 else -longest * margin / gap
+        sides.append(HalfSpace(tuple((b - a) / gap for a, b in zip(position, other.position, strict=True)), room))
     return sides
-
-
-def _towards(position: Point, other: Point, room: float) -> HalfSpace:
-    gap = math.dist(position, other)
-    return HalfSpace(tuple((b - a) / gap for a, b in zip(position, other, strict=True)), room)
 
 
 def project_async(

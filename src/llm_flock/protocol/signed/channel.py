@@ -92,6 +92,11 @@ class SignedChannel(Channel):
             self._origins.clear()
         self._origins[origin, plan] = signature
 
+    @property
+    def order(self) -> bytes:
+        """The operator's signature on the mission in force; empty for the first one."""
+        return b"" if self._authorization is None else self._authorization.signature
+
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
         """Check the operator's signature.
 

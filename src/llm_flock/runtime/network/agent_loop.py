@@ -16,7 +16,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from llm_flock.arrays import Point
-from llm_flock.errors import InputError
+from llm_flock.errors import FlockError, InputError
 from llm_flock.metrics import AT_GOAL
 from llm_flock.protocol import events
 from llm_flock.protocol.agent import Agent
@@ -26,6 +26,7 @@ from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
 from llm_flock.runtime.network.body_control import STILL, BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.connection import FAULT, refusing
 from llm_flock.runtime.network.process import PeriodClock, phase_s
 from llm_flock.runtime.network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock.transport.radio import Radio
@@ -36,6 +37,18 @@ SETTLED_EXCHANGES = 2
 
 LATEST = 2.0
 """A move ends at the latest after this multiple of its unhindered duration."""
+
+MOST_NOTES = 256
+"""Events in one report; more of them, in a flood of bad messages say, are only counted."""
+
+MOST_REASON = 2000
+"""Longest reason in a report [characters]."""
+
+MOST_FAULTS = 20
+"""Exchanges in a row that meet an error in this program before the robot gives up."""
+
+RETELL = 25
+"""Every so many reports name the plan's places and the mission again, for observers that came later."""
 
 STUCK_S = 0.3
 """A body that has not moved for this long cannot get any nearer [s]."""
@@ -58,6 +71,8 @@ class AgentLoop:
         self.period = 0
         self.waypoints: Counter[str] = Counter()
         self.notes: list[ReportedEvent] = []
+        self.refused = Counter[str]()
+        self._dropped_notes = self._faults = self._reports = 0
         self._config, self._planner, self._radio, self._body = config, planner, radio, body
         self._broadcast = broadcast
         self._known = {config.mission.digest}
@@ -76,7 +91,7 @@ class AgentLoop:
         for effect in self.agent.handle(event):
             match effect:
                 case Note():
-                    self.notes.append(ReportedEvent(effect.kind, dict(effect.detail), self._comm_rounds))
+                    self._note(effect.kind, dict(effect.detail))
                 case Broadcast():
                     self._broadcast(effect.payload)
                 case AskStep() | MoveTo():
@@ -85,6 +100,12 @@ class AgentLoop:
                 case AskPlan():
                     rest.append(effect)
         return rest
+
+    def _note(self, kind: str, detail: dict[str, Any]) -> None:
+        if len(self.notes) < MOST_NOTES:
+            self.notes.append(ReportedEvent(kind, detail, self._comm_rounds))
+        else:
+            self._dropped_notes += 1
 
     def look(self) -> None:
         """Give the agent the newest sensor readings."""
@@ -101,8 +122,7 @@ class AgentLoop:
         try:
             mission = self.agent.mission.change(**order.fields)
         except (InputError, TypeError) as error:
-            detail = {"reason": "mission", "detail": str(error)}
-            self.notes.append(ReportedEvent(kind="rejected_message", detail=detail))
+            self._note("rejected_message", {"reason": "mission", "detail": str(error)})
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
         self.handle(events.MissionGiven(mission=mission, ordered_at=order.counter, authorization=signed))
@@ -125,7 +145,12 @@ class AgentLoop:
         clock = PeriodClock(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
         while True:
             await clock.next()
-            self.exchange()
+            before = self.refused[FAULT]
+            with refusing(self.refused):
+                self.exchange()
+            self._faults = 0 if self.refused[FAULT] == before else self._faults + 1
+            if self._faults >= MOST_FAULTS:
+                raise FlockError(f"robot {self.agent.robot} cannot go on: {MOST_FAULTS} exchanges in a row failed")
 
     def exchange(self) -> None:
         """Decide on the messages since the last exchange; count a heartbeat once a period; then broadcast."""
@@ -253,25 +278,33 @@ class AgentLoop:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._changed.wait(), rest_s)
 
-    def report(self, calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic) -> RobotReport:
-        """The state for observers, with the plan and the mission where no report has named them before."""
-        agent, known = self.agent, self._known
-        plan, origin, mission, move = agent.plan, agent.provenance, agent.mission, self._moving
+    def report(
+        self, calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic, contradicted: int
+    ) -> RobotReport:
+        """The state for observers, with the plan and the mission where no report has named them of late."""
+        agent = self.agent
+        if self._reports % RETELL == 0:
+            self._known.clear()
+        self._reports += 1
+        known, plan, origin, mission, move = self._known, agent.plan, agent.provenance, agent.mission, self._moving
         points = plan.points if plan is not None and plan.digest not in known else None
         shape = None if mission.digest in known else mission.model_dump(mode="json")
         known.update({mission.digest} if plan is None else {mission.digest, plan.digest})
         notes, self.notes = self.notes, []
+        if self._dropped_notes:
+            notes.append(ReportedEvent("dropped_notes", {"count": self._dropped_notes}))
+            self._dropped_notes = 0
+        refused = Counter({"contradicted_beacon": contradicted} if contradicted else {})
         return RobotReport(
-            stamp=time.time(),
             round=self.round,
             period=self.period,
             phase=agent.phase.value,
             mission=(agent.ordered_at, mission.digest),
+            order=agent.authorization,
             plan_id=None if plan is None else plan.digest,
             points=points,
             proposer=None if origin is None else origin.proposer,
             slot=agent.claim.slot,
-            goal=agent.goal,
             blocked=tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
             waypoint=None if move is None else move.waypoint,
             origin="start" if move is None else move.origin.value,
@@ -281,9 +314,9 @@ class AgentLoop:
             waypoints=dict(self.waypoints),
             sent=traffic.sent["say"],
             bytes=traffic.bytes["say"] + traffic.bytes["beacon"],
-            rejected={**agent.rejected, **traffic.refused},
+            rejected=dict(agent.rejected + traffic.refused + self.refused + refused),
             breakers=agent.open_breakers,
-            hopeless=None if agent.hopeless is None else agent.hopeless.reason,
+            hopeless=None if agent.hopeless is None else agent.hopeless.reason[:MOST_REASON],
             latencies_s=tuple(latencies_s),
             shape=shape,
         )

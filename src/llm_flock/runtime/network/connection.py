@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +23,14 @@ from llm_flock.transport.zenoh import MAX_SEALED_BYTES, ZenohLink, open_session,
 
 if TYPE_CHECKING:
     from llm_flock.trust.keys import Keyring
+
+logger = logging.getLogger(__name__)
+
+FAULT = "fault"
+"""Reason under which input is counted that met an error in this program."""
+
+LOGGED = 3
+"""Faults that are logged; a flood of them must not fill the disk."""
 
 
 def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
@@ -76,19 +87,39 @@ def receive(
 ) -> None:
     """Have a handler called in the event loop with the sender and content of every message of a kind.
 
-    A message that cannot be decoded, or that the handler refuses with a `MessageError`, is counted by its reason. With
-    a `number`, only messages to this id count, on a topic that belongs to its receiver; with a `sender`, only its own.
+    A message that cannot be decoded, or that the handler refuses with a `MessageError`, is counted by its reason, and
+    one that meets an error in this program as `fault`: no message ends the process. With a `number`, only messages to
+    this id count, on a topic that belongs to its receiver; with a `sender`, only its own.
     """
 
     def take(source: int, payload: bytes) -> None:
         if sender not in (None, source):
             return
-        try:
+        with refusing(link.traffic.refused):
             handler(source, unpack(message, payload))
-        except MessageError as error:
-            link.traffic.refused[error.reason] += 1
 
     link.listen(kind, number, take)
+
+
+def signed_by_operator(config: SwarmConfig, member: int) -> Callable[[MissionStamp, bytes], bool] | None:
+    """What tells a member whether the operator signed a mission; None in a team without keys."""
+    keys = load_keys(config, member)
+    if keys is None:
+        return None
+    return lambda stamp, signature: keys.check(OPERATOR, mission_statement(stamp), signature)
+
+
+@contextmanager
+def refusing(refused: Counter[str]) -> Generator[None]:
+    """Count input that is refused in here, or that meets an error in this program, instead of failing on it."""
+    try:
+        yield
+    except MessageError as error:
+        refused[error.reason] += 1
+    except Exception as error:
+        refused[FAULT] += 1
+        if refused[FAULT] <= LOGGED:
+            logger.warning("input dropped: %s: %s", type(error).__name__, error, exc_info=error)
 
 
 def mission_order(config: SwarmConfig, fields: dict[str, Any], ordered_at: int) -> MissionOrder:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import FlockError
+from llm_flock.printable import log_to_stderr, printable
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.process import end_with_parent, run
 from llm_flock.runtime.network.robot import run_robot
@@ -74,7 +75,7 @@ def _child(order: dict[str, Any]) -> int:
     null, answers = os.open(os.devnull, os.O_RDWR), os.dup(1)
     os.dup2(null, 0)
     os.dup2(2, 1)
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    log_to_stderr()
     config = SwarmConfig.model_validate(order["config"])
     kind = order["kind"]
     try:
@@ -85,7 +86,7 @@ def _child(order: dict[str, Any]) -> int:
         else:
             run(run_watch(config, Path(order["record"])))
     except FlockError as error:
-        sys.stderr.write(f"error: {order['name']}: {error}\n")
+        sys.stderr.write(printable(f"error: {order['name']}: {error}\n"))
         return 2
     except BaseException:
         logging.getLogger(__name__).exception("%s ended", order["name"])

@@ -1,38 +1,60 @@
 """Turns world states and robot reports into measurements, a record, and whether the team has formed.
 
-An observer only listens. A swarm flies the same with one, several, or none.
+An observer only listens. A swarm flies the same with one, several, or none. It believes a robot about itself and
+nothing else: positions are the sensors', a mission needs the operator's signature where the team has keys, a plan's
+places are those that its digest names, and a place counts as blocked once two robots say so.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
+from pydantic import ValidationError
 
 from llm_flock import graph, metrics
-from llm_flock.arrays import Points
-from llm_flock.errors import FlockError
+from llm_flock.arrays import Point, Points
+from llm_flock.errors import FlockError, MessageError
 from llm_flock.llm.models import parse_models
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
+from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import finite, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.wire import RobotReport, WorldState
+from llm_flock.runtime.network.wire import RobotReport, WorldState, check_plain
 from llm_flock.runtime.trial import TrialProgress, commonest
+
+WITNESSES = 2
+"""Robots that have to say that a place is blocked; fewer only in a team that has fewer."""
+
+SILENT_S = 1.0
+"""A robot that reports is there; it is gone once it has left the network and has been silent for this long [s]."""
+
+MOST_PLANS = 4096
+"""Most plans whose places are kept: far more than an honest team makes."""
 
 
 class Observer:
     """Follows one swarm. Give it what arrives, and call `check` again and again.
 
-    It writes the record to `sink`, and calls `on_row` with every row of it.
+    It writes the record to `sink`, and calls `on_row` with every row of it. `signed` tells whether the operator signed
+    a mission; None in a team without keys, where every process is trusted. `clock` is the wall clock [s].
     """
 
     def __init__(
-        self, config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+        self,
+        config: SwarmConfig,
+        sink: RecordSink,
+        on_row: Callable[[TrialProgress], None] | None = None,
+        *,
+        signed: Callable[[MissionStamp, bytes], bool] | None = None,
+        clock: Callable[[], float] = time.time,
     ) -> None:
         self.min_separation = math.inf
         self.calls = self.calls_failed = self.tokens = self.late_commands = 0
@@ -41,19 +63,23 @@ class Observer:
         self.in_order = False
         self.alive: set[int] = set()
         self.reports: dict[int, RobotReport] = {}
+        self.heard_s: dict[int, float] = {}
         self.breakers_opened: set[int] = set()
         self._suppliers: dict[tuple[str, int], str] = {}
         self._models = parse_models(config.model.model, config.mission.n_robots)
         self._config = config
         self._sink = sink
         self._on_row = on_row
+        self._signed = signed
+        self._clock = clock
+        self._left: set[int] = set()
         self._world: WorldState | None = None
         self._row = -1
         self._row_due = 0.0
         self._row_closest = math.inf
         self._checks = 0
         self._counter = 0
-        self._places: dict[str, int] = {}
+        self._places: dict[str, tuple[Point, ...]] = {}
         self._seen: set[int] = set()
         self._missions = 0
         self._set_mission(config.mission)
@@ -64,10 +90,27 @@ class Observer:
         self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:
-        """Take note that a process came or went: the team has to form again."""
-        if 0 <= robot < self.mission.n_robots:
-            (self.alive.add if alive else self.alive.discard)(robot)
+        """Take note that a process came, or left the network: the team has to form again.
+
+        One that goes on to report has not left: a member can only speak for itself.
+        """
+        if not 0 <= robot < self.mission.n_robots:
+            return
+        if not alive:
+            self._left.add(robot)
+            return
+        self._left.discard(robot)
+        if robot not in self.alive:
+            self.alive.add(robot)
             self._restart()
+
+    def _take_leave(self, now: float) -> None:
+        """Count robots as gone that have left and are silent."""
+        for robot in list(self._left):
+            if now - self.heard_s.get(robot, -math.inf) >= SILENT_S:
+                self._left.discard(robot)
+                self.alive.discard(robot)
+                self._restart()
 
     def _restart(self) -> None:
         self.formed_s: float | None = None
@@ -84,19 +127,21 @@ class Observer:
         self._row_closest = min(self._row_closest, state.closest)
 
     def report(self, robot: int, report: RobotReport) -> None:
-        """Take a robot's report."""
+        """Take a robot's report.
+
+        Raises:
+            MessageError: no honest robot of this team reports like this; nothing of it is taken.
+        """
         if not 0 <= robot < self.mission.n_robots:
-            return
+            raise MessageError("unknown_id", f"a report of member {robot}")
+        calls = self._checked(robot, report)
+        self._take_mission(report)
+        self._take_places(report)
         self.reports[robot] = report
+        self.heard_s[robot] = now_s = self._clock()
         if report.round and self.began_s is None:
-            self.began_s = report.stamp
-        if report.shape is not None and report.mission[0] > self._counter:
-            self._new_mission(report)
+            self.began_s = now_s
         now = max(self._row, 0)
-        if report.plan_id is not None and report.points is not None and report.plan_id not in self._places:
-            self._places[report.plan_id] = len(report.points)
-            points, proposer = [list(point) for point in report.points], report.proposer or 0
-            self._sink.write(PlanInfo(round=now, plan_id=report.plan_id, proposer=proposer, points=points))
         if report.breakers:
             self.breakers_opened.add(robot)
         for event in report.happened:
@@ -105,20 +150,61 @@ class Observer:
                 self._suppliers[str(event.detail.get("plan")), robot] = by
             noted = ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
             self._sink.write(noted)
-        for call in report.calls:
-            entry = LlmEntry.model_validate({**call, "round": now})
-            self._sink.write(entry)
+        for entry in calls:
+            self._sink.write(entry.model_copy(update={"round": now}))
             self.calls += 1
             self.calls_failed += entry.error is not None
             self.tokens += entry.usage.input + entry.usage.output
         self.latencies_s.extend(report.latencies_s)
 
-    def _new_mission(self, report: RobotReport) -> None:
+    def _checked(self, robot: int, report: RobotReport) -> list[LlmEntry]:
+        """The calls in a report, once all of it is found to be possible."""
+        dim = self.mission.dim
+        for point in (report.waypoint, *(report.points or ())):
+            if point is not None and len(point) != dim:
+                raise MessageError("wrong_length", f"a position of {len(point)} coordinates, not {dim}")
+        if report.points is not None and not (report.points and Plan(report.points).digest == report.plan_id):
+            raise MessageError("malformed", "places of another plan than the digest names")
+        for event in report.happened:
+            check_plain(event.detail)
+        calls: list[LlmEntry] = []
+        for call in report.calls:
+            check_plain(call)
+            try:
+                calls.append(LlmEntry.model_validate({**call, "round": 0}))
+            except ValidationError as error:
+                raise MessageError("malformed", f"a call: {error.errors(include_url=False)[0]['msg']}") from None
+            if calls[-1].robot != robot:
+                raise MessageError("impostor", f"robot {robot} reports a call of robot {calls[-1].robot}")
+        return calls
+
+    def _take_places(self, report: RobotReport) -> None:
+        """Keep the places of a plan, and record it, when they are told for the first time."""
+        plan_id, points = report.plan_id, report.points
+        if plan_id is None or points is None or plan_id in self._places or len(self._places) >= MOST_PLANS:
+            return
+        self._places[plan_id] = points
+        places, proposer = [list(point) for point in points], report.proposer or 0
+        self._sink.write(PlanInfo(round=max(self._row, 0), plan_id=plan_id, proposer=proposer, points=places))
+
+    def _take_mission(self, report: RobotReport) -> None:
+        """Follow the team to another mission.
+
+        Raises:
+            MessageError: it cannot be one of this team, or the operator has not signed it.
+        """
+        counter, digest = report.mission
+        if report.shape is None or counter <= self._counter:
+            return
         try:
             mission = Mission.model_validate(report.shape)
-        except (ValueError, FlockError):
-            return
-        self._counter = report.mission[0]
+        except (ValueError, FlockError) as error:
+            raise MessageError("malformed", f"a mission: {error}") from None
+        if (mission.digest, mission.n_robots, mission.dim) != (digest, self.mission.n_robots, self.mission.dim):
+            raise MessageError("malformed", "a mission of another team, or another one than its digest names")
+        if self._signed is not None and not self._signed(MissionStamp(counter, digest), report.order):
+            raise MessageError("no_order", f"the operator has not signed mission {counter}")
+        self._counter = counter
         self._set_mission(mission)
         self._record_mission(max(self._row, 0) + 1)
 
@@ -133,12 +219,10 @@ class Observer:
 
     @property
     def supplier(self) -> tuple[int, str | None] | None:
-        """Proposer of the plan that all living robots follow, and who made it; None without one plan."""
-        plans = {(self.reports[robot].plan_id, self.reports[robot].proposer) for robot in self.robots}
-        if len(plans) != 1:
-            return None
-        plan_id, proposer = plans.pop()
-        if plan_id is None or proposer is None:
+        """Proposer of the plan that most living robots follow, and who made it; None without such a plan."""
+        plans = Counter((self.reports[robot].plan_id, self.reports[robot].proposer) for robot in self.robots)
+        (plan_id, proposer), count = plans.most_common(1)[0] if plans else ((None, None), 0)
+        if plan_id is None or proposer is None or 2 * count <= len(self.robots):
             return None
         return proposer, self._suppliers.get((plan_id, proposer))
 
@@ -166,9 +250,10 @@ class Observer:
         """Check whether the team is in order; once per step time, write a row of the record."""
         if self._world is None:
             return
+        self._take_leave(now)
         robots = self.robots
         positions = np.array([body.position for body in self._world.bodies])
-        goals = {robot: self.reports[robot].goal for robot in robots}
+        goals = {robot: self._goal(self.reports[robot]) for robot in robots}
         distances = [
             math.inf if goal is None else float(np.linalg.norm(positions[robot] - goal))
             for robot, goal in goals.items()
@@ -180,14 +265,20 @@ class Observer:
             self._row_due = max(self._row_due + self._config.network.step_s, now)
             self._write(positions, robots, distances, error)
 
+    def _goal(self, report: RobotReport) -> Point | None:
+        """A robot's place, by the plan and the slot that it names; None without one."""
+        places = self._places.get(report.plan_id or "", ())
+        return None if report.slot is None or report.slot >= len(places) else places[report.slot]
+
     def _update_formed(self, now: float, robots: list[int], distances: list[float], error: float | None) -> None:
         if not robots:
             self.in_order, self._since_s = False, None
             return
         reports = [self.reports[robot] for robot in robots]
-        places = self._places.get(reports[0].plan_id or "", self.mission.n_places)
-        blocked = {slot for report in reports for slot in report.blocked}
-        stamp = (max(report.mission[0] for report in reports), self.mission.digest)
+        places = self._places.get(reports[0].plan_id or "", ())
+        witnesses = Counter(slot for report in reports for slot in set(report.blocked))
+        blocked = [slot for slot, count in witnesses.items() if count >= min(WITNESSES, len(reports))]
+        stamp = (self._counter, self.mission.digest)
         self._checks += 1
         self._tracker.update(
             self._checks,
@@ -195,7 +286,7 @@ class Observer:
             slots=[report.slot for report in reports],
             goal_distances=distances,
             residual=error,
-            usable=places - len(blocked),
+            usable=len(places) - len(blocked),
         )
         self.in_order = self._tracker.in_order
         if not self.in_order:
@@ -254,11 +345,12 @@ class Observer:
     def _state(self, positions: Points, robots: list[int]) -> State:
         n = len(positions)
         reports = [self.reports[robot] if robot in robots else None for robot in range(n)]
+        goals = [None if r is None else self._goal(r) for r in reports]
         start = Origin.START.value if self._row == 0 else Origin.HOLD.value
         return State(
             round=self._row,
             positions=positions.tolist(),
-            goals=[None if r is None or r.goal is None else list(r.goal) for r in reports],
+            goals=[None if goal is None else list(goal) for goal in goals],
             slots=[None if r is None else r.slot for r in reports],
             plan_ids=[None if r is None else r.plan_id for r in reports],
             influence=[0.0 if r is None else r.neighbors / n for r in reports],

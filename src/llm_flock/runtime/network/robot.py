@@ -13,9 +13,9 @@ from llm_flock.runtime.entries import llm_entry
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import load_keys, open_link, receive
+from llm_flock.runtime.network.connection import load_keys, open_link, receive, refusing
 from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stopped
-from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, MissionOrder, WorldState, pack
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.roster import make_agent
 from llm_flock.runtime.seeds import Stream, stream
@@ -24,6 +24,12 @@ from llm_flock.transport.zenoh import ZenohLink
 
 REPORT_S = 0.2
 """Time between two reports to observers [s]."""
+
+MOST_LATENCIES = 1024
+"""Latencies in one report: a flood of beacons is not told beacon by beacon."""
+
+LONGEST_LATENCY_S = 60.0
+"""Later beacons count as this late [s]."""
 
 BEACON_DUE = 0.9
 """Share of a beacon period after which a message's beacon no longer replaces the next one."""
@@ -53,6 +59,7 @@ class RobotProcess:
             beacon_s=network.beacon_s,
             delay_s=network.gossip_s,
             clock_error_s=network.clock_error_s,
+            speed=config.speed,
         )
         self.body = BodyControl(config)
         keys = load_keys(config, robot)
@@ -71,27 +78,29 @@ class RobotProcess:
         self._link.publish("say", self._robot, pack(BeaconedMessage(beacon=beacon, message=message)))
 
     def _own_beacon(self) -> Beacon | None:
-        position, end = self.radio.position, self.body.end
-        if position is None or end is None:
+        if self.radio.position is None:
             return None
         self._beacon_sent_s = time.monotonic()
-        return Beacon(stamp=time.time(), position=position, end=end)
+        return Beacon(stamp=time.time(), position=self.radio.position)
 
     def _hear(self, sender: int, beacon: Beacon, message: bytes | None = None) -> None:
         """Tell the radio where a sender is, and take what it carries from there."""
-        dim = self._config.mission.dim
-        if len(beacon.position) != dim or len(beacon.end) != dim:
+        if not 0 <= sender < self._config.mission.n_robots:
+            raise MessageError("unknown_id", f"a beacon of member {sender}")
+        if len(beacon.position) != self._config.mission.dim:
             raise MessageError("wrong_length", "a beacon of another dimension")
         now = time.time()
-        self._latencies_s.append(now - beacon.stamp)
+        if len(self._latencies_s) < MOST_LATENCIES:
+            self._latencies_s.append(min(max(0.0, now - beacon.stamp), LONGEST_LATENCY_S))
         # A stamp in the future would make the beacon look younger than it is.
-        seen = Seen(stamp=min(beacon.stamp, now), position=beacon.position, end=beacon.end)
+        seen = Seen(stamp=min(beacon.stamp, now), position=beacon.position)
         self.radio.place(sender, seen)
 
         def hand_over() -> None:
-            self.radio.beacon(sender, seen)
-            if message is not None:
-                self.agent_loop.receive(message, sender)
+            with refusing(self._link.traffic.refused):
+                self.radio.beacon(sender, seen)
+                if message is not None:
+                    self.agent_loop.receive(message, sender)
 
         self.radio.deliver(sender, hand_over, self._loop.call_later)
 
@@ -141,7 +150,7 @@ class RobotProcess:
         while True:
             now, command = time.time(), None
             if body.is_free(now):
-                command = body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
+                command = self._command(now)
             if command is None:
                 body.news.clear()
                 await body.news.wait()
@@ -149,11 +158,22 @@ class RobotProcess:
                 self._link.publish("command", self._robot, pack(command))
                 await asyncio.sleep(self._config.network.control_s)
 
+    def _command(self, now: float) -> Command | None:
+        """The next command; from the sensors alone, if what others say about themselves leads to an error.
+
+        An error without that ends the process, and a body without commands stops where it is safe.
+        """
+        refused = self._link.traffic.refused
+        with refusing(refused):
+            return self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
+        self.radio.forget_beacons()
+        return self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
+
     async def _report(self) -> None:
         clock = PeriodClock(REPORT_S, self._phase_s)
         while True:
             await clock.next()
-            report = self.agent_loop.report(self._calls, self._latencies_s, self._link.traffic)
+            report = self.agent_loop.report(self._calls, self._latencies_s, self._link.traffic, self.radio.contradicted)
             self._calls, self._latencies_s = [], []
             self._link.publish("report", self._robot, pack(report))
 

@@ -175,7 +175,7 @@ class Swarm:
     def result(self, stopped: str) -> SwarmResult:
         """The outcome so far."""
         observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
-        seconds = sum(max(0.0, report.stamp - (began or report.stamp)) for report in reports)
+        seconds = sum(max(0.0, heard - (began or heard)) for heard in observer.heard_s.values())
         ages = sorted(observer.latencies_s)
         waypoints = by_origin(sum((Counter(report.waypoints) for report in reports), Counter[str]()))
         supplier = observer.supplier

@@ -9,12 +9,13 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
+from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.order_time import OperatorClock
 from llm_flock.record.schema import SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import mission_order, open_link, receive
+from llm_flock.runtime.network.connection import mission_order, open_link, receive, signed_by_operator
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import RobotReport, WorldState, pack
@@ -42,7 +43,7 @@ def observing(
     config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; call in a running event loop."""
-    observer = Observer(config, sink, on_row)
+    observer = Observer(config, sink, on_row, signed=signed_by_operator(config, WATCHER))
     with closing(open_link(config, WATCHER, FREE_PORT)) as link:
         receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
         receive(link, "report", RobotReport, observer.report)
@@ -95,7 +96,13 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
 
     with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
-        receive(link, "report", RobotReport, lambda _, report: clock.witness(report.mission[0]))
+        signed = signed_by_operator(config, OPERATOR)
+
+        def witness(_robot: int, report: RobotReport) -> None:
+            if signed is None or signed(MissionStamp(*report.mission), report.order):
+                clock.witness(report.mission[0])
+
+        receive(link, "report", RobotReport, witness)
         try:
             taker = await asyncio.wait_for(found, MEET_S)
         except TimeoutError:

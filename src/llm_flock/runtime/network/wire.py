@@ -5,23 +5,53 @@ docs/reference/wire.md has a table of their topics.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+import math
+from typing import Annotated, Any, TypeAlias, TypeVar, cast
 
 import msgspec
 
-from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
+from llm_flock.mission import MAX_ROBOTS
+from llm_flock.protocol.messages.codec import Coordinate
 from llm_flock.protocol.messages.order_time import LATEST
+from llm_flock.protocol.signed.certificates import Signature
 
-WIRE_VERSION = 2
+WIRE_VERSION = 3
+
+MOST_EVENTS = 4096
+"""Most events or calls in one report."""
+
+MOST_WORDS = 64
+"""Most entries of a dictionary by origin or by reason."""
+
+DEEPEST = 8
+"""Deepest nesting of values in an event or a call."""
+
+Place: TypeAlias = tuple[Coordinate, ...]
+"""One position as plain numbers; its receiver checks the length [units; world frame]."""
+
+Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]
+"""A moment by the wall clock [s]."""
+
+Amount = Annotated[float, msgspec.Meta(ge=0.0, le=1e12)]
+Count = Annotated[int, msgspec.Meta(ge=0, lt=2**53)]
+Word = Annotated[str, msgspec.Meta(max_length=64)]
+Slot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 
 
-class Beacon(msgspec.Struct, array_like=True, frozen=True):
-    """Where a robot is, and where the segment that it flies ends; `stamp` by the wall clock [s]."""
+Slots = Annotated[tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MOST_WORDS)]
+Amounts = Annotated[tuple[Amount, ...], msgspec.Meta(max_length=MOST_EVENTS)]
+Calls = Annotated[tuple[dict[str, Any], ...], msgspec.Meta(max_length=MOST_EVENTS)]
+Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MOST_WORDS)]
 
-    stamp: float
-    position: Point
-    end: Point
+
+class Beacon(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """Where a robot is; `stamp` by the wall clock [s]."""
+
+    stamp: Stamp
+    position: Place
 
 
 class BeaconedMessage(msgspec.Struct, array_like=True, frozen=True):
@@ -34,27 +64,27 @@ class BeaconedMessage(msgspec.Struct, array_like=True, frozen=True):
 class Body(msgspec.Struct, array_like=True, frozen=True):
     """One body: where it is, where it will stop, and the last command that it answered, obeyed or not."""
 
-    position: Point
-    end: Point
-    command: int
+    position: Place
+    end: Place
+    command: Count
 
 
 class WorldState(msgspec.Struct, array_like=True, frozen=True):
     """All bodies, by id, at one moment by the wall clock [s]."""
 
-    stamp: float
+    stamp: Stamp
     closest: float  # smallest distance of two bodies since the last state, also along their segments [units]
     bodies: tuple[Body, ...]
-    late: int  # commands refused so far because they came too late
+    late: Count  # commands refused so far because they came too late
 
 
 class Command(msgspec.Struct, array_like=True, frozen=True):
     """Fly from where the body will stop straight on to `target`, up to the deadline."""
 
-    number: int  # counts the robot's commands
-    stamp: float  # when it was given, by the wall clock [s]
-    origin: Point  # where the robot believes that its body will stop; the body refuses another origin [units]
-    target: Point  # where to stop then [units; world frame]
+    number: Count  # counts the robot's commands
+    stamp: Stamp  # when it was given, by the wall clock [s]
+    origin: Place  # where the robot believes that its body will stop; the body refuses another origin [units]
+    target: Place  # where to stop then [units; world frame]
 
 
 class MissionOrder(msgspec.Struct, frozen=True):
@@ -62,44 +92,76 @@ class MissionOrder(msgspec.Struct, frozen=True):
 
     fields: dict[str, Any]
     counter: Annotated[int, msgspec.Meta(gt=0, lt=LATEST)]
-    signature: bytes = b""
+    signature: Signature = b""
 
 
 class ReportedEvent(msgspec.Struct, frozen=True):
     """An event of one robot, as in the record."""
 
-    kind: str
+    kind: Word
     detail: dict[str, Any]
-    comm_round: int | None = None
+    comm_round: Count | None = None
+
+
+Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MOST_EVENTS)]
 
 
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame]."""
+    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame].
 
-    stamp: float  # by the wall clock [s]
-    round: int  # own count of motion rounds
-    period: int  # own count of heartbeat periods
-    phase: str  # of its state machine
-    mission: tuple[int, str]  # time of the order for the mission in force, and its digest
-    plan_id: str | None  # digest of the plan it follows
-    points: tuple[Point, ...] | None  # that plan's places, in the first report that names it
-    proposer: int | None  # robot that proposed it
-    slot: int | None  # index of its place in the plan
-    goal: Point | None  # that place
-    blocked: tuple[int, ...]  # slots that it knows to be out of every robot's reach
-    waypoint: Point | None  # where it is flying to
-    origin: str  # what chose that waypoint
-    neighbors: int  # |N_i|
-    happened: tuple[ReportedEvent, ...]  # since the last report
-    calls: tuple[dict[str, Any], ...]  # model calls since the last report, in the fields of the record
-    waypoints: dict[str, int]  # flown so far, by origin
-    sent: int  # protocol messages broadcast so far
-    bytes: int  # broadcast so far, beacons included
-    rejected: dict[str, int]  # messages refused so far, by reason
-    breakers: tuple[str, ...]  # kinds of questions that its model is not asked
+    Observers believe a robot about itself and nothing else: a mission needs the operator's signature where the team has
+    keys, and a plan's places have to be those that its digest names.
+    """
+
+    round: Count  # own count of motion rounds
+    period: Count  # own count of heartbeat periods
+    phase: Word  # of its state machine
+    mission: tuple[Annotated[int, msgspec.Meta(ge=0, lt=LATEST)], Word]  # time of the order, digest of the mission
+    order: Signature  # of the operator, on that time and digest; empty for the first mission, and without keys
+    plan_id: Word | None  # digest of the plan it follows
+    points: (
+        Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)] | None
+    )  # that plan's places, in the first report that names it
+    proposer: Slot | None  # robot that proposed it
+    slot: Slot | None  # index of its place in the plan
+    blocked: Annotated[
+        tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)
+    ]  # slots that it knows to be out of every robot's reach
+    waypoint: Place | None  # where it is flying to
+    origin: Word  # what chose that waypoint
+    neighbors: Count  # |N_i|
+    happened: Events  # since the last report
+    calls: Calls  # likewise, as in the record
+    waypoints: Counts  # flown so far, by origin
+    sent: Count  # protocol messages broadcast so far
+    bytes: Count  # broadcast so far, beacons included
+    rejected: Counts  # messages refused so far, by reason
+    breakers: Annotated[
+        tuple[Word, ...], msgspec.Meta(max_length=MOST_WORDS)
+    ]  # kinds of questions that its model is not asked
     hopeless: str | None  # why its model's last plan was refused, while it has none and its model is not asked
-    latencies_s: tuple[float, ...]  # one-way, of beacons heard since the last report
+    latencies_s: Annotated[
+        tuple[Amount, ...], msgspec.Meta(max_length=MOST_EVENTS)
+    ]  # one-way, of beacons heard since the last report
     shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
+
+
+def check_plain(value: object, depth: int = DEEPEST) -> None:
+    """Check that a value can stand in a record: finite numbers, and nesting of at most `depth`.
+
+    Raises:
+        MessageError: with reason `malformed`.
+    """
+    if isinstance(value, dict | list | tuple):
+        if depth == 0:
+            raise MessageError("malformed", "values are nested too deeply")
+        inner = cast("dict[object, object]", value).values() if isinstance(value, dict) else cast("list[object]", value)
+        for one in inner:
+            check_plain(one, depth - 1)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise MessageError("malformed", f"{value} is no finite number")
+    elif not isinstance(value, str | int | float | None):
+        raise MessageError("malformed", f"a value of type {type(value).__name__}")
 
 
 T = TypeVar("T", bound=msgspec.Struct)

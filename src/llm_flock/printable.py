@@ -1,0 +1,42 @@
+"""Makes text safe to show: what models, records and robots write must not drive a terminal, or mislead a reader."""
+
+from __future__ import annotations
+
+import logging
+import re
+
+_HIDDEN = re.compile(
+    "["
+    "\x00-\x08\x0b-\x1f\x7f-\x9f"  # control characters but tab and line feed: escape sequences, carriage returns
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u206f"  # direction: text that turns around
+    "\u00ad\u180e\u200b\u2060-\u2065\ufeff\ufff9-\ufffb\U000e0000-\U000e0fff"  # letters that nobody sees
+    "\u2028\u2029\ud800-\udfff"  # other line breaks; half characters, which no terminal can be sent
+    "]"
+)
+"""Characters that change how a terminal, or a reader, takes the text around them."""
+
+
+def hidden(text: str) -> str | None:
+    """The first character that text for people must not hold, line breaks and tabs included; None without one."""
+    found = re.search(f"[\t\n]|{_HIDDEN.pattern}", text)
+    return None if found is None else found[0]
+
+
+def printable(text: str) -> str:
+    """The text with such characters written out as escapes; line breaks and tabs stay. Call before showing it."""
+    return _HIDDEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+class CleanFormatter(logging.Formatter):
+    """Formats log records, and cleans what they quote."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record as text."""
+        return printable(super().format(record))
+
+
+def log_to_stderr() -> None:
+    """Show warnings. Call once, at the start of a process."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(CleanFormatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])

@@ -1,0 +1,270 @@
+"""What an observer believes: sensors, the operator, and each robot about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+
+from llm_flock.arrays import Point
+from llm_flock.errors import MessageError
+from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.plan import Plan
+from llm_flock.record.schema import Entry, PlanInfo
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.observer import Observer
+from llm_flock.runtime.network.wire import Body, ReportedEvent, RobotReport, WorldState, pack, unpack
+
+N = 3
+CONFIG = SwarmConfig.build({}, shape="triangle", n_robots=N, model="simulated:ideal")
+MISSION = CONFIG.mission
+PLAN = Plan.of(MISSION.ideal or ())
+PLACES = PLAN.points
+
+
+class Sink:
+    def __init__(self) -> None:
+        self.entries: list[Entry] = []
+
+    def write(self, entry: Entry) -> None:
+        self.entries.append(entry)
+
+
+def told(robot: int, **changes: Any) -> RobotReport:
+    """The report of an honest robot at its place, with these changes."""
+    whole: dict[str, Any] = {
+        "round": 4,
+        "period": 4,
+        "phase": "moving",
+        "mission": (0, MISSION.digest),
+        "order": b"",
+        "plan_id": PLAN.digest,
+        "points": PLACES,
+        "proposer": 0,
+        "slot": robot,
+        "blocked": (),
+        "waypoint": PLACES[robot],
+        "origin": "model",
+        "neighbors": N - 1,
+        "happened": (),
+        "calls": (),
+        "waypoints": {"model": 4},
+        "sent": 9,
+        "bytes": 900,
+        "rejected": {},
+        "breakers": (),
+        "hopeless": None,
+        "latencies_s": (),
+        "shape": None,
+    }
+    return RobotReport(**{**whole, **changes})
+
+
+def observer(
+    bodies: tuple[Point, ...] = PLACES, *, signed: Callable[[MissionStamp, bytes], bool] | None = None
+) -> Observer:
+    now = [50.0]
+    seen = Observer(CONFIG, Sink(), signed=signed, clock=lambda: now[0])
+    for robot in range(N):
+        seen.comes_or_goes(robot, True)
+    seen.world(
+        WorldState(stamp=1.0, closest=5.0, bodies=tuple(Body(position=x, end=x, command=0) for x in bodies), late=0)
+    )
+    return seen
+
+
+def formed(seen: Observer, *reports: RobotReport) -> bool:
+    """Whether the team has formed by these reports, heard again and again for a while."""
+    for k in range(60):
+        for robot, report in enumerate(reports):
+            seen.report(robot, report)
+        seen.check(50.0 + 0.1 * k)
+    return seen.formed_s is not None
+
+
+def test_a_team_at_its_places_has_formed() -> None:
+    assert formed(observer(), *map(told, range(N)))
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"goal": 1},
+        {"plan_id": "0" * 16},
+        {"slot": 0},
+        {"slot": None, "blocked": (2,)},
+        {"mission": (2**40, MISSION.digest)},
+        {"mission": (0, "0" * 16)},
+    ],
+)
+def test_one_member_cannot_say_that_the_team_has_formed(lie: dict[str, Any]) -> None:
+    """Robot 2 is not at its place, whatever it says of itself, of a place or of the mission."""
+    bodies = (*PLACES[:2], (20.0, 20.0))
+    last = told(2) if "goal" in lie else told(2, **{"points": None, **lie})
+    assert not formed(observer(bodies), told(0), told(1), last)
+
+
+def test_a_place_is_blocked_once_two_say_so() -> None:
+    """Robot 2 is dead, bodies that do not move stand on two places, and robot 1 is left without one."""
+    spare = told(1, slot=None, blocked=(1, 2))
+    for word, expected in (((), False), ((1, 2), True)):
+        seen = observer()
+        seen.comes_or_goes(2, False)
+        assert formed(seen, told(0, blocked=word), spare) is expected
+
+
+def other_mission(counter: int) -> dict[str, Any]:
+    mission = MISSION.change(shape="line")
+    return {"mission": (counter, mission.digest), "shape": mission.model_dump(mode="json")}
+
+
+def test_only_the_operator_changes_the_mission() -> None:
+    def signed(stamp: MissionStamp, signature: bytes) -> bool:
+        return signature == b"operator %d" % stamp.counter
+
+    seen = observer(signed=signed)
+    with pytest.raises(MessageError, match="no_order"):
+        seen.report(1, told(1, **other_mission(2**40)))
+    with pytest.raises(MessageError, match="no_order"):
+        seen.report(1, told(1, **other_mission(2**40), order=b"operator 7"))
+    assert seen.mission.shape == "triangle" and 1 not in seen.reports
+    assert formed(seen, *map(told, range(N)))
+    seen.report(1, told(1, **other_mission(7), order=b"operator 7"))
+    assert seen.mission.shape == "line" and seen.formed_s is None
+
+
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        ({"n_robots": 4}, "malformed"),
+        ({"shape": "line"}, "malformed"),
+        ({"spacing": "wide"}, "malformed"),
+        ({"nothing": 1}, "malformed"),
+    ],
+)
+def test_a_mission_of_another_team_or_digest_is_refused(shape: dict[str, Any], reason: str) -> None:
+    seen = observer()
+    fields = {**MISSION.model_dump(mode="json"), **shape}
+    with pytest.raises(MessageError) as caught:
+        seen.report(0, told(0, mission=(5, MISSION.digest), shape=fields))
+    assert caught.value.reason == reason and seen.mission is MISSION
+
+
+def event(**detail: Any) -> tuple[ReportedEvent, ...]:
+    return (ReportedEvent(kind="proposed", detail=detail),)
+
+
+def nested(depth: int) -> dict[str, Any]:
+    value: dict[str, Any] = {}
+    for _ in range(depth):
+        value = {"in": value}
+    return value
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"waypoint": (1.0, 2.0, 3.0)}, "wrong_length"),
+        ({"waypoint": ()}, "wrong_length"),
+        ({"points": ((1.0, 2.0, 3.0),) * N}, "wrong_length"),
+        ({"points": ()}, "malformed"),
+        ({"points": ((1.0, 2.0),) * N}, "malformed"),
+        ({"points": PLACES, "plan_id": None}, "malformed"),
+        ({"happened": event(x=float("nan"))}, "malformed"),
+        ({"happened": event(x=b"raw")}, "malformed"),
+        ({"happened": event(**nested(300))}, "malformed"),
+        ({"calls": ({"robot": 0},)}, "malformed"),
+        ({"calls": (nested(300),)}, "malformed"),
+    ],
+)
+def test_a_report_that_no_honest_robot_makes_is_refused_as_a_whole(changes: dict[str, Any], reason: str) -> None:
+    seen = observer()
+    report = unpack(RobotReport, pack(told(0, **changes)))
+    with pytest.raises(MessageError) as caught:
+        seen.report(0, report)
+    assert caught.value.reason == reason and not seen.reports
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"waypoint": (float("inf"), 0.0)},
+        {"points": ((float("nan"), 0.0),) * N},
+        {"round": -1},
+        {"slot": 2**31},
+        {"mission": (2**62, "x")},
+        {"rejected": {str(k): 1 for k in range(1000)}},
+        {"rejected": {"x" * 1000: 1}},
+        {"latencies_s": (float("nan"),)},
+        {"happened": event(a=1) * 5000},
+        {"blocked": tuple(range(100)) * 200},
+    ],
+)
+def test_a_report_is_bounded_on_the_wire(changes: dict[str, Any]) -> None:
+    with pytest.raises(MessageError, match="malformed"):
+        unpack(RobotReport, pack(told(0, **changes)))
+
+
+def test_a_call_of_another_robot_is_not_believed() -> None:
+    call = {
+        "robot": 1,
+        "kind": "plan",
+        "attempt": 0,
+        "model": "simulated:ideal",
+        "request_hash": "x",
+        "messages": [],
+        "settings": {},
+        "usage": {},
+        "latency_s": 0.1,
+        "faults": [],
+    }
+    seen = observer()
+    with pytest.raises(MessageError, match="impostor"):
+        seen.report(0, told(0, calls=(call,)))
+    seen.report(1, told(1, calls=(call,)))
+    assert seen.calls == 1
+
+
+def test_members_outside_the_team_do_not_report() -> None:
+    with pytest.raises(MessageError, match="unknown_id"):
+        observer().report(N, told(0))
+
+
+def test_a_robot_that_goes_on_to_report_has_not_left() -> None:
+    seen = observer()
+    seen.report(0, told(0))
+    seen.comes_or_goes(0, False)
+    seen.check(50.5)
+    assert 0 in seen.robots
+    seen.check(51.1)
+    assert 0 not in seen.robots
+    seen.comes_or_goes(7, False)
+    seen.comes_or_goes(0, True)
+    assert 0 in seen.robots
+
+
+def test_the_supplier_of_the_plan_is_what_most_robots_say() -> None:
+    seen = observer()
+    seen.report(0, told(0, happened=(ReportedEvent("proposed", {"plan": PLAN.digest, "slot": 0, "by": "model"}),)))
+    seen.report(1, told(1))
+    seen.report(2, told(2, proposer=2))
+    assert seen.supplier == (0, "simulated:ideal")
+    seen.report(1, told(1, plan_id=None, points=None, proposer=None))
+    assert seen.supplier is None
+
+
+def test_a_plan_is_recorded_once_however_often_it_is_told() -> None:
+    seen = observer()
+    sink = seen._sink
+    assert isinstance(sink, Sink)
+    for robot in (0, 1, 0):
+        seen.report(robot, told(robot))
+    assert sum(isinstance(entry, PlanInfo) for entry in sink.entries) == 1
+
+
+def test_only_whole_reports_pass_the_wire() -> None:
+    raw = msgspec.msgpack.encode({"round": 1})
+    with pytest.raises(MessageError, match="malformed"):
+        unpack(RobotReport, pack(told(0))[:1] + raw)
