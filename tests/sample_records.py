@@ -92,6 +92,8 @@ class FakeRun:
     def write(self, sink: RecordSink, *, finish: bool = True, llm: bool = True) -> None:
         sink.write(run_info(self.seed))
         mission = self.mission.model_dump(mode="json")
+        low, high = mission["arena"]
+        mission["arena"] = [[*low, *low[: self.dim - 2]], [*high, *high[: self.dim - 2]]]
         sink.write(MissionInfo(version=0, round=0, mission=mission, ideal=self.ideal.tolist()))
         for number in range(self.rounds + 1):
             self.write_round(sink, number, llm=llm)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Self, cast
 
-from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 from llm_flock.renamed import RECORD_FIELDS, current_config, current_origins
 
@@ -16,8 +18,40 @@ ROUND_NS = 1_000_000_000
 """Log time of one round [ns]: a record plays one round a second, however long the run took."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Row = list[Finite]
+Row = Annotated[list[Finite], Field(min_length=2, max_length=3)]
 """One position, d coordinates [units; world frame]."""
+
+Whole = Annotated[int, Field(ge=-(2**53), le=2**53)]
+"""A whole number that every reader of JSON can hold."""
+
+Round = Annotated[int, Field(ge=0, le=10**9)]
+Robot = Annotated[int, Field(ge=0, le=10**6)]
+
+DEEPEST = 32
+"""Deepest nesting of free values; those of this program have a quarter of it."""
+
+
+def check_plain(value: object, depth: int = DEEPEST) -> None:
+    """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
+    if isinstance(value, Mapping | list | tuple):
+        if depth == 0:
+            raise ValueError("values are nested too deeply")
+        held = (
+            cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else cast("list[object]", value)
+        )
+        for one in held:
+            check_plain(one, depth - 1)
+    elif isinstance(value, int | float) and not (math.isfinite(value) and abs(value) <= 1e300):
+        raise ValueError("a number that readers cannot hold")
+
+
+def _free(values: dict[str, Any]) -> dict[str, Any]:
+    check_plain(values)
+    return values
+
+
+Free = Annotated[dict[str, Any], AfterValidator(_free)]
+"""Values by name, of a form that this format does not know."""
 
 _VOLATILE: dict[str, Any] = {"volatile": True}
 """Marks fields that may differ between two runs of one seed."""
@@ -42,16 +76,85 @@ class Entry(BaseModel):
         return self.__pydantic_serializer__.to_json(self, exclude_none=True)
 
 
+class _Obstacle(BaseModel):
+    center: Row | None = None
+    radius: Finite | None = None
+    polygon: list[Row] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.polygon is None and (self.center is None or self.radius is None):
+            raise ValueError("an obstacle is a polygon, or has center and radius")
+        return self
+
+
+class _MissionFields(BaseModel):
+    """Fields of a mission on which readers of records rely; versions of this program may write more."""
+
+    shape: str
+    n_robots: Annotated[int, Field(ge=1, le=10**6)]
+    spacing: Finite
+    safe_distance: Finite
+    comm_range: Finite
+    arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
+    places: Whole | None = None
+    obstacles: list[_Obstacle] = []
+
+
+def _mission_fields(mission: dict[str, Any]) -> dict[str, Any]:
+    _MissionFields.model_validate(mission)
+    return _free(mission)
+
+
+def _config(config: dict[str, Any]) -> dict[str, Any]:
+    for name in ("protocol", "model"):
+        if not isinstance(config.get(name, {}), dict):
+            raise ValueError(f"{name} is a section of the configuration, with fields of its own")
+    return current_config(_free(config))
+
+
+_DETAILS: dict[str, tuple[type, ...]] = {
+    **dict.fromkeys(("plan", "question", "by", "state", "shape", "about", "cause", "model"), (str,)),
+    **dict.fromkeys(("from", "slot", "before", "wait", "refusals", "missing"), (int,)),
+    **dict.fromkeys(("proposed", "flown", "vacant", "slots"), (list, tuple)),
+}
+"""Types of details of events, by name, on which readers rely; all may be null."""
+
+
+def _details(detail: dict[str, Any]) -> dict[str, Any]:
+    for name, value in detail.items():
+        if value is not None and not isinstance(value, _DETAILS.get(name, object)):
+            raise ValueError(f"{name} is not a value of type {type(value).__name__}")
+    return _free(detail)
+
+
+class _ResultFields(BaseModel):
+    """Figures of a summary on which readers rely."""
+
+    formed: bool | None = None
+    stopped: str | None = None
+    rounds_to_formed: Whole | None = None
+    plan_robot: Robot | None = None
+    plan_by: str | None = None
+    waypoint_shares: dict[str, Finite] | None = None
+    breakers_opened: list[Robot] | None = None
+
+
+def _result_fields(result: dict[str, Any]) -> dict[str, Any]:
+    _ResultFields.model_validate(result)
+    return _free(result)
+
+
 class RunInfo(Entry):
     """Where the run came from. Written once, first."""
 
-    format_version: int = Field(FORMAT_VERSION, description="Version of this format")
-    config: Annotated[dict[str, Any], AfterValidator(current_config)] = Field(
+    format_version: Whole = Field(FORMAT_VERSION, description="Version of this format")
+    config: Annotated[dict[str, Any], AfterValidator(_config)] = Field(
         description="The resolved configuration, every field of it"
     )
     versions: dict[str, str] = Field(description="Versions of the packages that can change a result")
     git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
-    seed: int = Field(description="Seed of the run")
+    seed: Whole = Field(description="Seed of the run")
     simulated: bool = Field(description="Whether any language model was a simulated stand-in")
     created_at: str = Field(description="Start of the run, UTC, ISO 8601", json_schema_extra=_VOLATILE)
     environment: dict[str, str] = Field(description="Interpreter and machine", json_schema_extra=_VOLATILE)
@@ -60,28 +163,32 @@ class RunInfo(Entry):
 class MissionInfo(Entry):
     """What the team is asked to do. Written before the first state, and again whenever it changes."""
 
-    version: int = Field(description="Counts the missions of a run from 0")
-    round: int = Field(description="First round of the mission")
-    mission: dict[str, Any] = Field(description="Every field of the mission")
+    version: Whole = Field(description="Counts the missions of a run from 0")
+    round: Round = Field(description="First round of the mission")
+    mission: Annotated[dict[str, Any], AfterValidator(_mission_fields)] = Field(
+        description="Every field of the mission"
+    )
     ideal: list[Row] | None = Field(default=None, description="Ideal points in reference orientation (n, d) [units]")
 
 
 class PlanInfo(Entry):
     """A plan, once, in the round in which it is first seen."""
 
-    round: int = Field(description="Round in which it was first seen")
+    round: Round = Field(description="Round in which it was first seen")
     plan_id: str = Field(description="Stands for the plan's content: equal plans have equal ids")
-    proposer: int = Field(description="Robot that proposed it")
+    proposer: Robot = Field(description="Robot that proposed it")
     points: list[Row] = Field(description="Its N places in order of their slots (n, d) [units]")
 
 
 class State(Entry):
     """Every robot after a round; round 0 is the start. All lists are by robot id."""
 
-    round: int = Field(description="Motion round, 0 before the first")
-    positions: list[Row] = Field(description="True positions (n, d) [units; world frame]")
+    round: Round = Field(description="Motion round, 0 before the first")
+    positions: Annotated[list[Row], Field(min_length=1)] = Field(
+        description="True positions (n, d) [units; world frame]"
+    )
     goals: list[Row | None] = Field(description="The place each robot heads for [units], null without one")
-    slots: list[int | None] = Field(description="Its number in the plan, null without one")
+    slots: list[Whole | None] = Field(description="Its number in the plan, null without one")
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="Commanded this round [units], null at the start")
@@ -94,19 +201,31 @@ class State(Entry):
         description="Questions, plan or step, that each robot's model is not asked, because its answers were unusable",
     )
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        n, dim = len(self.positions), {len(row) for row in self.positions}
+        lists = (self.goals, self.slots, self.plan_ids, self.influence, self.waypoints, self.origins, self.phases)
+        if {len(one) for one in lists} != {n} or len(self.open_breakers) not in (0, n):
+            raise ValueError(f"not all lists have an item for each of {n} robots")
+        if len(dim | {len(row) for row in (*self.goals, *self.waypoints) if row is not None}) > 1:
+            raise ValueError("positions have different numbers of coordinates")
+        return self
+
 
 class ProtocolEvent(Entry):
     """Something that a robot decided or met, when it happened."""
 
-    round: int = Field(description="Motion round")
-    comm_round: int | None = Field(
+    round: Round = Field(description="Motion round")
+    comm_round: Whole | None = Field(
         None,
         validation_alias=AliasChoices("comm_round", *RECORD_FIELDS["/protocol"]["comm_round"]),
         description="Communication round within the motion round; left out between two of them",
     )
-    robot: int = Field(description="Whose event it is")
+    robot: Robot = Field(description="Whose event it is")
     kind: str = Field(description="What happened: proposed, adopted, claimed, shielded, ...")
-    detail: dict[str, Any] = Field(description="What belongs to this kind of event")
+    detail: Annotated[dict[str, Any], AfterValidator(_details)] = Field(
+        description="What belongs to this kind of event"
+    )
 
 
 class ChatLine(Entry):
@@ -119,23 +238,23 @@ class ChatLine(Entry):
 class CallUsage(Entry):
     """Tokens of one call."""
 
-    input: int = Field(0, description="Tokens in")
-    output: int = Field(0, description="Tokens out")
-    cached: int = Field(0, description="The part of the input that the provider had in its cache")
+    input: Whole = Field(0, description="Tokens in")
+    output: Whole = Field(0, description="Tokens out")
+    cached: Whole = Field(0, description="The part of the input that the provider had in its cache")
 
 
 class LlmEntry(Entry):
     """One call of a language model and what came of it."""
 
-    round: int = Field(description="Motion round")
-    robot: int = Field(description="Whose model was asked")
+    round: Round = Field(description="Motion round")
+    robot: Robot = Field(description="Whose model was asked")
     kind: str = Field(description="plan or step")
-    attempt: int = Field(description="Number of the call in this round of this robot, from 0")
+    attempt: Whole = Field(description="Number of the call in this round of this robot, from 0")
     model: str = Field(description="provider:model")
     request_hash: str = Field(description="Stands for everything that the model saw")
     messages: list[ChatLine] = Field(description="The whole conversation that the model saw")
     text: str | None = Field(None, description="The raw answer; left out when none came")
-    parsed: dict[str, Any] | None = Field(None, description="What was understood; left out when not accepted")
+    parsed: Free | None = Field(None, description="What was understood; left out when not accepted")
     rejected: str | None = Field(None, description="Why the answer was not accepted, as the model was told")
     clipped: str | None = Field(None, description="Why the answer was clipped before it was flown; left out if not")
     probe: bool | None = Field(None, description="True if the circuit breaker was open before: one try only")
@@ -146,7 +265,7 @@ class LlmEntry(Entry):
     thought: bool | None = Field(
         None, description="True where the model thought apart from its text, which may be all it did; else left out"
     )
-    settings: dict[str, Any] = Field(description="Sampling settings that were sent")
+    settings: Free = Field(description="Sampling settings that were sent")
     usage: CallUsage = Field(description="Tokens of this call")
     cost_usd: Finite | None = Field(None, description="Price [US dollars]; left out when not known")
     latency_s: Finite = Field(description="Duration, waits for retries included [s]", json_schema_extra=_VOLATILE)
@@ -156,27 +275,27 @@ class LlmEntry(Entry):
 class MetricsRow(Entry):
     """The figures of one round. Counts of calls, tokens, cost and messages run from the start."""
 
-    round: int = Field(description="Motion round, 0 before the first")
+    round: Round = Field(description="Motion round, 0 before the first")
     procrustes_mean: Finite | None = Field(None, description="Mean distance to the ideal shape [units]")
     procrustes_mean_squared: Finite | None = Field(None, description="Mean squared distance to it [units^2]")
     min_separation: Finite | None = Field(None, description="Smallest distance of two robots now [units]")
     segment_separation: Finite | None = Field(None, description="Smallest distance while moving this round [units]")
-    plans_in_use: int = Field(description="Different plans followed")
-    distinct_goals: int = Field(description="Different goals headed for")
-    robots_at_goal: int = Field(description="Robots within 0.05 spacing of their goal")
+    plans_in_use: Whole = Field(description="Different plans followed")
+    distinct_goals: Whole = Field(description="Different goals headed for")
+    robots_at_goal: Whole = Field(description="Robots within 0.05 spacing of their goal")
     connected: bool = Field(description="Whether the radio graph is one piece")
-    model_calls: int = Field(description="Model calls so far")
-    tokens: int = Field(description="Tokens in and out so far")
+    model_calls: Whole = Field(description="Model calls so far")
+    tokens: Whole = Field(description="Tokens in and out so far")
     cost_usd: Finite | None = Field(None, description="Cost so far [US dollars]; left out when not known")
-    messages_sent: int = Field(description="Broadcasts so far")
-    bytes_sent: int = Field(description="Bytes broadcast so far")
-    messages_rejected: dict[str, int] = Field(description="Messages refused on receipt so far, by reason")
+    messages_sent: Whole = Field(description="Broadcasts so far")
+    bytes_sent: Whole = Field(description="Bytes broadcast so far")
+    messages_rejected: dict[str, Whole] = Field(description="Messages refused on receipt so far, by reason")
 
 
 class BodySample(Entry):
     """Every body of a flight at a time: where it is, and where it was told to be. Some ten of them a second."""
 
-    round: int = Field(description="Motion round; 0 before the first")
+    round: Round = Field(description="Motion round; 0 before the first")
     time_s: Finite = Field(description="Since the flight began [s]", json_schema_extra=_VOLATILE)
     measured: list[Row] = Field(
         description="The position estimate of each drone, x, y, z [m; world frame]", json_schema_extra=_VOLATILE
@@ -198,23 +317,25 @@ class BodySample(Entry):
 class FlightEvent(Entry):
     """What happened to a flight as a whole, or to the body of one of its drones."""
 
-    round: int = Field(description="Motion round")
+    round: Round = Field(description="Motion round")
     time_s: Finite = Field(description="Since the flight began [s]", json_schema_extra=_VOLATILE)
     kind: str = Field(description="What happened: connected, take_off, landing, landed, cut, link_lost, ...")
-    robot: int | None = Field(None, description="The drone's robot; left out where the event is about the whole team")
+    robot: Robot | None = Field(None, description="The drone's robot; left out where the event is about the whole team")
     detail: dict[str, Any] = Field(description="What belongs to this kind of event", json_schema_extra=_VOLATILE)
 
 
 class RoundEnd(Entry):
     """The last message of a round: when it is there, the whole round is there."""
 
-    round: int = Field(description="The round that is complete")
+    round: Round = Field(description="The round that is complete")
 
 
 class SummaryMessage(Entry, title="Summary"):
     """What the run reports. Written at a clean end only, also after an interruption."""
 
-    result: dict[str, Any] = Field(description="The figures of the run, as `llm-flock run --json` prints them")
+    result: Annotated[dict[str, Any], AfterValidator(_result_fields)] = Field(
+        description="The figures of the run, as `llm-flock run --json` prints them"
+    )
 
 
 CHANNELS: dict[str, type[Entry]] = {

@@ -46,7 +46,10 @@ def breaker_text(event: ProtocolEvent) -> str:
 
 
 def _at(point: object) -> str:
-    return "[" + ", ".join(f"{x:.4g}" for x in cast("list[float]", point)) + "]" if isinstance(point, list) else "-"
+    if not isinstance(point, list):
+        return "-"
+    parts = cast("list[object]", point)
+    return "[" + ", ".join(f"{x:.4g}" if isinstance(x, int | float) else str(x) for x in parts) + "]"
 
 
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:
