@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from pathlib import Path
+
+from swarms import swarm_config
 
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import Message
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
-from llm_flock.runtime.network.connection import open_link
-from llm_flock.runtime.network.swarm import launched
+from llm_flock.runtime.network.connection import SPARE, open_link
+from llm_flock.runtime.network.swarm import free_port, launched
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack
 from llm_flock.trust.keys import make_keys
 
@@ -55,5 +58,44 @@ def test_a_swarm_with_keys_forms_and_hears_no_stranger(tmp_path: Path) -> None:
     stopped, rejected, heard = asyncio.run(fly(config))
     assert stopped == "formed"
     assert heard == []
-    assert rejected.get("wrong_topic", 0) > 0
-    assert rejected.get("bad_signature", 0) == 0
+    # What a member sends under the name of another is dropped by the network, before anybody opens it.
+    assert rejected.get("wrong_topic", 0) == rejected.get("bad_signature", 0) == 0
+
+
+async def three_members(config: SwarmConfig) -> tuple[list[tuple[int, bytes]], list[tuple[int, bool]], Counter[str]]:
+    """What member 0 hears while 1 is honest, and 2 sends and lives in the name of others, and floods in its own."""
+    heard: list[tuple[int, bytes]] = []
+    alive: list[tuple[int, bool]] = []
+    network = config.network.model_copy(update={"listen": config.network.connect, "connect": ""})
+    first = open_link(config.model_copy(update={"network": network}), 0)
+    others = [open_link(config, member, listen="tcp/127.0.0.1:0") for member in (1, 2)]
+    honest, liar = others
+    try:
+        first.listen("say", None, lambda sender, payload: heard.append((sender, payload)))
+        first.watch_alive(lambda number, is_alive: alive.append((number, is_alive)))
+        await asyncio.sleep(1.0)
+        honest.declare_alive(1)
+        liar.declare_alive(3)
+        for k in range(2000):
+            if k % 200 == 0:
+                honest.publish("say", 1, b"honest")
+                await asyncio.sleep(0.1)
+            liar.publish("say", 1, b"forged")
+            liar.publish("say", 2, b"flood")
+        liar.close()  # ends all that it has declared
+        await asyncio.sleep(0.5)
+        return heard, alive, first.traffic.refused
+    finally:
+        for link in (first, *others):
+            link.close()
+
+
+def test_a_member_neither_speaks_nor_lives_for_another_and_floods_only_itself(tmp_path: Path) -> None:
+    make_keys(tmp_path / "team", 4)
+    config = swarm_config(4, keys=str(tmp_path / "team"), connect=f"tcp/127.0.0.1:{free_port()}")
+    heard, alive, refused = asyncio.run(three_members(config))
+    assert heard.count((1, b"honest")) == 10 and (1, b"forged") not in heard
+    assert alive == [(1, True)]
+    # In two seconds: as many as at once, and as many as in that time.
+    assert heard.count((2, b"flood")) <= 2 * 2.5 * SPARE / config.network.gossip_s
+    assert refused["too_many"] >= 1000

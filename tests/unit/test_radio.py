@@ -16,7 +16,7 @@ from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, Wor
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.seal import PlainSeal
-from llm_flock.transport.zenoh import settings
+from llm_flock.transport.zenoh import Allowance, access_control, settings
 
 MISSION = Mission(shape="circle", n_robots=4, comm_range=15.0)
 PLACES = [(50.0, 50.0), (60.0, 50.0), (66.0, 50.0), (50.0, 52.0)]
@@ -154,3 +154,21 @@ def test_no_multicast_and_a_short_lease() -> None:
     values = settings(listen=["a"], connect=["b"], lease_s=2.0, security={"x": 1})
     assert values["scouting/multicast/enabled"] is False and values["mode"] == "peer"
     assert values["transport/link/tx/lease"] == 2000 and values["x"] == 1
+
+
+def test_a_topic_may_bring_so_much_in_the_long_run_and_twice_that_at_once() -> None:
+    own = Allowance(10.0)
+    assert sum(own.spend(100.0) for _ in range(100)) == 20
+    assert sum(own.spend(100.0 + 0.01 * k) for k in range(1, 1001)) == pytest.approx(100, abs=1)
+    assert sum(own.spend(1000.0) for _ in range(100)) == 20
+    seldom = Allowance(0.1)
+    assert seldom.spend(0.0) and not seldom.spend(5.0) and seldom.spend(11.0)
+
+
+def test_who_may_send_what_is_told_to_the_network() -> None:
+    told = access_control({"robot-0": ["flock/say/0"], "watcher": []})["access_control"]
+    assert told["enabled"] and told["default_permission"] == "deny"
+    ingress = [r for r in told["rules"] if r["flows"] == ["ingress"]]
+    assert [(r["id"], r["key_exprs"]) for r in ingress] == [("robot-0", ["flock/say/0"])]
+    assert {"rules": ["robot-0"], "subjects": ["robot-0"]} in told["policies"]
+    assert [s["cert_common_names"] for s in told["subjects"]] == [["robot-0"], ["watcher"]]

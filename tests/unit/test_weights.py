@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import struct
 import sys
+import time
 import types
 from importlib import metadata
 
 import pytest
 from gguf_files import LORA, LORA_TENSORS, MODEL, TENSORS, gguf, write_adapter, write_model
+from slowness import slowness
 
 from llm_flock.errors import InputError
 from llm_flock.llm.local import weights
@@ -51,6 +55,45 @@ def test_whatever_else_a_file_holds_it_is_refused_in_words(tmp_path):
         with pytest.raises(InputError, match="a GGUF file of version 2 or 3") as caught:
             read_header(path)
         assert caught.value.field == "model"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("llama.block_count", 0),
+        ("llama.block_count", True),
+        ("llama.context_length", "512"),
+        ("llama.embedding_length", 64.0),
+        ("llama.attention.head_count", 2**32 - 1),
+        ("general.alignment", "32"),
+        ("general.alignment", 0),
+        ("general.alignment", 2**31),
+    ],
+)
+def test_a_size_that_is_none_is_refused(tmp_path, name, value):
+    with pytest.raises(InputError, match="a GGUF file"):
+        read_header(write_model(tmp_path / "m.gguf", {**MODEL, name: value}))
+
+
+def test_a_negative_size_is_refused(tmp_path):
+    whole, path = gguf(MODEL, TENSORS), tmp_path / "m.gguf"
+    key = b"llama.block_count" + struct.pack("<I", 4)
+    assert key in whole
+    path.write_bytes(whole.replace(key + struct.pack("<I", 2), key[:-4] + struct.pack("<Ii", 5, -2)))
+    with pytest.raises(InputError, match="a GGUF file"):
+        read_header(path)
+
+
+def test_a_head_of_endless_strings_takes_no_time(tmp_path):
+    """39 MB of empty strings, and as many as the longest vocabulary has, in one file each."""
+    for count, refused in ((5_000_000, True), (2_000_000, False)):
+        path = tmp_path / f"{count}.gguf"
+        head = b"GGUF" + struct.pack("<IQQ", 3, 0, 1) + struct.pack("<Q", 1) + b"x" + struct.pack("<IIQ", 9, 8, count)
+        path.write_bytes(head + bytes(8 * count))
+        began = time.process_time()
+        with pytest.raises(InputError) if refused else contextlib.nullcontext():
+            read_header(path)
+        assert time.process_time() - began < 2.0 * slowness()
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):

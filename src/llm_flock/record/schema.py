@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Self, cast
@@ -41,8 +40,10 @@ def check_plain(value: object, depth: int = DEEPEST) -> None:
         )
         for one in held:
             check_plain(one, depth - 1)
-    elif isinstance(value, int | float) and not (math.isfinite(value) and abs(value) <= 1e300):
+    elif isinstance(value, int | float) and not -1e300 <= value <= 1e300:
         raise ValueError("a number that readers cannot hold")
+    elif not isinstance(value, str | int | float | None):
+        raise ValueError(f"a value of type {type(value).__name__}")
 
 
 def _free(values: dict[str, Any]) -> dict[str, Any]:
@@ -115,8 +116,8 @@ def _config(config: dict[str, Any]) -> dict[str, Any]:
 
 _DETAILS: dict[str, tuple[type, ...]] = {
     **dict.fromkeys(("plan", "question", "by", "state", "shape", "about", "cause", "model"), (str,)),
-    **dict.fromkeys(("from", "slot", "before", "wait", "refusals", "missing"), (int,)),
-    **dict.fromkeys(("proposed", "flown", "vacant", "slots"), (list, tuple)),
+    **dict.fromkeys(("from", "slot", "before", "wait", "refusals"), (int,)),
+    **dict.fromkeys(("proposed", "flown", "vacant", "slots", "missing"), (list, tuple)),
 }
 """Types of details of events, by name, on which readers rely; all may be null."""
 

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -56,6 +58,39 @@ def settings(
     }
 
 
+def access_control(allowed: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """The part of a configuration that lets members send under their own keys only, by the names in their certificates.
+
+    `allowed` are the key expressions that each may write to and be alive under. Everybody may listen. What others send
+    is dropped as it comes in, before anything of this program looks at it.
+    """
+    to_all: list[dict[str, Any]] = [
+        {
+            "id": "listen",
+            "flows": ["ingress", "egress"],
+            "messages": ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"],
+        },
+        {"id": "send", "flows": ["egress"], "messages": ["put", "liveliness_token"]},
+    ]
+    own: list[dict[str, Any]] = [
+        {"id": name, "flows": ["ingress"], "messages": ["put", "liveliness_token"], "key_exprs": list(keys)}
+        for name, keys in allowed.items()
+        if keys
+    ]
+    return {
+        "access_control": {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": [{"permission": "allow", "key_exprs": ["**"], **rule} for rule in to_all + own],
+            "subjects": [{"id": name, "cert_common_names": [name]} for name in allowed],
+            "policies": [
+                {"rules": ["listen", "send"], "subjects": list(allowed)},
+                *({"rules": [rule["id"]], "subjects": [rule["id"]]} for rule in own),
+            ],
+        }
+    }
+
+
 def open_session(values: Mapping[str, Any]) -> zenoh.Session:
     """Open a session.
 
@@ -92,15 +127,48 @@ class LinkTraffic:
     refused: Counter[str] = field(default_factory=Counter[str])
 
 
+MOST_TOPICS = 1 << 14
+"""Most topics whose messages are counted; a team of 1,000 has some 4,000."""
+
+BURST_S = 2.0
+"""A topic may bring as much at once as it may in this time [s]."""
+
+
+class Allowance:
+    """How much a topic may bring: `rate` messages a second, and as many at once as in `BURST_S`. A token bucket."""
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._left = self._most = max(1.0, BURST_S * rate)
+        self._since = -math.inf
+
+    def spend(self, now: float) -> bool:
+        """Whether one more message is allowed now [s]; if so, it counts."""
+        self._left = min(self._most, self._left + self._rate * (now - self._since))
+        self._since = now
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
 class ZenohLink:
     """Connects one process to a swarm's network. A topic is `kind/id`; other swarms, and own messages, are ignored.
 
-    A payload is dropped, not delayed, where a receiver does not keep up. Handlers run in `loop`. The session is closed
-    by `close`.
+    A payload is dropped, not delayed, where a receiver does not keep up, or where its topic brings more than `rates`
+    allow: messages a second under one topic, by kind. That is counted as `too_many`, before a signature is checked.
+    Handlers run in `loop`. The session is closed by `close`.
     """
 
     def __init__(
-        self, session: zenoh.Session, *, swarm: str, own: int, seal: Seal, loop: asyncio.AbstractEventLoop
+        self,
+        session: zenoh.Session,
+        *,
+        swarm: str,
+        own: int,
+        seal: Seal,
+        loop: asyncio.AbstractEventLoop,
+        rates: Mapping[str, float],
     ) -> None:
         self.traffic = LinkTraffic()
         self._session: Any = session
@@ -108,6 +176,8 @@ class ZenohLink:
         self._own = own
         self._seal = seal
         self._loop = loop
+        self._rates = rates
+        self._allowances: dict[str, Allowance] = {}
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
         self._closed = False
@@ -153,7 +223,16 @@ class ZenohLink:
                 handler(sender, payload)
 
         def take(sample: zenoh.Sample) -> None:
-            self._call(open_sealed, str(sample.key_expr).removeprefix(f"{self._root}/"), sample.payload.to_bytes())
+            topic = str(sample.key_expr).removeprefix(f"{self._root}/")
+            allowance = self._allowances.get(topic)
+            if allowance is None:
+                if len(self._allowances) >= MOST_TOPICS:
+                    self._allowances.clear()
+                allowance = self._allowances[topic] = Allowance(self._rates[kind])
+            if allowance.spend(time.monotonic()):
+                self._call(open_sealed, topic, sample.payload.to_bytes())
+            else:  # only this thread counts them
+                self.traffic.refused["too_many"] += 1
 
         key = f"{self._root}/{kind}/{'*' if number is None else number}"
         self._kept.append(self._session.declare_subscriber(key, _straight(take)))

@@ -132,7 +132,7 @@ def test_a_step_is_asked_for_again_when_its_plan_has_changed() -> None:
 def test_an_answer_about_a_mission_of_before_is_dropped() -> None:
     agent = deciding(make())
     agent.handle(MissionGiven(mission=MISSION.change(center=[40.0, 40.0]), ordered_at=1))
-    assert agent.ordered_at == 1
+    assert agent.ordered_at == 1 and agent.authorization == b"", "without keys nothing is signed"
     effects = agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
     assert kinds(effects) == ["stale_answer", "held"]
     assert isinstance(effects[-1], MoveTo) and effects[-1].origin is Origin.HOLD and agent.phase is Phase.MOVING

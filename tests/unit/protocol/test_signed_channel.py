@@ -159,7 +159,9 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     team.end()
 
     authorization = Authorization(counter=stamp.counter, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
+    assert team.agents[0].authorization == b""
     (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=stamp.counter, authorization=authorization))
+    assert team.agents[0].authorization == authorization.signature
     assert note.kind == "mission"  # type: ignore[union-attr]
     (note,) = team.agents[0].handle(MissionGiven(mission=square, ordered_at=stamp.counter, authorization=authorization))
     assert note.detail["reason"] == "old_mission"  # type: ignore[union-attr]

@@ -18,6 +18,26 @@ from llm_flock.errors import InputError
 _SCALARS = {0: "B", 1: "b", 2: "H", 3: "h", 4: "I", 5: "i", 6: "f", 7: "?", 10: "Q", 11: "q", 12: "d"}
 _STRING, _ARRAY = 8, 9
 _MAX_DIMS = 4
+_MOST_VALUES = 1 << 16
+"""Most values, and most tensors: models have some hundreds of each."""
+
+_MOST_STRINGS = 1 << 21
+"""Most strings in lists; the largest vocabularies, with their merges, have a third of it."""
+
+_LONGEST_TEXT = 1 << 24
+"""Longest name or text [bytes]; chat templates have some ten thousand."""
+
+_MOST_ALIGNMENT = 1 << 16
+_SIZES = (
+    "block_count",
+    "context_length",
+    "embedding_length",
+    "attention.head_count",
+    "attention.head_count_kv",
+    "attention.key_length",
+    "attention.value_length",
+)
+"""Values that are numbers of things where they are given as one number; larger than 2^31 are none."""
 _ALIGNMENT = 32
 """Unless the file says otherwise."""
 
@@ -97,7 +117,7 @@ def read_header(path: Path) -> Header:
         return _header(path, changed)
     except OSError as error:
         raise InputError("model", str(path), f"a readable file ({error.strerror})") from None
-    except (ValueError, KeyError, struct.error):
+    except (ValueError, KeyError, OverflowError, struct.error):
         raise InputError("model", str(path), "a GGUF file of version 2 or 3") from None
 
 
@@ -113,11 +133,14 @@ class _Reader:
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
         self._at = 0
+        self._strings = 0
 
     def header(self) -> Header:
         if self._take(4) != b"GGUF" or self._scalar("I") not in (2, 3):
             raise ValueError
         n_tensors, n_values = self._scalar("Q"), self._scalar("Q")
+        if max(n_tensors, n_values) > _MOST_VALUES:
+            raise ValueError
         metadata: dict[str, Any] = {}
         for _ in range(n_values):
             name = self._text()
@@ -131,7 +154,13 @@ class _Reader:
                 raise ValueError
             shape = tuple(self._scalar("Q") for _ in range(dims))
             tensors[name] = Tensor(shape, entry=self._at, format=self._scalar("I"), offset=self._scalar("Q"))
-        alignment = metadata.get("general.alignment") or _ALIGNMENT
+        alignment = metadata.get("general.alignment", _ALIGNMENT)
+        if not isinstance(alignment, int) or not 0 < alignment <= _MOST_ALIGNMENT:
+            raise ValueError
+        architecture = metadata.get("general.architecture")
+        for size in (metadata.get(f"{architecture}.{name}", 1) for name in _SIZES):
+            if type(size) is not int or not 0 < size < 2**31:
+                raise ValueError
         begin = self._at + -self._at % alignment
         return Header(metadata=metadata, tensors=tensors, data_begin=begin, alignment=alignment)
 
@@ -143,21 +172,33 @@ class _Reader:
             return self._scalar(_SCALARS[kind])
         inner, count = self._scalar("I"), self._scalar("Q")
         if inner == _STRING:
-            for _ in range(count):
-                self._take(self._scalar("Q"))
+            self._skip_strings(count)
         else:
             self._take(count * struct.calcsize(_SCALARS[inner]))
         return None
+
+    def _skip_strings(self, count: int) -> None:
+        self._strings += count
+        if self._strings > _MOST_STRINGS:
+            raise ValueError
+        at, length = self._at, struct.Struct("<Q")
+        for _ in range(count):
+            at += length.size + length.unpack_from(self._data, at)[0]
+        self._at = at
+        self._take(0)
 
     def _scalar(self, form: str) -> Any:
         (value,) = struct.unpack("<" + form, self._take(struct.calcsize("<" + form)))
         return value
 
     def _text(self) -> str:
-        return self._take(self._scalar("Q")).decode("utf-8", "replace")
+        length = self._scalar("Q")
+        if length > _LONGEST_TEXT:
+            raise ValueError
+        return self._take(length).decode("utf-8", "replace")
 
     def _take(self, count: int) -> bytes:
-        if count > len(self._data) - self._at:
+        if count > len(self._data) - self._at:  # also after `_skip_strings` went beyond the end
             raise ValueError
         self._at += count
         return self._data[self._at - count : self._at]

@@ -12,14 +12,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
-from llm_flock.members import OPERATOR
+from llm_flock.members import OPERATOR, WORLD, member_name, members
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.protocol.signed.certificates import mission_statement
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.wire import MissionOrder, T, unpack
 from llm_flock.transport.seal import PlainSeal, Seal
-from llm_flock.transport.zenoh import MAX_SEALED_BYTES, ZenohLink, open_session, settings
+from llm_flock.transport.zenoh import (
+    MAX_SEALED_BYTES,
+    ROOT,
+    ZenohLink,
+    access_control,
+    open_session,
+    settings,
+)
 
 if TYPE_CHECKING:
     from llm_flock.trust.keys import Keyring
@@ -29,8 +36,43 @@ logger = logging.getLogger(__name__)
 FAULT = "fault"
 """Reason under which input is counted that met an error in this program."""
 
+REPORT_S = 0.2
+"""Time between two reports to observers [s]."""
+
+ORDER_S = 1.0
+"""Shortest time between two orders of an operator, in the long run [s]."""
+
 LOGGED = 3
 """Faults that are logged; a flood of them must not fill the disk."""
+
+
+SPARE = 4.0
+"""A sender may send this many times as often as the configuration says: late messages come together."""
+
+
+def rates(config: SwarmConfig) -> dict[str, float]:
+    """Messages a second that one sender may bring, by kind."""
+    network = config.network
+    periods = {
+        "say": network.gossip_s,
+        "beacon": network.beacon_s,
+        "frame": network.frame_s,
+        "command": network.control_s,
+        "report": REPORT_S,
+        "mission": ORDER_S,
+    }
+    return {kind: SPARE / period for kind, period in periods.items()}
+
+
+def _may_send(config: SwarmConfig) -> dict[str, list[str]]:
+    """Keys under which each member of a team may send and be alive, by the name in its certificate."""
+    root, n = f"{ROOT}/{config.network.swarm}", config.mission.n_robots
+    of_others = {WORLD: [f"frame/{WORLD}", f"alive/{WORLD}"], OPERATOR: ["mission/*"]}
+    of_robots = {j: [f"{kind}/{j}" for kind in ("say", "beacon", "report", "command", "alive")] for j in range(n)}
+    return {
+        member_name(member): [f"{root}/{topic}" for topic in {**of_others, **of_robots}.get(member, [])]
+        for member in members(n)
+    }
 
 
 def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
@@ -70,10 +112,11 @@ def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> Ze
 
         folder = Path(network.keys)
         listens, connects = ([end.replace("tcp/", "tls/", 1) for end in ends] for ends in (listens, connects))
-        security = tls_config(folder, member)
+        security = {**tls_config(folder, member), **access_control(_may_send(config))}
         seal = Envelope(keys, next_session(folder, member, time.time()), max_payload=MAX_SEALED_BYTES)
     session = open_session(settings(listen=listens, connect=connects, lease_s=network.lease_s, security=security))
-    return ZenohLink(session, swarm=network.swarm, own=member, seal=seal, loop=asyncio.get_running_loop())
+    loop = asyncio.get_running_loop()
+    return ZenohLink(session, swarm=network.swarm, own=member, seal=seal, loop=loop, rates=rates(config))
 
 
 def receive(

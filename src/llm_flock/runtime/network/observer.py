@@ -27,7 +27,7 @@ from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import finite, mission_info
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.wire import RobotReport, WorldState, check_plain
+from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
 
 WITNESSES = 2
@@ -134,7 +134,7 @@ class Observer:
         """
         if not 0 <= robot < self.mission.n_robots:
             raise MessageError("unknown_id", f"a report of member {robot}")
-        calls = self._checked(robot, report)
+        events, calls = self._checked(robot, report)
         self._take_mission(report)
         self._take_places(report)
         self.reports[robot] = report
@@ -148,35 +148,33 @@ class Observer:
             if event.kind == "proposed":
                 by = self._models[robot] if event.detail.get("by") == "model" else "geometry"
                 self._suppliers[str(event.detail.get("plan")), robot] = by
-            noted = ProtocolEvent(round=now, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
-            self._sink.write(noted)
-        for entry in calls:
+        for entry in (*events, *calls):
             self._sink.write(entry.model_copy(update={"round": now}))
+        for entry in calls:
             self.calls += 1
             self.calls_failed += entry.error is not None
             self.tokens += entry.usage.input + entry.usage.output
         self.latencies_s.extend(report.latencies_s)
 
-    def _checked(self, robot: int, report: RobotReport) -> list[LlmEntry]:
-        """The calls in a report, once all of it is found to be possible."""
+    def _checked(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
+        """The events and calls in a report as entries of round 0, once all of it is found to be possible."""
         dim = self.mission.dim
         for point in (report.waypoint, *(report.points or ())):
             if point is not None and len(point) != dim:
                 raise MessageError("wrong_length", f"a position of {len(point)} coordinates, not {dim}")
         if report.points is not None and not (report.points and Plan(report.points).digest == report.plan_id):
             raise MessageError("malformed", "places of another plan than the digest names")
-        for event in report.happened:
-            check_plain(event.detail)
-        calls: list[LlmEntry] = []
-        for call in report.calls:
-            check_plain(call)
-            try:
-                calls.append(LlmEntry.model_validate({**call, "round": 0}))
-            except ValidationError as error:
-                raise MessageError("malformed", f"a call: {error.errors(include_url=False)[0]['msg']}") from None
-            if calls[-1].robot != robot:
-                raise MessageError("impostor", f"robot {robot} reports a call of robot {calls[-1].robot}")
-        return calls
+        try:
+            events = [
+                ProtocolEvent(round=0, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
+                for event in report.happened
+            ]
+            calls = [LlmEntry.model_validate({**call, "round": 0}) for call in report.calls]
+        except ValidationError as error:
+            raise MessageError("malformed", f"an event or a call: {error.errors()[0]['msg']}") from None
+        if any(call.robot != robot for call in calls):
+            raise MessageError("impostor", f"robot {robot} reports a call of another robot's model")
+        return events, calls
 
     def _take_places(self, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""

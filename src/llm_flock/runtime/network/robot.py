@@ -13,7 +13,7 @@ from llm_flock.runtime.entries import llm_entry
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import load_keys, open_link, receive, refusing
+from llm_flock.runtime.network.connection import REPORT_S, load_keys, open_link, receive, refusing
 from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stopped
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock.runtime.planners import TeamPlanners
@@ -21,9 +21,6 @@ from llm_flock.runtime.roster import make_agent
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.zenoh import ZenohLink
-
-REPORT_S = 0.2
-"""Time between two reports to observers [s]."""
 
 MOST_LATENCIES = 1024
 """Latencies in one report: a flood of beacons is not told beacon by beacon."""

@@ -5,8 +5,7 @@ docs/reference/wire.md has a table of their topics.
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Any, TypeAlias, TypeVar, cast
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 
@@ -23,9 +22,6 @@ MOST_EVENTS = 4096
 
 MOST_WORDS = 64
 """Most entries of a dictionary by origin or by reason."""
-
-DEEPEST = 8
-"""Deepest nesting of values in an event or a call."""
 
 Place: TypeAlias = tuple[Coordinate, ...]
 """One position as plain numbers; its receiver checks the length [units; world frame]."""
@@ -144,24 +140,6 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
         tuple[Amount, ...], msgspec.Meta(max_length=MOST_EVENTS)
     ]  # one-way, of beacons heard since the last report
     shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
-
-
-def check_plain(value: object, depth: int = DEEPEST) -> None:
-    """Check that a value can stand in a record: finite numbers, and nesting of at most `depth`.
-
-    Raises:
-        MessageError: with reason `malformed`.
-    """
-    if isinstance(value, dict | list | tuple):
-        if depth == 0:
-            raise MessageError("malformed", "values are nested too deeply")
-        inner = cast("dict[object, object]", value).values() if isinstance(value, dict) else cast("list[object]", value)
-        for one in inner:
-            check_plain(one, depth - 1)
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise MessageError("malformed", f"{value} is no finite number")
-    elif not isinstance(value, str | int | float | None):
-        raise MessageError("malformed", f"a value of type {type(value).__name__}")
 
 
 T = TypeVar("T", bound=msgspec.Struct)
