@@ -29,7 +29,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Tests start many processes: byte code is kept even where the shell says otherwise.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo quick unit changed test e2e check lint types layers docs pictures bench mutants clean
+.PHONY: help setup demo quick unit changed test fuzz e2e check lint types layers docs pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -67,6 +67,10 @@ changed: $(STAMP) ## Type check of the files that differ from main
 test: $(STAMP) ## Unit, property and integration tests, and that every branch of protocol/ is covered
 	$(BIN)/python -m pytest tests/unit/protocol --numprocesses 2 --dist worksteal --cov
 	$(BIN)/python -m pytest tests/integration tests/property tests/unit --ignore tests/unit/protocol --numprocesses $(WORKERS) --dist worksteal
+
+fuzz: $(STAMP) ## Ten thousand hostile messages, records, files and answers of each kind (minutes)
+	LLM_FLOCK_EFFORT=400 $(BIN)/python -m pytest tests/property/test_hostile_bytes.py tests/property/test_answer_fuzz.py \
+	  tests/integration/test_hostile_answers.py --numprocesses 2 --dist worksteal --show-capture no --durations 5
 
 e2e: WORKERS := 3
 e2e: $(STAMP) ## End-to-end tests through the command line

@@ -7,21 +7,14 @@ from typing import Any
 
 import msgspec
 import pytest
+from reports import CONFIG, MISSION, PLACES, PLAN, N, told
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.protocol.messages.message import MissionStamp
-from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import Entry, PlanInfo
-from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.wire import Body, ReportedEvent, RobotReport, WorldState, pack, unpack
-
-N = 3
-CONFIG = SwarmConfig.build({}, shape="triangle", n_robots=N, model="simulated:ideal")
-MISSION = CONFIG.mission
-PLAN = Plan.of(MISSION.ideal or ())
-PLACES = PLAN.points
 
 
 class Sink:
@@ -30,36 +23,6 @@ class Sink:
 
     def write(self, entry: Entry) -> None:
         self.entries.append(entry)
-
-
-def told(robot: int, **changes: Any) -> RobotReport:
-    """The report of an honest robot at its place, with these changes."""
-    whole: dict[str, Any] = {
-        "round": 4,
-        "period": 4,
-        "phase": "moving",
-        "mission": (0, MISSION.digest),
-        "order": b"",
-        "plan_id": PLAN.digest,
-        "points": PLACES,
-        "proposer": 0,
-        "slot": robot,
-        "blocked": (),
-        "waypoint": PLACES[robot],
-        "origin": "model",
-        "neighbors": N - 1,
-        "happened": (),
-        "calls": (),
-        "waypoints": {"model": 4},
-        "sent": 9,
-        "bytes": 900,
-        "rejected": {},
-        "breakers": (),
-        "hopeless": None,
-        "latencies_s": (),
-        "shape": None,
-    }
-    return RobotReport(**{**whole, **changes})
 
 
 def observer(

@@ -94,7 +94,9 @@ def swarm(
     if result.stopped == "no_plan":
         why = f"after {result.model_calls} calls; most often, {result.reason}"
         say(f"error: no robot has a plan, and no model gives an acceptable one, {why}", error=True)
-    if not result.formed:
+    if result.crashed:
+        say(f"error: {', '.join(result.crashed)} ended by a fault; the lines above say which", error=True)
+    if result.crashed or not result.formed:
         raise typer.Exit(EXIT_FAILED)
 
 

@@ -196,11 +196,12 @@ NOTES: Mapping[str, frozenset[str]] = {
     "separating": frozenset({"nearest", "makes_way"}),
     "deadlock": frozenset({"goal_distance", "rounds"}),
     "held": frozenset({"cause", "reason"}),
+    "dropped_notes": frozenset({"count"}),
     "killed": frozenset(),
     "joined": frozenset(),
     "injected": frozenset({"model", "loss"}),
 }
-"""Names in the detail of each kind of note: see docs/reference/record.md. The runtime writes the last three kinds."""
+"""Names in the detail of each kind of note: see docs/reference/record.md. The runtime writes the last four kinds."""
 
 
 class Note(msgspec.Struct, frozen=True):

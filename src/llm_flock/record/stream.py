@@ -78,10 +78,14 @@ class _Team:
     def __init__(self) -> None:
         self._n: int | None = None
         self._dim: int | None = None
+        self._begun = False
         self._states = self._rows = self._ends = 0
 
     def objection(self, entry: Entry) -> str | None:
         """Why an entry does not belong to a record with those before it; None if it does."""
+        if not self._begun:
+            self._begun = isinstance(entry, RunInfo)
+            return None if self._begun else "not a record of a run: /run comes first"
         match entry:
             case MissionInfo(mission=fields):
                 return self._differs(fields["n_robots"], len(fields["arena"][0]), len(fields["arena"][1]))

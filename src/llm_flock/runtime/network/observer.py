@@ -19,7 +19,7 @@ from llm_flock import graph, metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.errors import FlockError, MessageError
 from llm_flock.llm.models import parse_models
-from llm_flock.mission import Mission
+from llm_flock.mission import Mission, input_error
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
@@ -196,7 +196,9 @@ class Observer:
             return
         try:
             mission = Mission.model_validate(report.shape)
-        except (ValueError, FlockError) as error:
+        except ValidationError as error:
+            raise MessageError("malformed", f"a mission: {input_error(error)}") from None
+        except FlockError as error:
             raise MessageError("malformed", f"a mission: {error}") from None
         if (mission.digest, mission.n_robots, mission.dim) != (digest, self.mission.n_robots, self.mission.dim):
             raise MessageError("malformed", "a mission of another team, or another one than its digest names")

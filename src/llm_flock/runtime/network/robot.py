@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from contextlib import closing, suppress
 from typing import Any
 
-from llm_flock.errors import InputError, MessageError
+from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.runtime.entries import llm_entry
 from llm_flock.runtime.network.agent_loop import AgentLoop
@@ -21,6 +22,8 @@ from llm_flock.runtime.roster import make_agent
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.zenoh import ZenohLink
+
+logger = logging.getLogger(__name__)
 
 MOST_LATENCIES = 1024
 """Latencies in one report: a flood of beacons is not told beacon by beacon."""
@@ -158,10 +161,9 @@ class RobotProcess:
     def _command(self, now: float) -> Command | None:
         """The next command; from the sensors alone, if what others say about themselves leads to an error.
 
-        An error without that ends the process, and a body without commands stops where it is safe.
+        An error without that ends the process: a body without commands stops at the end of its last one, which is safe.
         """
-        refused = self._link.traffic.refused
-        with refusing(refused):
+        with refusing(self._link.traffic.refused):
             return self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
         self.radio.forget_beacons()
         return self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
@@ -192,6 +194,7 @@ async def run_robot(config: SwarmConfig, robot: int) -> None:
 
     Raises:
         InputError: no such robot, or an endpoint that cannot be opened.
+        FlockError: the robot cannot go on; its body stops where its last command ends.
     """
     mission = config.mission
     if not 0 <= robot < mission.n_robots:
@@ -200,5 +203,11 @@ async def run_robot(config: SwarmConfig, robot: int) -> None:
         process = RobotProcess(config, robot, link)
         try:
             await until_stopped(process.live())
+        except ExceptionGroup as group:
+            cause: Exception = group
+            while isinstance(cause, ExceptionGroup):
+                cause = cause.exceptions[0]
+            logger.warning("robot %d failed", robot, exc_info=cause)
+            raise FlockError(f"robot {robot} cannot go on, and its body stops: {cause!r}") from group
         finally:
             await process.planners.close()

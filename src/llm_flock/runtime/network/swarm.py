@@ -64,7 +64,13 @@ class SwarmResult:
     plan_by: str | None  # who made that plan: a model, by its name, or `geometry`
     breakers_opened: tuple[int, ...]  # robots whose circuit breaker was open at any time
     messages_rejected: dict[str, int]  # by reason
+    ended: dict[str, int]  # processes that ended before the swarm did, and their exit codes; -9 for SIGKILL, and so on
     record: str | None  # its path; None without one
+
+    @property
+    def crashed(self) -> list[str]:
+        """Processes that ended by a fault of their own, not by a signal."""
+        return [name for name, code in self.ended.items() if code > 0]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -204,6 +210,7 @@ class Swarm:
             plan_by=None if supplier is None else supplier[1],
             breakers_opened=tuple(sorted(observer.breakers_opened)),
             messages_rejected=dict(observer.rejected),
+            ended=dict(self.ended),
             record=None if self.config.record is None else str(self.config.record),
         )
 
