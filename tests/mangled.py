@@ -6,18 +6,17 @@ import json
 import random
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
-import pytest
 from slowness import slowness
 
 SLOWEST_S = 2.0
 """Longest time for one hostile input [s]."""
 
 MOST_MIB = 200
-"""Largest memory for all of a test's [MiB]."""
+"""Most memory that one hostile input may add to what the process has had [MiB]."""
 
 DEEP: Any = []
 for _ in range(400):
@@ -108,17 +107,14 @@ def mangled_json(data: bytes, rng: random.Random) -> bytes:
     return json.dumps(value, default=plain).encode()
 
 
-@pytest.fixture(autouse=True)
-def memory() -> Iterator[None]:
-    """No test may add more than this to the most memory that the process has had."""
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    yield
-    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024 < MOST_MIB
+def memory_mib() -> float:
+    """The most memory that this process has had [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def tried(target: Callable[[], object], *refusals: type[Exception]) -> str | None:
-    """Run a target; the text of its refusal, in one line and in time, or None if it took what it got."""
-    began = time.perf_counter()
+    """Run a target; the text of its refusal, in one line, in time and memory, or None if it took what it got."""
+    began, before = time.perf_counter(), memory_mib()
     says: str | None = None
     try:
         target()
@@ -126,5 +122,6 @@ def tried(target: Callable[[], object], *refusals: type[Exception]) -> str | Non
         says = str(error)
         assert says and "\n" not in says
     took = time.perf_counter() - began
+    assert memory_mib() - before < MOST_MIB
     assert took < SLOWEST_S or took < SLOWEST_S * slowness()
     return says

@@ -12,14 +12,12 @@ from effort import cases
 from hypothesis import given
 from hypothesis import strategies as st
 from integration.fault_server import completion
-from mangled import mangled_json, memory, tried
+from mangled import mangled_json, tried
 
 from llm_flock.errors import ModelError
 from llm_flock.llm.client import PydanticModel
 from llm_flock.llm.hosted import build_model, new_http_client
 from llm_flock.llm.port import Call, ChatMessage
-
-__all__ = ["memory"]
 
 CALL = Call(
     robot=0, round=1, kind="step", attempt=0, messages=(ChatMessage("system", "a robot"), ChatMessage("user", "go"))

@@ -18,7 +18,7 @@ from flights import flight_config
 from gguf_files import MODEL, TENSORS, gguf
 from hypothesis import given
 from hypothesis import strategies as st
-from mangled import changed_bytes, changed_value, mangled, mangled_json, memory, tried
+from mangled import changed_bytes, changed_value, mangled, mangled_json, tried
 from mcap.writer import Writer
 from reports import CONFIG, MISSION, N, told
 from rounds import round_began
@@ -70,9 +70,6 @@ from llm_flock.viewer.library import Library, load
 CASES = 25
 
 seeds = st.integers(0, 2**63)
-
-
-__all__ = ["memory"]
 
 
 # --- messages ---------------------------------------------------------------------------------------------------------

@@ -10,9 +10,13 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
+LOCK = (ROOT / "requirements.txt").read_text(encoding="utf-8").replace("\\\n", "").splitlines()
+"""What `make setup` installs: a requirement and its hashes on one line."""
+
+
 def pins() -> list[str]:
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
-    return [line for line in lines if line and not line.startswith("#")]
+    return [line.split(" ")[0] for line in (*LOCK, *lines) if line and not line.startswith("#")]
 
 
 def normal(name: str) -> str:
@@ -23,6 +27,14 @@ def normal(name: str) -> str:
 def test_pins_are_exact_and_name_no_place() -> None:
     assert pins()
     assert [line for line in pins() if not re.fullmatch(r"[a-z0-9._-]+==[A-Za-z0-9.!+]+", line)] == []
+
+
+def test_every_file_that_is_installed_has_a_hash() -> None:
+    marker = r"( ; [A-Za-z0-9_.' <>=!]+)?"
+    assert len(LOCK) > 100
+    for line in LOCK:
+        assert re.fullmatch(rf"[a-z0-9.-]+==[A-Za-z0-9.!+]+{marker}( +--hash=sha256:[0-9a-f]{{64}})+", line), line[:80]
+    assert [line for line in LOCK if "uv==" in line[:4]], "pip installs uv from here"
 
 
 def test_every_declared_dependency_is_pinned() -> None:

@@ -189,6 +189,11 @@ class RobotProcess:
         self.radio.cut = frozenset()
 
 
+def _first(error: Exception) -> Exception:
+    """The first exception of a group, of groups in groups."""
+    return _first(error.exceptions[0]) if isinstance(error, ExceptionGroup) else error
+
+
 async def run_robot(config: SwarmConfig, robot: int) -> None:
     """Run one robot until the process is stopped.
 
@@ -204,9 +209,7 @@ async def run_robot(config: SwarmConfig, robot: int) -> None:
         try:
             await until_stopped(process.live())
         except ExceptionGroup as group:
-            cause: Exception = group
-            while isinstance(cause, ExceptionGroup):
-                cause = cause.exceptions[0]
+            cause = _first(group)
             logger.warning("robot %d failed", robot, exc_info=cause)
             raise FlockError(f"robot {robot} cannot go on, and its body stops: {cause!r}") from group
         finally:
