@@ -10,12 +10,12 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import InputError
 from llm_flock.obstacles import polygons
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False)]
 
 TOUCHING = 1e-9
 """A point nearer to the boundary than this counts as on it [units]."""

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import time
 from contextlib import closing, suppress
-from typing import Any
+from typing import Any, cast
 
 from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
@@ -191,7 +191,9 @@ class RobotProcess:
 
 def _first(error: Exception) -> Exception:
     """The first exception of a group, of groups in groups."""
-    return _first(error.exceptions[0]) if isinstance(error, ExceptionGroup) else error
+    if not isinstance(error, ExceptionGroup):
+        return error
+    return _first(cast("ExceptionGroup[Exception]", error).exceptions[0])
 
 
 async def run_robot(config: SwarmConfig, robot: int) -> None:
