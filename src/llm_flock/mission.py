@@ -29,7 +29,7 @@ Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow
 MAX_LENGTH = 1e9
 """Largest length in a mission [units]: far more than any arena, and its square is no trouble for a double."""
 
-Length = Annotated[float, Field(gt=0, le=MAX_LENGTH, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
 
 ORIENTATIONS = 72
 """Number of evenly spaced orientations in which the shape is tried among the obstacles."""
