@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -141,8 +141,13 @@ class SignedTeam:
                 if isinstance(effect, AskPlan):
                     agent.handle(Planned(PlanAnswer(plan=turned(effect.question.mission, i + 1)[i], slot=i)))
 
-    def comm_round(self, lies: Sequence[bytes] = ()) -> None:
-        """One exchange."""
+    def comm_round(
+        self,
+        lies: Sequence[bytes] = (),
+        *,
+        said_by: Sequence[tuple[int, bytes, frozenset[int] | None]] = (),
+    ) -> list[bytes]:
+        """One exchange; returns what the honest said. `said_by` are lies with who tells them, and to whom (or all)."""
         said = [
             effect.payload
             for agent in self.agents
@@ -156,8 +161,13 @@ class SignedTeam:
         for lie in lies:
             for j in range(len(self.agents)):
                 self.tell(j, lie, self.liar)
+        for sender, lie, hears in said_by:
+            for j in range(len(self.agents)):
+                if hears is None or j in hears:
+                    self.tell(j, lie, sender)
         for agent in self.agents:
             self.notes.extend(e for e in agent.handle(CommRoundEnded()) if isinstance(e, Note))
+        return said
 
     def tell(self, robot: int, payload: bytes, sender: int) -> list[str]:
         """Give one robot a payload; returns the reasons for which it was refused."""
@@ -167,8 +177,8 @@ class SignedTeam:
         self.notes.extend(notes)
         return [note.detail["reason"] for note in notes if note.kind == "rejected_message"]
 
-    def end(self, liar_goes: Point | None = None) -> None:
-        """All fly, the model's answer being the straight way."""
+    def end(self, liar_goes: Point | None = None, *, moves: Mapping[int, Point] | None = None) -> None:
+        """All fly, the model's answer being the straight way; bodies without an agent move as told."""
         before, after = np.array(self.positions), list(self.positions)
         for i, agent in enumerate(self.agents):
             effects = agent.handle(AgreementEnded())
@@ -181,6 +191,8 @@ class SignedTeam:
             agent.handle(Arrived())
         if liar_goes is not None:
             after[self.liar] = liar_goes
+        for robot, to in (moves or {}).items():
+            after[robot] = to
         honest = len(self.agents)
         self.smallest = min(self.smallest, segment_separation(before[:honest], np.array(after)[:honest]))
         self.positions = after

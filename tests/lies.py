@@ -1,0 +1,385 @@
+"""A library of lies: what members with valid keys may send, alone or together. See docs/reference/security.md.
+
+A gang hears what the honest send, so its lies are nearly true. It signs only as its own members.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import msgspec.structs
+from driven_team import turned
+from mangled import mangled
+
+from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
+from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.messages.codec import decode, encode
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    NO_OWNER,
+    UNSAID,
+    BidEntry,
+    Message,
+    MissionStamp,
+    Offer,
+    Provenance,
+)
+from llm_flock.protocol.messages.mission_update import mission_text
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.signed.certificates import (
+    WITNESSES,
+    Authenticator,
+    Certificate,
+    Context,
+    ExchangeGrant,
+    Proofs,
+    ReleaseGrant,
+    WitnessStatement,
+    acceptance_statement,
+    beat_statement,
+    claim_statement,
+    claims_of,
+    offer_statement,
+    origin_statement,
+    unwrap,
+    word_statement,
+    wrap,
+)
+
+Said: TypeAlias = tuple[int, bytes, frozenset[int] | None]
+"""Who says it, the payload, and who hears it; None for all."""
+
+Entries: TypeAlias = dict[int, tuple[BidEntry, Certificate]]
+
+
+class Gang:
+    """Members that lie, one or more, each with its own keys."""
+
+    def __init__(self, keys: Mapping[int, Authenticator], mission: Mission, seed: int = 0) -> None:
+        self.keys = dict(keys)
+        self.members = sorted(keys)
+        self.mission = mission
+        self.rng = random.Random(seed)
+        self.known: Message | None = None
+        self.origin = b""
+        self.payloads: list[bytes] = []
+        self.table: dict[int, tuple[BidEntry, Certificate]] = {}
+        self.grants: dict[tuple[int, int], ReleaseGrant] = {}
+        self.sequence = 0
+        self.count = 0
+        self.rounds = 0
+
+    @property
+    def honest(self) -> list[int]:
+        return [j for j in range(self.mission.n_robots) if j not in self.keys]
+
+    def hear(self, payload: bytes) -> None:
+        """Take note of what an honest robot says."""
+        try:
+            content, proofs = unwrap(payload, self.mission.n_robots)
+            message = decode(content, self.mission.n_robots, self.mission.dim)
+        except MessageError:
+            return
+        self.payloads = [*self.payloads[-20:], payload]
+        if message.plan is None or message.provenance is None or not proofs.origin:
+            return
+        if self.known is None or message.plan_digest != self.known.plan_digest:
+            self.table, self.grants = {}, {}
+        self.known, self.origin = message, proofs.origin
+        certificates = proofs.certificates()
+        for slot, entry in enumerate(message.table or ()):
+            known = self.table.get(slot)
+            certificate = certificates.get(slot, Certificate(number=0))
+            if known is None or rank(entry) >= rank(known[0]):
+                self.table[slot] = entry, certificate
+            if isinstance(certificate.grant, ReleaseGrant):
+                self.grants[slot, entry[0]] = certificate.grant
+
+    def says(self, lie: str) -> list[Said]:
+        """A communication round of this lie; nothing before the honest have a plan, where it needs one."""
+        self.rounds += 1
+        if self.known is None:
+            return []
+        kind = self.rng.choice(sorted(LIES)) if lie == EVERYTHING else lie
+        return [said for member in self.members for said in LIES[kind](self, member)]
+
+    # --- parts of messages --------------------------------------------------------------------------------------------
+
+    @property
+    def about(self) -> Context:
+        assert self.known is not None
+        return Context(self.known.mission, self.known.plan_digest or "")
+
+    @property
+    def places(self) -> range:
+        assert self.known is not None
+        return range(self.known.places)
+
+    def version(self, slot: int) -> int:
+        """The version of a place, as far as the gang has heard."""
+        return self.table[slot][0][0] if slot in self.table else 0
+
+    def owned(self, member: int) -> list[int]:
+        return [slot for slot, (entry, _) in self.table.items() if entry[2] == member]
+
+    def number(self) -> int:
+        self.count += 1
+        return self.count
+
+    def claim(
+        self, member: int, slot: int, *, version: int | None = None, bid: float = -1e-9, owner: int | None = None
+    ) -> tuple[BidEntry, Certificate]:
+        """A claim with the member's own signature, whoever is to own the place."""
+        at = self.version(slot) if version is None else version
+        entry: BidEntry = (at, bid, member if owner is None else owner)
+        number = self.number()
+        signature = self.keys[member].sign(claim_statement(self.about, slot, entry, number))
+        return entry, Certificate(number=number, signature=signature, grant=self.grants.get((slot, at)))
+
+    def word(self, member: int, slot: int, owner: int) -> WitnessStatement:
+        at = self.version(slot) + 1
+        return WitnessStatement(slot, at, owner, self.keys[member].sign(word_statement(self.about, slot, at, owner)))
+
+    def release(self, slot: int, owner: int) -> ReleaseGrant | None:
+        """The gang's own words that a place is free or blocked, if there are enough members."""
+        if len(self.members) < WITNESSES:
+            return None
+        at = self.version(slot) + 1
+        words = (
+            (member, self.keys[member].sign(word_statement(self.about, slot, at, owner)))
+            for member in self.members[:WITNESSES]
+        )
+        return ReleaseGrant(tuple(words))
+
+    def message(
+        self, member: int, entries: Entries | None = None, hears: Sequence[int] | None = None, **more: Any
+    ) -> Said:
+        """A message on the plan of the honest, signed as it has to be."""
+        assert self.known is not None
+        words, offer_number = more.pop("words", ()), more.pop("offer_number", 0)
+        table = [UNSAID] * self.known.places
+        for slot, (entry, _) in (entries or {}).items():
+            table[slot] = entry
+        self.sequence += 1
+        same = {"mission": self.known.mission, "plan": self.known.plan, "provenance": self.known.provenance}
+        said = Message(
+            **{
+                "sender": member,
+                "sequence": self.sequence,
+                "neighbors": self.mission.n_robots - 1,
+                "table": tuple(table),
+                **same,
+                **more,
+            }
+        )
+        claims, grants = claims_of({slot: certificate for slot, (_, certificate) in (entries or {}).items()})
+        origin, offer, signed = self.origin, None, self.keys[member]
+        if said.provenance is not None and said.provenance.proposer == member and said.plan_digest is not None:
+            origin = signed.sign(origin_statement(said.provenance, said.plan_digest))
+        if said.offer is not None:
+            offer = offer_number, signed.sign(offer_statement(self.about, member, said.offer, offer_number))
+        beats = None
+        if said.beats is not None:
+            own = signed.sign(beat_statement(member, said.beats[member]))
+            beats = tuple(own if j == member else b"x" * 64 for j in range(self.mission.n_robots))
+        proofs = Proofs(claims=claims, grants=grants, words=words, offer=offer, origin=origin, beats=beats)
+        return member, wrap(encode(said), proofs), None if hears is None else frozenset(hears)
+
+
+# --- lies -------------------------------------------------------------------------------------------------------------
+
+
+def claims_everything(gang: Gang, member: int) -> list[Said]:
+    return [gang.message(member, {slot: gang.claim(member, slot) for slot in gang.places}, slot=0)]
+
+
+def huge_versions(gang: Gang, member: int) -> list[Said]:
+    return [gang.message(member, {slot: gang.claim(member, slot, version=2**39) for slot in gang.places})]
+
+
+def claims_for_others(gang: Gang, member: int) -> list[Said]:
+    """The places of the honest dealt out anew, in their names."""
+    owners = gang.honest[:]
+    gang.rng.shuffle(owners)
+    wrong = {
+        slot: gang.claim(member, slot, version=gang.version(slot) + 1, owner=owner)
+        for slot, owner in zip(gang.places, owners, strict=False)
+    }
+    return [gang.message(member, wrong)]
+
+
+def frees(gang: Gang, member: int) -> list[Said]:
+    """Every place is free; with enough members, they take what they have freed."""
+    words = tuple(gang.word(member, slot, NO_OWNER) for slot in gang.places)
+    said = [gang.message(member, words=words)]
+    slot = gang.rng.choice(gang.places)
+    grant = gang.release(slot, NO_OWNER)
+    if grant is not None:
+        at = gang.version(slot) + 1
+        gang.grants[slot, at] = grant
+        said.append(gang.message(member, {slot: gang.claim(member, slot, version=at)}))
+    return said
+
+
+def frees_all_the_time(gang: Gang, member: int) -> list[Said]:
+    """Every place is given to nobody, with all the words that this needs, as often as possible."""
+    entries: Entries = {}
+    for slot in gang.places:
+        grant = gang.release(slot, NO_OWNER)
+        if grant is not None:
+            entries[slot] = (gang.version(slot) + 1, 0.0, NO_OWNER), Certificate(number=0, grant=grant)
+    words = tuple(gang.word(member, slot, NO_OWNER) for slot in gang.places)
+    return [gang.message(member, entries, words=words)]
+
+
+def blocks(gang: Gang, member: int) -> list[Said]:
+    """Every place is blocked by a body."""
+    entries: Entries = {}
+    for slot in gang.places:
+        grant = gang.release(slot, BLOCKED)
+        if grant is not None:
+            entries[slot] = (gang.version(slot) + 1, 0.0, BLOCKED), Certificate(number=0, grant=grant)
+    words = tuple(gang.word(member, slot, BLOCKED) for slot in gang.places)
+    return [gang.message(member, entries, words=words)]
+
+
+def exchanges_what_others_own(gang: Gang, member: int) -> list[Said]:
+    """Two members exchange two places with each other, which are others'. One alone signs for both."""
+    partner = next((other for other in gang.members if other != member), gang.honest[0])
+    give, take = gang.rng.sample(gang.places, 2) if len(gang.places) > 1 else (0, 0)
+    offer = Offer(
+        to=partner,
+        give=give,
+        take=take,
+        give_version=gang.version(give),
+        take_version=gang.version(take),
+        bid=-0.5,
+    )
+    number, accepted = gang.number(), gang.number()
+    signer = gang.keys.get(partner, gang.keys[member])
+    grant = ExchangeGrant(
+        member, partner, give, take, offer.give_version, offer.take_version, -0.5, number,
+        gang.keys[member].sign(offer_statement(gang.about, member, offer, number)), -0.5, accepted, b"",
+    )  # fmt: skip
+    grant = msgspec.structs.replace(grant, accepted=signer.sign(acceptance_statement(gang.about, grant)))
+    entries: Entries = {
+        slot: (entry, Certificate(number=count, grant=grant)) for slot, (entry, count) in grant.entries().items()
+    }
+    return [gang.message(member, entries)]
+
+
+def offers_to_all(gang: Gang, member: int) -> list[Said]:
+    """One place offered to everybody at once."""
+    own = gang.owned(member) or [0]
+    said: list[Said] = []
+    for owner in gang.honest:
+        for take in gang.owned(owner)[:1]:
+            offer = Offer(
+                to=owner,
+                give=own[0],
+                take=take,
+                give_version=gang.version(own[0]),
+                take_version=gang.version(take),
+                bid=0.0,
+            )
+            said.append(gang.message(member, offer=offer, offer_number=gang.number(), hears=[owner]))
+    return said
+
+
+def plans_of_its_own(gang: Gang, member: int) -> list[Said]:
+    """Faultless plans with the most influence and ever later counts."""
+    assert gang.known is not None
+    epoch = gang.rounds // 3
+    origin = Provenance(
+        mission=gang.known.mission.counter,
+        mission_digest=gang.known.mission.digest,
+        epoch=epoch,
+        neighbors=gang.mission.n_robots - 1,
+        proposer=member,
+        sequence=min(epoch, 2**20),
+    )
+    plan = turned(gang.mission, 7 + epoch % 5)[-1]
+    return [gang.message(member, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))]
+
+
+def a_plan_in_one_place(gang: Gang, member: int) -> list[Said]:
+    assert gang.known is not None
+    plan = Plan.of([gang.mission.center] * gang.known.places)
+    origin = Provenance(
+        mission=gang.known.mission.counter,
+        mission_digest=gang.known.mission.digest,
+        epoch=0,
+        neighbors=gang.mission.n_robots - 1,
+        proposer=member,
+        sequence=0,
+    )
+    return [gang.message(member, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))]
+
+
+def another_mission(gang: Gang, member: int) -> list[Said]:
+    assert gang.known is not None
+    mission = gang.mission.change(spacing=gang.mission.spacing + 1.0)
+    stamp = MissionStamp(gang.known.mission.counter + gang.rounds, mission.digest)
+    said = Message(sender=member, sequence=gang.rounds, neighbors=1, mission=stamp, mission_text=mission_text(mission))
+    return [(member, wrap(encode(said), Proofs(mission=gang.keys[member].sign(b"mission"))), None)]
+
+
+def heartbeats(gang: Gang, member: int) -> list[Said]:
+    """Others' hearts beat for ever, or not at all."""
+    n = gang.mission.n_robots
+    return [gang.message(member, beats=((2**39,) * n, (0,) * n)[gang.rounds % 2])]
+
+
+def speaks_for_others(gang: Gang, member: int) -> list[Said]:
+    return [(member, payload, None) for payload in gang.payloads[-2:]]
+
+
+def noise(gang: Gang, member: int) -> list[Said]:
+    """Messages of the honest and its own, changed at random."""
+    own = gang.message(member, {slot: gang.claim(member, slot) for slot in gang.places})[1]
+    source = gang.rng.choice([own, *gang.payloads])
+    return [(member, mangled(source, gang.rng, 1), None), (member, gang.rng.randbytes(200), None)]
+
+
+def too_large(gang: Gang, member: int) -> list[Said]:
+    return [(member, gang.payloads[-1][:1] + b"\xc6\x7f\xff\xff\xff" + bytes(200_000), None)]
+
+
+def equivocates(gang: Gang, member: int) -> list[Said]:
+    """One place to one half of the honest, another to the other."""
+    half = len(gang.honest) // 2
+    first, last = gang.places[0], gang.places[-1]
+    return [
+        gang.message(member, {slot: gang.claim(member, slot)}, hears=hears, slot=slot)
+        for slot, hears in ((first, gang.honest[:half]), (last, gang.honest[half:]))
+    ]
+
+
+def silence(gang: Gang, member: int) -> list[Said]:
+    """Nothing at all: it counts as dead."""
+    return []
+
+
+LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
+    "claims every place": claims_everything,
+    "claims at huge versions": huge_versions,
+    "claims in the name of others": claims_for_others,
+    "frees every place and takes one": frees,
+    "frees every place all the time": frees_all_the_time,
+    "blocks every place": blocks,
+    "exchanges what others own": exchanges_what_others_own,
+    "offers one place to all": offers_to_all,
+    "plans of its own": plans_of_its_own,
+    "a plan in one place": a_plan_in_one_place,
+    "another mission": another_mission,
+    "heartbeats of others": heartbeats,
+    "speaks for others": speaks_for_others,
+    "noise": noise,
+    "far too large": too_large,
+    "equivocates": equivocates,
+    "silence": silence,
+}
+EVERYTHING = "everything in turn"
