@@ -17,6 +17,7 @@
 `local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
+`lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
 
@@ -38,7 +39,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import containment, flight, links, local, physics, same, swarm, sweeps
+from benchmarks import containment, flight, lies, links, local, physics, same, swarm, sweeps
 
 import llm_flock
 
@@ -176,7 +177,13 @@ LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.t
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
 
 if __name__ == "__main__":
-    commands = {"same": same.main, "containment": containment.main}
+    commands = {
+        "same": same.main,
+        "containment": containment.main,
+        "lies": lies.main,
+        "lies-curve": lies.curve,
+        "lies-swarm": lies.swarm,
+    }
     if sys.argv[1:2] and sys.argv[1] in commands:
         commands[sys.argv[1]](sys.argv[2:])
         raise SystemExit

@@ -11,9 +11,13 @@ three rounds. Planners are geometry in the simulator; no language model is asked
 from __future__ import annotations
 
 import argparse
+import asyncio
 import math
+import random
 import sys
-from collections.abc import Sequence
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +28,7 @@ from llm_flock.arrays import Point
 from llm_flock.experiments.statistics import wilson
 from llm_flock.mission import Mission
 from llm_flock.robots.simulated import start_positions
+from llm_flock.runtime.network.observer import Observer
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -98,6 +103,114 @@ def in_place(team: object) -> bool:
     return all(goal is not None and math.dist(goal, x) <= near for goal, x in zip(goals, team.positions, strict=False))
 
 
+N_SWARM = 6
+PATIENCE_S = 30.0
+OF_THE_WIRE = ("beacons elsewhere", "beacons that are no numbers", "reports of its own", "a flood")
+
+
+async def fly_swarm(lie: str, liars: int, seed: int, keys: Path) -> Outcome:
+    """A keyed swarm of processes; the last members are spoken for from here, and their bodies stand in a corner."""
+    from lies import Gang
+    from swarms import swarm_config
+
+    from llm_flock.runtime.network.connection import load_keys, open_link
+    from llm_flock.runtime.network.swarm import launched
+    from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
+
+    members = range(N_SWARM - liars, N_SWARM)
+    rng = random.Random(seed)
+    honest = Mission(shape="circle", n_robots=N_SWARM - liars)
+    starts = start_positions(honest, None, "connected", np.random.default_rng(seed)).tolist()
+    corners = [[4.0 + 5.0 * k, 4.0] for k in range(liars)]
+    config = swarm_config(N_SWARM, seed=seed, keys=str(keys), gather_s=1.0, start_positions=[*starts, *corners])
+    async with launched(config, absent=frozenset(members)) as swarm:
+        found = {j: load_keys(swarm.config, j) for j in members}
+        gang = Gang({j: key for j, key in found.items() if key is not None}, config.mission, seed)
+        links = {j: open_link(swarm.config, j, listen="tcp/127.0.0.1:0") for j in members}
+        places: dict[int, Point] = {}
+
+        def see(_: int, payload: bytes) -> None:
+            places.update(enumerate(body.position for body in unpack(WorldState, payload).bodies))
+
+        def hear(sender: int, payload: bytes) -> None:
+            if sender not in members:
+                gang.hear(unpack(BeaconedMessage, payload).message)
+
+        links[members[0]].listen("frame", None, see)
+        links[members[0]].listen("say", None, hear)
+        began, held, formed = time.monotonic(), 0, None
+        try:
+            while time.monotonic() - began < PATIENCE_S and formed is None:
+                await asyncio.sleep(config.network.gossip_s)
+                for j in members if places else ():
+                    for kind, payload in wire_lies(lie, j, places[j], rng):
+                        links[j].publish(kind, j, payload)
+                for j, payload, _ in gang.says(lie) if places and lie not in OF_THE_WIRE else ():
+                    # Their bodies are far away; heard is who seems near.
+                    beacon = Beacon(stamp=time.time(), position=config.mission.center)
+                    links[j].publish("say", j, pack(BeaconedMessage(beacon=beacon, message=payload)))
+                swarm.observer.check(time.time())
+                held = held + 1 if reported_in_place(swarm.observer, gang.honest, places) else 0
+                if held * config.network.gossip_s >= metrics.HELD_ROUNDS * config.network.step_s:
+                    formed = round((time.monotonic() - began) / config.network.step_s)
+            return Outcome(formed, swarm.observer.min_separation, len(swarm.ended))
+        finally:
+            for link in links.values():
+                link.close()
+
+
+def wire_lies(lie: str, member: int, here: Point, rng: random.Random) -> list[tuple[str, bytes]]:
+    """What a member sends besides messages of the protocol: (kind, payload)."""
+    import msgspec
+    from reports import told
+
+    from llm_flock.runtime.network.wire import WIRE_VERSION, Beacon, pack
+
+    now = time.time()
+    match lie:
+        case "beacons elsewhere":
+            return [("beacon", pack(Beacon(stamp=now, position=(rng.uniform(30, 70), rng.uniform(30, 70)))))]
+        case "beacons that are no numbers":
+            bad = rng.choice((math.nan, math.inf, -math.inf, 1e300))
+            raw = msgspec.msgpack.encode([rng.choice((now, bad)), [here[0], bad], [bad, bad]])
+            short = msgspec.msgpack.encode([now, [here[0], bad]])
+            return [("beacon", bytes([WIRE_VERSION]) + one) for one in (raw, short)]
+        case "reports of its own":  # a mission, a position in space, others as blocked; or what another says
+            other = told(0, mission=(2**40, "0" * 16), waypoint=(1.0, 2.0, 3.0), blocked=tuple(range(9)))
+            return [("report", pack(one)) for one in (other, told(0), told(0, blocked=tuple(range(9))))]
+        case "a flood":
+            return [("say", bytes([WIRE_VERSION]) + rng.randbytes(900)) for _ in range(400)]
+        case _:
+            return []
+
+
+def reported_in_place(observer: Observer, honest: Sequence[int], places: Mapping[int, Point]) -> bool:
+    """Whether the honest are at different places of one plan: bodies by the sensors, places by their reports."""
+    reports = [observer.reports[j] for j in honest if j in observer.reports]
+    slots = [report.slot for report in reports]
+    if len(reports) < len(honest) or len({report.plan_id for report in reports}) != 1 or len(set(slots)) != len(slots):
+        return False
+    near = metrics.AT_GOAL * observer.mission.spacing
+    goals = [observer.goal_of(report) for report in reports]
+    return all(goal is not None and math.dist(goal, places[j]) <= near for j, goal in zip(honest, goals, strict=True))
+
+
+def swarm(arguments: Sequence[str] = ()) -> None:
+    """Every lie against processes, one liar and two."""
+    from lies import EVERYTHING, LIES
+
+    from llm_flock.trust.keys import make_keys
+
+    runs = _runs(arguments, 20)
+    with tempfile.TemporaryDirectory() as folder:
+        keys = Path(folder) / "team"
+        make_keys(keys, N_SWARM)
+        for liars in (1, 2):
+            for lie in (*OF_THE_WIRE, *LIES, EVERYTHING):
+                outcomes = [asyncio.run(fly_swarm(lie, liars, seed, keys)) for seed in range(runs)]
+                print(line(lie, N_SWARM, liars, outcomes), flush=True)
+
+
 def line(name: str, n: int, liars: int, outcomes: Sequence[Outcome]) -> str:
     """One row of a table."""
     formed = [outcome.formed for outcome in outcomes if outcome.formed is not None]
@@ -112,7 +225,7 @@ def line(name: str, n: int, liars: int, outcomes: Sequence[Outcome]) -> str:
 
 
 def main(arguments: Sequence[str] = ()) -> None:
-    """Every lie, one liar and two."""
+    """Every lie in the simulator, one liar and two."""
     from lies import EVERYTHING, LIES
 
     runs = _runs(arguments, 20)

@@ -313,6 +313,7 @@ class Agent:
         state = (CANNOT_FLY if self._pilot.breaker.is_open else 0) | (NO_PLAN if self.plan is None else 0)
         self._liveness.begin_round(number, near, state)
         agreement.begin_round(event.neighbors)
+        self._seeking.count(event.neighbors)
         self._messaging.begin_round(near)
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
@@ -399,6 +400,9 @@ class Agent:
             idle = "no plan yet: waiting to be found"
         elif plan is None:
             idle = "no plan yet"
+        elif slot is None and self._seeking.lost and (away := self._seeking.target(self.mission, scene.here)):
+            # What it knows of the places is old: it goes where the others will be.
+            return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
         elif slot is None:
             # A spare robot waits near the formation, and travels along with it.
             others = [scene.seen(x) for x in scene.sensed.values()]

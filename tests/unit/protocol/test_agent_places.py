@@ -15,11 +15,14 @@ from llm_flock.protocol.events import (
     AskStep,
     CommRoundEnded,
     Decided,
+    MoveTo,
     Note,
+    Origin,
     Planned,
     Received,
     RoundBegan,
 )
+from llm_flock.protocol.membership.seeking import ALONE
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
@@ -85,6 +88,34 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     agent.handle(RoundBegan(round=2, position=ask.question.goal, neighbors=0, sensed={}, observed=()))
     note, _ = agent.handle(AgreementEnded())
     assert isinstance(note, Note) and "taken by others" in note.detail["reason"]
+
+
+def test_a_robot_without_a_place_that_hears_nobody_goes_to_find_the_others() -> None:
+    """A liar told it that every place is taken, and it is out of everybody's reach: what it knows will stay old."""
+    agent = make(2)
+    planned(agent)
+    won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
+    message = Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, table=won)
+    agent.handle(Received(encode(message)))
+    agent.handle(CommRoundEnded())
+    here, moves = (12.0, 12.0), list[MoveTo]()
+
+    def flown(number: int, neighbors: int) -> MoveTo:
+        *_, last = agent.handle(AgreementEnded())
+        if isinstance(last, AskStep):
+            *_, last = agent.handle(Decided(StepAnswer(waypoint=here)))
+        assert isinstance(last, MoveTo)
+        agent.handle(Arrived())
+        agent.handle(RoundBegan(round=number, position=here, neighbors=neighbors, sensed={}, observed=()))
+        return last
+
+    assert agent.claim.slot is None
+    moves = [flown(number, 0) for number in range(2, 12)]
+    seeks = [move.origin is Origin.GEOMETRY for move in moves]
+    assert seeks.index(True) == ALONE - 1 and all(seeks[ALONE - 1 :])
+    assert math.dist(moves[-1].waypoint, MISSION.center) < math.dist(here, MISSION.center) - 5.0
+    flown(12, 1)
+    assert flown(13, 1).waypoint == here, "in touch, it waits for what the others say"
 
 
 def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:

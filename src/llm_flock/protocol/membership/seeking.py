@@ -1,4 +1,4 @@
-"""Where a robot without a plan goes so that it is found: to the centre, or to places where others may stand."""
+"""Where a robot goes that is lost, or has no plan: to the centre, or to places where others may stand."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ NEAR = 0.5
 WAIT = 3
 """Rounds that a robot waits at the first point; each further wait is as much longer."""
 
+ALONE = 8
+"""Heartbeat periods without a neighbour after which a robot without a place is lost."""
+
 FAR = 2.0
 """In a formation that reaches farther from its centre than this many radio ranges, robots are not sought at the
 centre, but at places."""
 
 
 class Seeking:
-    """The way of one robot that has no plan: to the centre, where searches end and others like it gather.
+    """The way of one robot that is lost, or has no plan: to the centre, where searches end and others like it gather.
 
     In a large formation nobody at a place hears the centre. There the robot also visits two ideal places in reference
     orientation, other ones for each robot: however the formation is turned, robots with a plan stand near such places.
@@ -30,9 +33,19 @@ class Seeking:
         self._robot = robot
         self._leg = 0
         self._left: int | None = None
+        self._alone = 0
+
+    def count(self, neighbors: int) -> None:
+        """Take note of the number of neighbours. Call once in each heartbeat period."""
+        self._alone = 0 if neighbors else self._alone + 1
+
+    @property
+    def lost(self) -> bool:
+        """Whether a robot without a place has been out of touch for so long that it should look for the others."""
+        return self._alone >= ALONE
 
     def target(self, mission: Mission, here: Point) -> Point | None:
-        """Where to fly from `here` [units; frame of the mission], or None to wait. Call once a round without a plan."""
+        """Where to fly from `here` [units; frame of the mission], or None to wait. Call once a round."""
         points = _points(mission, self._robot)
         point = points[self._leg % len(points)]
         away = math.dist(here, point)

@@ -253,7 +253,7 @@ class Observer:
         self._take_leave(now)
         robots = self.robots
         positions = np.array([body.position for body in self._world.bodies])
-        goals = {robot: self._goal(self.reports[robot]) for robot in robots}
+        goals = {robot: self.goal_of(self.reports[robot]) for robot in robots}
         distances = [
             math.inf if goal is None else float(np.linalg.norm(positions[robot] - goal))
             for robot, goal in goals.items()
@@ -265,7 +265,7 @@ class Observer:
             self._row_due = max(self._row_due + self._config.network.step_s, now)
             self._write(positions, robots, distances, error)
 
-    def _goal(self, report: RobotReport) -> Point | None:
+    def goal_of(self, report: RobotReport) -> Point | None:
         """A robot's place, by the plan and the slot that it names; None without one."""
         places = self._places.get(report.plan_id or "", ())
         return None if report.slot is None or report.slot >= len(places) else places[report.slot]
@@ -345,7 +345,7 @@ class Observer:
     def _state(self, positions: Points, robots: list[int]) -> State:
         n = len(positions)
         reports = [self.reports[robot] if robot in robots else None for robot in range(n)]
-        goals = [None if r is None else self._goal(r) for r in reports]
+        goals = [None if r is None else self.goal_of(r) for r in reports]
         start = Origin.START.value if self._row == 0 else Origin.HOLD.value
         return State(
             round=self._row,
