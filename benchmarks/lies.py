@@ -61,7 +61,7 @@ def fly(lie: str, n: int, liars: int, seed: int, rounds: int = ROUNDS) -> Outcom
     rng = np.random.default_rng([seed, n, liars])
     mission = mission_of(n)
     places: list[Point] = [tuple(row) for row in start_positions(mission, None, "connected", rng).tolist()]
-    team = SignedTeam(mission, places, seed=seed, liars=liars)
+    team = SignedTeam(mission, places, seed=seed, liars=liars, tolerated=max(1, liars))
     gang = Gang({j: ToyKeys(j) for j in range(n - liars, n)}, mission, seed)
     held = 0
     for number in range(1, rounds + 1):

@@ -30,7 +30,6 @@ from llm_flock.protocol.messages.message import (
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import (
-    WITNESSES,
     Authenticator,
     Certificate,
     Context,
@@ -141,16 +140,17 @@ class Gang:
 
     def word(self, member: int, slot: int, owner: int) -> WitnessStatement:
         at = self.version(slot) + 1
-        return WitnessStatement(slot, at, owner, self.keys[member].sign(word_statement(self.about, slot, at, owner)))
+        return WitnessStatement(
+            member, slot, at, owner, self.keys[member].sign(word_statement(self.about, slot, at, owner))
+        )
 
     def release(self, slot: int, owner: int) -> ReleaseGrant | None:
         """The gang's own words that a place is free or blocked, if there are enough members."""
-        if len(self.members) < WITNESSES:
+        if len(self.members) < 2:
             return None
         at = self.version(slot) + 1
         words = (
-            (member, self.keys[member].sign(word_statement(self.about, slot, at, owner)))
-            for member in self.members[:WITNESSES]
+            (member, self.keys[member].sign(word_statement(self.about, slot, at, owner))) for member in self.members
         )
         return ReleaseGrant(tuple(words))
 

@@ -74,10 +74,19 @@ class SignedTeam:
         positions: of all N bodies [units].
         seed: of losses.
         loss: share of messages lost.
+        liars: robots without an agent, the last ones.
+        tolerated: number of liars that the honest reckon with.
     """
 
     def __init__(
-        self, mission: Mission, positions: Sequence[Point], *, seed: int = 0, loss: float = 0.0, liars: int = 1
+        self,
+        mission: Mission,
+        positions: Sequence[Point],
+        *,
+        seed: int = 0,
+        loss: float = 0.0,
+        liars: int = 1,
+        tolerated: int = 1,
     ) -> None:
         rules = PRESETS["flock"]
         self.mission = mission
@@ -92,6 +101,7 @@ class SignedTeam:
                 shield_on=True,
                 verify=True,
                 authenticator=ToyKeys(robot),
+                liars=tolerated,
             )
             for robot in range(mission.n_robots - liars)
         ]
@@ -232,7 +242,11 @@ class Liar:
     def word(self, slot: int, version: int, owner: int = -1) -> WitnessStatement:
         """Its word that a place is free."""
         return WitnessStatement(
-            slot, version, owner, self.keys.sign(word_statement(self.team.context, slot, version, owner))
+            self.team.liar,
+            slot,
+            version,
+            owner,
+            self.keys.sign(word_statement(self.team.context, slot, version, owner)),
         )
 
     def says(

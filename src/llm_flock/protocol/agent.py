@@ -54,7 +54,7 @@ from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol.signed.assignment import SignedAssignment
-from llm_flock.protocol.signed.certificates import Authenticator
+from llm_flock.protocol.signed.certificates import LIARS, Authenticator
 from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.protocol.verification.validator import Validator, fallback_notes
@@ -78,6 +78,7 @@ class Agent:
         fallback: what to do without a usable answer; see `llm_flock.protocol.breaker`.
         own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
         authenticator: signs this robot's messages and checks those of others; without one nothing is signed.
+        liars: number of robots with keys that may lie together; one more must see that a place is free.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class Agent:
         fallback: Fallback = "hold",
         own_clock: bool = False,
         authenticator: Authenticator | None = None,
+        liars: int = LIARS,
     ) -> None:
         self.robot = robot
         self.phase = Phase.IDLE
@@ -106,7 +108,7 @@ class Agent:
         all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
         channel = Channel(robot, mission)
         if authenticator is not None:
-            evidence = Evidence(robot, authenticator)
+            evidence = Evidence(robot, authenticator, liars)
             channel = SignedChannel(robot, mission, authenticator, evidence, liveness)
             assignment = SignedAssignment(assignment, evidence)
         self._agreement = Agreement(

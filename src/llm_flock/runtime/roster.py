@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.signed.certificates import Authenticator
+from llm_flock.protocol.signed.certificates import LIARS, Authenticator
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
@@ -13,9 +13,18 @@ from llm_flock.runtime.rules import Rules
 
 
 def make_agent(
-    config: RunConfig, rules: Rules, robot: int, *, own_clock: bool = False, authenticator: Authenticator | None = None
+    config: RunConfig,
+    rules: Rules,
+    robot: int,
+    *,
+    own_clock: bool = False,
+    authenticator: Authenticator | None = None,
+    liars: int = LIARS,
 ) -> Agent:
-    """A new agent; heartbeats come from lockstep rounds or its robot's `own_clock`, its keys from `authenticator`."""
+    """A new agent; heartbeats come from lockstep rounds or its robot's `own_clock`, its keys from `authenticator`.
+
+    With keys, `liars` robots of the team may lie together.
+    """
     protocol = config.protocol
     return Agent(
         robot,
@@ -30,6 +39,7 @@ def make_agent(
         gaps=protocol.gaps,
         own_clock=own_clock,
         authenticator=authenticator,
+        liars=liars,
     )
 
 

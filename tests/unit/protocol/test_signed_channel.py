@@ -92,8 +92,8 @@ def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:
 def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) -> None:
     message, _ = unwrap(liar.says(), 5)
     assert team.tell(1, message, team.liar) == ["version"]
-    assert team.tell(1, b"\3\xff", team.liar) == ["malformed"]
-    assert team.tell(1, b"\3" + bytes(10**5), team.liar) == ["oversized"]
+    assert team.tell(1, b"\4\xff", team.liar) == ["malformed"]
+    assert team.tell(1, b"\4" + bytes(10**5), team.liar) == ["oversized"]
     with pytest.raises(MessageError, match="version"):
         unwrap(b"", 5)
 

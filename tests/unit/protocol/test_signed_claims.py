@@ -167,9 +167,9 @@ def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> 
     assert table is not None
     good = liar.word(0, table[0][0] + 1)
     for word in (
-        WitnessStatement(0, table[0][0] + 1, NO_OWNER, bytes(64)),
-        WitnessStatement(0, table[0][0] + 2, NO_OWNER, good.signature),
-        WitnessStatement(99, 1, NO_OWNER, good.signature),
+        WitnessStatement(team.liar, 0, table[0][0] + 1, NO_OWNER, bytes(64)),
+        WitnessStatement(team.liar, 0, table[0][0] + 2, NO_OWNER, good.signature),
+        WitnessStatement(team.liar, 99, 1, NO_OWNER, good.signature),
     ):
         team.tell(0, liar.says(words=[word]), team.liar)
         team.comm_round()

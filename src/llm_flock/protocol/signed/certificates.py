@@ -1,9 +1,10 @@
 """Certificates: signatures under bid entries, offers, plan origins, heartbeats and missions, and how they are encoded.
 
 No robot raises the version of a slot alone. An exchange is signed by both robots; a slot is freed, or found blocked, by
-the statements of two witnesses; a claim on a free slot is signed by its owner and carries the statements that freed it.
-As long as one robot lies, at least one of two signers is honest, and honest robots sign only what they hold true, so no
-history has to be shown. A robot's claims on one plan are numbered, and the last one counts.
+the statements of witnesses, one more than may lie; a claim on a free slot is signed by its owner and carries the
+statements that freed it. As long as no more robots lie than that, at least one witness is honest, and honest robots
+sign only what they hold true, so no history has to be shown. A robot's claims on one plan are numbered, and the last
+one counts.
 
 Pure: keys are behind the `Authenticator`.
 """
@@ -17,6 +18,7 @@ import msgspec
 from msgspec.structs import astuple
 
 from llm_flock.errors import MessageError
+from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.codec import max_payload_bytes
 from llm_flock.protocol.messages.message import (
     BLOCKED,
@@ -32,11 +34,17 @@ from llm_flock.protocol.messages.message import (
 OPERATOR = -2
 """Member id of the operator, who gives missions."""
 
-WIRE_SIGNED = 3
+WIRE_SIGNED = 4
 """First byte of a message with certificates."""
 
-WITNESSES = 2
-"""Robots that must state that a slot is free or blocked: one more than may lie."""
+LIARS = 1
+"""Robots that may lie together, unless a team is told otherwise."""
+
+
+def witnesses(liars: int) -> int:
+    """Robots that must state that a slot is free or blocked: one more than may lie."""
+    return liars + 1
+
 
 MOST_LOOKS = 64
 """Largest number of visits to a vacant slot in a valid entry."""
@@ -78,7 +86,7 @@ Count = Annotated[int, msgspec.Meta(ge=0, lt=2**41)]
 class ReleaseGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=0):
     """Statements of different robots that the slot is free, or blocked, from this version on."""
 
-    words: Annotated[tuple[tuple[Id, Signature], ...], msgspec.Meta(min_length=WITNESSES, max_length=WITNESSES)]
+    words: Annotated[tuple[tuple[Id, Signature], ...], msgspec.Meta(min_length=witnesses(LIARS), max_length=MAX_ROBOTS)]
 
 
 class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=1):
@@ -142,8 +150,9 @@ class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
 
 
 class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """A robot's statement that a slot is free or blocked from a version on."""
+    """A robot's statement that a slot is free or blocked from a version on; others pass it on."""
 
+    witness: Id
     slot: Id
     version: Count
     owner: Annotated[int, msgspec.Meta(ge=BLOCKED, le=NO_OWNER)]
@@ -184,7 +193,7 @@ _DECODER = msgspec.msgpack.Decoder(_Signed)
 
 def max_signed_bytes(n_robots: int) -> int:
     """Largest message with certificates that a team of N legitimately needs [bytes]."""
-    return max_payload_bytes(n_robots) + 2048 + 768 * n_robots
+    return max_payload_bytes(n_robots) + 2048 + 1536 * n_robots
 
 
 def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...], tuple[Grant, ...]]:

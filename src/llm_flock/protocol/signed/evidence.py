@@ -15,7 +15,7 @@ from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
-    WITNESSES,
+    LIARS,
     Authenticator,
     Certificate,
     Context,
@@ -29,6 +29,7 @@ from llm_flock.protocol.signed.certificates import (
     most_claims,
     offer_statement,
     plausible,
+    witnesses,
     word_statement,
 )
 
@@ -36,11 +37,17 @@ REMEMBERED = 4096
 """Most signatures that are remembered as good."""
 
 
-class Evidence:
-    """Signatures about the slots of one plan at a time."""
+MOST_PASSED_ON = 32
+"""Most statements of other witnesses in one message; they take turns."""
 
-    def __init__(self, robot: int, authenticator: Authenticator) -> None:
+
+class Evidence:
+    """Signatures about the slots of one plan at a time; `liars` robots may lie together."""
+
+    def __init__(self, robot: int, authenticator: Authenticator, liars: int = LIARS) -> None:
         self.refused: Counter[str] = Counter()
+        self._witnesses = witnesses(liars)
+        self._turn = 0
         self._robot = robot
         self._authenticator = authenticator
         self._good: set[tuple[int, bytes, bytes]] = set()
@@ -93,22 +100,22 @@ class Evidence:
             entry = entries[slot]
             if entry is UNSAID:
                 continue
-            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), len(table)):
+            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), table):
                 entries[slot] = UNSAID
         for word in proofs.words:
-            self._hear_word(message.sender, word, table)
+            self._hear_word(word, table)
         return msgspec.structs.replace(
             message,
             table=None if message.table is None else tuple(entries),
             offer=self._hear_offer(message, proofs, most_claims(len(table))),
         )
 
-    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, places: int) -> bool:
+    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, table: BidTable) -> bool:
         version, _, owner = entry
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
             certificate = self._held[slot, entry]
-        elif not (plausible(entry, certificate.number, places) and self._holds(slot, entry, certificate)):
+        elif not (plausible(entry, certificate.number, len(table)) and self._holds(slot, entry, certificate)):
             self.refused["uncertified"] += 1
             return False
         if owner < 0:
@@ -146,7 +153,7 @@ class Evidence:
 
     def _free(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> bool:
         statement = word_statement(self._page, slot, version, owner)
-        return len({robot for robot, _ in grant.words}) >= WITNESSES and all(
+        return len({robot for robot, _ in grant.words}) >= self._witnesses and all(
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
         )
 
@@ -159,13 +166,13 @@ class Evidence:
             and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)
         )
 
-    def _hear_word(self, sender: int, word: WitnessStatement, table: BidTable) -> None:
+    def _hear_word(self, word: WitnessStatement, table: BidTable) -> None:
         """Keep a statement about the next version of an entry held."""
         slot, version, owner = what = (word.slot, word.version, word.owner)
-        if slot >= len(table) or version != table[slot][0] + 1 or sender in self._words.get(what, {}):
+        if slot >= len(table) or version != table[slot][0] + 1 or word.witness in self._words.get(what, {}):
             return
-        if self.signed_by(sender, word_statement(self._page, slot, version, owner), word.signature):
-            self._words.setdefault(what, {})[sender] = word.signature
+        if self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
+            self._words.setdefault(what, {})[word.witness] = word.signature
         else:
             self.refused["uncertified"] += 1
 
@@ -215,9 +222,9 @@ class Evidence:
         for (slot, version, owner), words in list(self._words.items()):
             if version <= table[slot][0]:
                 del self._words[slot, version, owner]
-            elif len(words) >= WITNESSES:
+            elif len(words) >= self._witnesses:
                 entry = (version, 0.0, owner)
-                self._freed[slot, version, owner] = ReleaseGrant(tuple(sorted(words.items())[:WITNESSES]))
+                self._freed[slot, version, owner] = ReleaseGrant(tuple(sorted(words.items())[: self._witnesses]))
                 entries[slot] = max(entry, entries[slot], key=rank)
         return tuple(entries)
 
@@ -274,9 +281,26 @@ class Evidence:
                 certificates[slot] = Certificate(number=0, grant=self._freed[slot, version, owner])
         claims, grants = claims_of(certificates)
         words = tuple(
-            WitnessStatement(*what, self._words[what][self._robot]) for what in self._own if what in self._words
+            WitnessStatement(self._robot, *what, self._words[what][self._robot])
+            for what in self._own
+            if what in self._words
         )
-        return Proofs(claims=claims, grants=grants, words=words, offer=self._offer(message.offer))
+        return Proofs(claims=claims, grants=grants, words=words + self._passed_on(), offer=self._offer(message.offer))
+
+    def _passed_on(self) -> tuple[WitnessStatement, ...]:
+        """Statements of others, where neighbours may not hear enough witnesses themselves; a few in each message."""
+        if self._witnesses <= witnesses(LIARS):  # so few are found among the neighbours
+            return ()
+        others = [
+            WitnessStatement(robot, *what, signature)
+            for what, words in self._words.items()
+            for robot, signature in words.items()
+            if robot != self._robot
+        ]
+        if len(others) > MOST_PASSED_ON:
+            self._turn = (self._turn + MOST_PASSED_ON) % len(others)
+            others = (others + others)[self._turn : self._turn + MOST_PASSED_ON]
+        return tuple(others)
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
         """The signed offer; it counts as the next claim if it is accepted."""

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from llm_flock.errors import InputError
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.providers import parse_model
+from llm_flock.protocol.signed.certificates import LIARS
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
 
 
@@ -27,6 +28,12 @@ class NetworkConfig(ConfigSection):
     )
     keys: str | None = Field(
         default=None, description="Folder made by `llm-flock keys`: sign every message, and connect over TLS"
+    )
+    liars: int = Field(
+        default=LIARS,
+        ge=1,
+        description="Robots with keys that may lie together: one more must see that a place is free or blocked. More "
+        "than one needs a team of more than three times as many",
     )
     lease_s: float = seconds(2.0, "Give up a link after this silence")
     gossip_s: float = seconds(0.1, "Time between two message exchanges")
@@ -67,6 +74,9 @@ class SwarmConfig(RunConfig):
         if self.mission.velocity is not None:
             allowed = "nothing in a swarm of processes: rounds are not in step"
             raise InputError("velocity", self.mission.velocity, allowed)
+        liars, n = self.network.liars, self.mission.n_robots
+        if liars > LIARS and 3 * liars >= n:
+            raise InputError("liars", liars, f"at most {max(LIARS, (n - 1) // 3)} of {n} robots: fewer than a third")
         return self
 
     @property

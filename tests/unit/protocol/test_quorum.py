@@ -1,0 +1,100 @@
+"""Several robots that lie together: places come free by more witnesses than may lie, whose words are passed on."""
+
+from __future__ import annotations
+
+import pytest
+from lies import LIES, Gang
+from signed_team import SignedTeam, evidence_of, line_up
+from toy_keys import ToyKeys
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.messages.message import NO_OWNER
+from llm_flock.protocol.signed.certificates import LIARS, Certificate, ReleaseGrant, word_statement
+from llm_flock.protocol.signed.evidence import MOST_PASSED_ON
+
+N, TWO = 7, 2
+MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
+WORST = ("frees every place all the time", "frees every place and takes one", "blocks every place")
+
+
+def flown(lie: str, tolerated: int, rounds: int = 30) -> SignedTeam:
+    """Five honest robots and two that lie together; their bodies fly to a corner."""
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=tolerated)
+    gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
+    said: list[bytes] = []
+    for _ in range(rounds):
+        team.begin()
+        for _ in range(5):
+            for payload in said:
+                gang.hear(payload)
+            said = team.comm_round(said_by=gang.says(lie))
+        team.end(moves={j: (5.0 * j, 2.0) for j in gang.members})
+    return team
+
+
+@pytest.mark.parametrize("lie", WORST)
+def test_two_that_lie_together_change_nothing_where_two_may(lie: str) -> None:
+    team = flown(lie, TWO)
+    slots = [slot for slot in team.slots if slot is not None]
+    assert len(set(slots)) == 5 and len({agent.plan for agent in team.agents}) == 1
+    assert team.smallest >= MISSION.safe_distance - 1e-6
+    assert team.counts("uncertified") > 0
+
+
+def test_two_that_lie_together_keep_a_team_from_forming_that_reckons_with_one() -> None:
+    """What the number of witnesses is for: the same lie, and a team that was not told."""
+    assert flown("blocks every place", LIARS).slots == [None] * 5
+
+
+def test_every_lie_of_the_library_is_told() -> None:
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+    gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
+    assert gang.says("silence") == [], "nothing is known yet"
+    team.begin()
+    for _ in range(3):
+        for payload in team.comm_round():
+            gang.hear(payload)
+    for lie in LIES:
+        said = gang.says(lie)
+        assert bool(said) == (lie != "silence"), lie
+        team.comm_round(said_by=said)
+
+
+def release(team: SignedTeam, slot: int, robots: tuple[int, ...]) -> Certificate:
+    version = team.owners(0)[slot][0] + 1
+    statement = word_statement(team.context, slot, version, NO_OWNER)
+    return Certificate(number=0, grant=ReleaseGrant(tuple((j, ToyKeys(j).sign(statement)) for j in robots)))
+
+
+def test_a_release_needs_one_witness_more_than_may_lie() -> None:
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+    team.fly(12)
+    evidence = evidence_of(team.agents[0])
+    slot = team.slots[1]
+    assert slot is not None
+    table = team.agents[0].claim.table or ()
+    entry = (table[slot][0] + 1, 0.0, NO_OWNER)
+    for robots, fits in (((5, 6), False), ((5, 5, 6), False), ((2, 5, 6), True)):
+        assert evidence._fit(slot, entry, release(team, slot, robots), table) is fits, robots
+
+
+def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> None:
+    """In a row, the neighbours of a dead robot are too few; with passed-on words all others agree that it is gone."""
+    row = Mission(shape="line", n_robots=N, comm_range=15)
+    team = SignedTeam(row, [(20.0 + 10.0 * k, 50.0) for k in range(N)], liars=TWO, tolerated=TWO)
+    team.fly(60)
+    freed = {team.owners(robot) for robot in range(5)}
+    assert len(freed) == 1
+    assert all(owner not in (5, 6) for _, owner in team.owners(0))
+    words = [word for agent in team.agents for word in evidence_of(agent)._passed_on()]
+    assert len(words) <= MOST_PASSED_ON * len(team.agents)
+
+
+def test_many_words_take_turns() -> None:
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+    team.fly(3)
+    evidence = evidence_of(team.agents[0])
+    evidence._words = {(slot, 9, NO_OWNER): {j: bytes([slot, j]) for j in range(20)} for slot in range(N)}
+    told = [{(word.slot, word.witness) for word in evidence._passed_on()} for _ in range(8)]
+    assert all(len(one) == MOST_PASSED_ON for one in told)
+    assert len(set[tuple[int, int]]().union(*told)) > 100
