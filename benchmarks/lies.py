@@ -32,9 +32,9 @@ from llm_flock.runtime.network.observer import Observer
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-ROUNDS = 80
+ROUNDS = 150
 COMM_ROUNDS = 5
-CURVE = ((10, (0, 1, 2, 3)), (20, (0, 1, 2, 4, 6)), (40, (0, 1, 4, 8, 13)))
+CURVE = ((10, (0, 1, 2, 3)), (20, (0, 2, 4, 6)), (40, (0, 4, 8, 13)))
 
 
 @dataclass(frozen=True)
