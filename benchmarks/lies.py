@@ -1,7 +1,7 @@
 """Members with valid keys that lie, alone and together: who of the honest is hurt, and who still forms.
 
     python -m benchmarks lies [--runs N]            every lie of tests/lies.py in the simulator, 1 and 2 liars among 10
-    python -m benchmarks lies-curve [--runs N]      teams of 10, 20 and 40 with 0 .. N/3 liars that collude
+    python -m benchmarks lies-curve [--runs N]      teams of 10, 20 and 40 (--robots) with 0 .. N/3 liars that collude
     python -m benchmarks lies-swarm [--runs N]      every lie against a keyed swarm of processes
 
 An honest robot counts as formed if all the honest are within 5 % of the spacing of different places of one plan, for
@@ -32,7 +32,6 @@ from llm_flock.runtime.network.observer import Observer
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-ROUNDS = 150
 COMM_ROUNDS = 5
 CURVE = ((10, (0, 1, 2, 3)), (20, (0, 2, 4, 6)), (40, (0, 4, 8, 13)))
 
@@ -52,8 +51,11 @@ def mission_of(n: int) -> Mission:
     return Mission(shape="circle", n_robots=n, center=(side / 2, side / 2), arena=((0.0, 0.0), (side, side)))
 
 
-def fly(lie: str, n: int, liars: int, seed: int, rounds: int = ROUNDS) -> Outcome:
-    """A team of n, the last of which lie together, in lockstep; their bodies fly off and stay away."""
+def fly(lie: str, n: int, liars: int, seed: int) -> Outcome:
+    """A team of n, the last of which lie together, in lockstep; their bodies fly off and stay away.
+
+    The team reckons with as many liars, and has 60 rounds and 6 for each robot.
+    """
     from lies import Gang
     from signed_team import SignedTeam
     from toy_keys import ToyKeys
@@ -64,7 +66,7 @@ def fly(lie: str, n: int, liars: int, seed: int, rounds: int = ROUNDS) -> Outcom
     team = SignedTeam(mission, places, seed=seed, liars=liars, tolerated=max(1, liars))
     gang = Gang({j: ToyKeys(j) for j in range(n - liars, n)}, mission, seed)
     held = 0
-    for number in range(1, rounds + 1):
+    for number in range(1, 60 + 6 * n + 1):
         try:
             team.begin()
             said: list[bytes] = []
@@ -201,7 +203,7 @@ def swarm(arguments: Sequence[str] = ()) -> None:
 
     from llm_flock.trust.keys import make_keys
 
-    runs = _runs(arguments, 20)
+    runs = _options(arguments).runs
     with tempfile.TemporaryDirectory() as folder:
         keys = Path(folder) / "team"
         make_keys(keys, N_SWARM)
@@ -228,7 +230,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     """Every lie in the simulator, one liar and two."""
     from lies import EVERYTHING, LIES
 
-    runs = _runs(arguments, 20)
+    runs = _options(arguments).runs
     for liars in (1, 2):
         for lie in (*LIES, EVERYTHING):
             print(line(lie, 10, liars, [fly(lie, 10, liars, seed) for seed in range(runs)]), flush=True)
@@ -236,17 +238,20 @@ def main(arguments: Sequence[str] = ()) -> None:
 
 def curve(arguments: Sequence[str] = ()) -> None:
     """The worst lies against ever more liars."""
-    runs = _runs(arguments, 20)
+    options = _options(arguments)
     for n, counts in CURVE:
+        if options.robots not in (None, n):
+            continue
         for liars in counts:
             for lie in WORST if liars else ("silence",):
-                print(line(lie, n, liars, [fly(lie, n, liars, seed) for seed in range(runs)]), flush=True)
+                print(line(lie, n, liars, [fly(lie, n, liars, seed) for seed in range(options.runs)]), flush=True)
 
 
 WORST = ("frees every place and takes one", "frees every place all the time", "exchanges what others own")
 
 
-def _runs(arguments: Sequence[str], default: int) -> int:
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks lies")
-    parser.add_argument("--runs", type=int, default=default)
-    return parser.parse_args(arguments).runs
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--robots", type=int, help="only teams of this size, for the curve")
+    return parser.parse_args(arguments)

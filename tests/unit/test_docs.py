@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import inspect
 import re
 import shlex
 import sys
@@ -150,7 +151,7 @@ def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
 
 
 def test_every_key_of_the_summary_is_documented() -> None:
-    documented = re.findall(r"^        (\w+): ", Summary.__doc__ or "", re.MULTILINE)
+    documented = re.findall(r"^    (\w+): ", inspect.getdoc(Summary) or "", re.MULTILINE)
     assert documented == list(Summary.__dataclass_fields__)
 
 

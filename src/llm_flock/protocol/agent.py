@@ -315,7 +315,8 @@ class Agent:
         state = (CANNOT_FLY if self._pilot.breaker.is_open else 0) | (NO_PLAN if self.plan is None else 0)
         self._liveness.begin_round(number, near, state)
         agreement.begin_round(event.neighbors)
-        self._seeking.count(event.neighbors)
+        silent = self._liveness.silent
+        self._seeking.count(near - silent, silent, self.mission.n_robots)
         self._messaging.begin_round(near)
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up

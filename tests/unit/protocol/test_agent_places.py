@@ -100,22 +100,23 @@ def test_a_robot_without_a_place_that_hears_nobody_goes_to_find_the_others() -> 
     agent.handle(CommRoundEnded())
     here, moves = (12.0, 12.0), list[MoveTo]()
 
-    def flown(number: int, neighbors: int) -> MoveTo:
+    def flown(number: int, sensed: dict[int, tuple[float, ...]]) -> MoveTo:
         *_, last = agent.handle(AgreementEnded())
         if isinstance(last, AskStep):
             *_, last = agent.handle(Decided(StepAnswer(waypoint=here)))
         assert isinstance(last, MoveTo)
         agent.handle(Arrived())
-        agent.handle(RoundBegan(round=number, position=here, neighbors=neighbors, sensed={}, observed=()))
+        agent.handle(RoundBegan(round=number, position=here, neighbors=len(sensed), sensed=sensed, observed=()))
         return last
 
     assert agent.claim.slot is None
-    moves = [flown(number, 0) for number in range(2, 12)]
+    moves = [flown(number, {}) for number in range(2, 12)]
     seeks = [move.origin is Origin.GEOMETRY for move in moves]
     assert seeks.index(True) == ALONE - 1 and all(seeks[ALONE - 1 :])
     assert math.dist(moves[-1].waypoint, MISSION.center) < math.dist(here, MISSION.center) - 5.0
-    flown(12, 1)
-    assert flown(13, 1).waypoint == here, "in touch, it waits for what the others say"
+    agent.handle(Received(encode(message), 1))
+    flown(12, {1: (20.0, 12.0)})
+    assert flown(13, {1: (20.0, 12.0)}).waypoint == here, "in touch, it waits for what the others say"
 
 
 def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from functools import lru_cache
 
 from llm_flock.arrays import Point
@@ -15,7 +16,7 @@ WAIT = 3
 """Rounds that a robot waits at the first point; each further wait is as much longer."""
 
 ALONE = 8
-"""Heartbeat periods without a neighbour after which a robot without a place is lost."""
+"""Heartbeat periods out of touch with its team after which a robot without a place is lost."""
 
 FAR = 2.0
 """In a formation that reaches farther from its centre than this many radio ranges, robots are not sought at the
@@ -35,9 +36,13 @@ class Seeking:
         self._left: int | None = None
         self._alone = 0
 
-    def count(self, neighbors: int) -> None:
-        """Take note of the number of neighbours. Call once in each heartbeat period."""
-        self._alone = 0 if neighbors else self._alone + 1
+    def count(self, living: Collection[int], silent: Collection[int], n_robots: int) -> None:
+        """Take note of the neighbours that live, and of the silent robots of the team. Call once in each period.
+
+        A robot that hears few of its team is not in touch with it, whoever stands beside it.
+        """
+        in_touch = bool(living) and 2 * len(silent) < n_robots
+        self._alone = 0 if in_touch else self._alone + 1
 
     @property
     def lost(self) -> bool:
