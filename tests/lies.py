@@ -201,7 +201,7 @@ def huge_versions(gang: Gang, member: int) -> list[Said]:
 
 
 def claims_for_others(gang: Gang, member: int) -> list[Said]:
-    """The places of the honest dealt out anew, in their names."""
+    """Each honest robot gets another place, by a claim in its name."""
     owners = gang.honest[:]
     gang.rng.shuffle(owners)
     wrong = {

@@ -2,57 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Self, cast
 
 from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
-from llm_flock.renamed import RECORD_FIELDS, current_config, current_origins
+from llm_flock.record.values import (
+    Config,
+    Details,
+    Figures,
+    Finite,
+    Free,
+    MissionFields,
+    Robot,
+    Round,
+    Row,
+    Whole,
+)
+from llm_flock.renamed import RECORD_FIELDS, current_origins
 
 FORMAT_VERSION = 1
 """Increased whenever a reader of older records would misread a newer one."""
 
 ROUND_NS = 1_000_000_000
 """Log time of one round [ns]: a record plays one round a second, however long the run took."""
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Row = Annotated[list[Finite], Field(min_length=2, max_length=3)]
-"""One position, d coordinates [units; world frame]."""
-
-Whole = Annotated[int, Field(ge=-(2**53), le=2**53)]
-"""A whole number that every reader of JSON can hold."""
-
-Round = Annotated[int, Field(ge=0, le=10**9)]
-Robot = Annotated[int, Field(ge=0, le=10**6)]
-
-DEEPEST = 32
-"""Deepest nesting of free values; those of this program have a quarter of it."""
-
-
-def check_plain(value: object, depth: int = DEEPEST) -> None:
-    """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
-    if isinstance(value, Mapping | list | tuple):
-        if depth == 0:
-            raise ValueError("values are nested too deeply")
-        held = (
-            cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else cast("list[object]", value)
-        )
-        for one in held:
-            check_plain(one, depth - 1)
-    elif isinstance(value, int | float) and not -1e300 <= value <= 1e300:
-        raise ValueError("a number that readers cannot hold")
-    elif not isinstance(value, str | int | float | None):
-        raise ValueError(f"a value of type {type(value).__name__}")
-
-
-def _free(values: dict[str, Any]) -> dict[str, Any]:
-    check_plain(values)
-    return values
-
-
-Free = Annotated[dict[str, Any], AfterValidator(_free)]
-"""Values by name, of a form that this format does not know."""
 
 _VOLATILE: dict[str, Any] = {"volatile": True}
 """Marks fields that may differ between two runs of one seed."""
@@ -77,82 +50,11 @@ class Entry(BaseModel):
         return self.__pydantic_serializer__.to_json(self, exclude_none=True)
 
 
-class _Obstacle(BaseModel):
-    center: Row | None = None
-    radius: Finite | None = None
-    polygon: list[Row] | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.polygon is None and (self.center is None or self.radius is None):
-            raise ValueError("an obstacle is a polygon, or has center and radius")
-        return self
-
-
-class _MissionFields(BaseModel):
-    """Fields of a mission on which readers of records rely; versions of this program may write more."""
-
-    shape: str
-    n_robots: Annotated[int, Field(ge=1, le=10**6)]
-    spacing: Finite
-    safe_distance: Finite
-    comm_range: Finite
-    arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
-    places: Whole | None = None
-    obstacles: list[_Obstacle] = []
-
-
-def _mission_fields(mission: dict[str, Any]) -> dict[str, Any]:
-    _MissionFields.model_validate(mission)
-    return _free(mission)
-
-
-def _config(config: dict[str, Any]) -> dict[str, Any]:
-    for name in ("protocol", "model"):
-        if not isinstance(config.get(name, {}), dict):
-            raise ValueError(f"{name} is a section of the configuration, with fields of its own")
-    return current_config(_free(config))
-
-
-_DETAILS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("plan", "question", "by", "state", "shape", "about", "cause", "model"), (str,)),
-    **dict.fromkeys(("from", "slot", "before", "wait", "refusals"), (int,)),
-    **dict.fromkeys(("proposed", "flown", "vacant", "slots", "missing"), (list, tuple)),
-}
-"""Types of details of events, by name, on which readers rely; all may be null."""
-
-
-def _details(detail: dict[str, Any]) -> dict[str, Any]:
-    for name, value in detail.items():
-        if value is not None and not isinstance(value, _DETAILS.get(name, object)):
-            raise ValueError(f"{name} is not a value of type {type(value).__name__}")
-    return _free(detail)
-
-
-class _ResultFields(BaseModel):
-    """Figures of a summary on which readers rely."""
-
-    formed: bool | None = None
-    stopped: str | None = None
-    rounds_to_formed: Whole | None = None
-    plan_robot: Robot | None = None
-    plan_by: str | None = None
-    waypoint_shares: dict[str, Finite] | None = None
-    breakers_opened: list[Robot] | None = None
-
-
-def _result_fields(result: dict[str, Any]) -> dict[str, Any]:
-    _ResultFields.model_validate(result)
-    return _free(result)
-
-
 class RunInfo(Entry):
     """Where the run came from. Written once, first."""
 
     format_version: Whole = Field(FORMAT_VERSION, description="Version of this format")
-    config: Annotated[dict[str, Any], AfterValidator(_config)] = Field(
-        description="The resolved configuration, every field of it"
-    )
+    config: Config = Field(description="The resolved configuration, every field of it")
     versions: dict[str, str] = Field(description="Versions of the packages that can change a result")
     git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
     seed: Whole = Field(description="Seed of the run")
@@ -166,9 +68,7 @@ class MissionInfo(Entry):
 
     version: Whole = Field(description="Counts the missions of a run from 0")
     round: Round = Field(description="First round of the mission")
-    mission: Annotated[dict[str, Any], AfterValidator(_mission_fields)] = Field(
-        description="Every field of the mission"
-    )
+    mission: MissionFields = Field(description="Every field of the mission")
     ideal: list[Row] | None = Field(default=None, description="Ideal points in reference orientation (n, d) [units]")
 
 
@@ -224,9 +124,7 @@ class ProtocolEvent(Entry):
     )
     robot: Robot = Field(description="Whose event it is")
     kind: str = Field(description="What happened: proposed, adopted, claimed, shielded, ...")
-    detail: Annotated[dict[str, Any], AfterValidator(_details)] = Field(
-        description="What belongs to this kind of event"
-    )
+    detail: Details = Field(description="What belongs to this kind of event")
 
 
 class ChatLine(Entry):
@@ -334,9 +232,7 @@ class RoundEnd(Entry):
 class SummaryMessage(Entry, title="Summary"):
     """What the run reports. Written at a clean end only, also after an interruption."""
 
-    result: Annotated[dict[str, Any], AfterValidator(_result_fields)] = Field(
-        description="The figures of the run, as `llm-flock run --json` prints them"
-    )
+    result: Figures = Field(description="The figures of the run, as `llm-flock run --json` prints them")
 
 
 CHANNELS: dict[str, type[Entry]] = {

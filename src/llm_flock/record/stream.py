@@ -46,7 +46,7 @@ DAMAGED = (
 """What the libraries raise on bytes that are no MCAP file."""
 
 MOST_UNPACKED, RATIO = 16 << 20, 50
-"""Chunks of a record unpack to at most this many bytes, and so many times the size of the file [bytes]."""
+"""Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

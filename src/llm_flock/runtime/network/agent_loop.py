@@ -48,7 +48,7 @@ MOST_FAULTS = 20
 """Exchanges in a row that meet an error in this program before the robot gives up."""
 
 RETELL = 25
-"""Every so many reports name the plan's places and the mission again, for observers that came later."""
+"""One report in this many names the plan's places and the mission again, for observers that came later."""
 
 STUCK_S = 0.3
 """A body that has not moved for this long cannot get any nearer [s]."""
