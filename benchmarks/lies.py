@@ -51,10 +51,10 @@ def mission_of(n: int) -> Mission:
     return Mission(shape="circle", n_robots=n, center=(side / 2, side / 2), arena=((0.0, 0.0), (side, side)))
 
 
-def fly(lie: str, n: int, liars: int, seed: int) -> Outcome:
+def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Outcome:
     """A team of n, the last of which lie together, in lockstep; their bodies fly off and stay away.
 
-    The team reckons with as many liars, and has 60 rounds and 6 for each robot.
+    The team reckons with as many liars unless it was told another number, and has 60 rounds and 6 for each robot.
     """
     from lies import Gang
     from signed_team import SignedTeam
@@ -63,7 +63,7 @@ def fly(lie: str, n: int, liars: int, seed: int) -> Outcome:
     rng = np.random.default_rng([seed, n, liars])
     mission = mission_of(n)
     places: list[Point] = [tuple(row) for row in start_positions(mission, None, "connected", rng).tolist()]
-    team = SignedTeam(mission, places, seed=seed, liars=liars, tolerated=max(1, liars))
+    team = SignedTeam(mission, places, seed=seed, liars=liars, tolerated=max(1, liars) if told is None else told)
     gang = Gang({j: ToyKeys(j) for j in range(n - liars, n)}, mission, seed)
     held = 0
     for number in range(1, 60 + 6 * n + 1):
@@ -243,15 +243,27 @@ def curve(arguments: Sequence[str] = ()) -> None:
         if options.robots not in (None, n):
             continue
         for liars in counts:
+            if options.liars not in (None, liars):
+                continue
             for lie in WORST if liars else ("silence",):
-                print(line(lie, n, liars, [fly(lie, n, liars, seed) for seed in range(options.runs)]), flush=True)
+                print(
+                    line(lie, n, liars, [fly(lie, n, liars, seed, options.told) for seed in range(options.runs)]),
+                    flush=True,
+                )
 
 
-WORST = ("frees every place and takes one", "frees every place all the time", "exchanges what others own")
+WORST = (
+    "frees every place and takes one",
+    "frees every place all the time",
+    "exchanges what others own",
+    "blocks every place",
+)
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks lies")
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--robots", type=int, help="only teams of this size, for the curve")
+    parser.add_argument("--liars", type=int, help="only this many liars, for the curve")
+    parser.add_argument("--told", type=int, help="number of liars that the team reckons with, for the curve [as many]")
     return parser.parse_args(arguments)

@@ -224,26 +224,25 @@ def frees(gang: Gang, member: int) -> list[Said]:
     return said
 
 
-def frees_all_the_time(gang: Gang, member: int) -> list[Said]:
-    """Every place is given to nobody, with all the words that this needs, as often as possible."""
+def _states(gang: Gang, member: int, owner: int) -> list[Said]:
+    """Every place is free or blocked; with all the words that this needs, if there are enough members."""
     entries: Entries = {}
     for slot in gang.places:
-        grant = gang.release(slot, NO_OWNER)
+        grant = gang.release(slot, owner)
         if grant is not None:
-            entries[slot] = (gang.version(slot) + 1, 0.0, NO_OWNER), Certificate(number=0, grant=grant)
-    words = tuple(gang.word(member, slot, NO_OWNER) for slot in gang.places)
+            entries[slot] = (gang.version(slot) + 1, 0.0, owner), Certificate(number=0, grant=grant)
+    words = tuple(gang.word(member, slot, owner) for slot in gang.places)
     return [gang.message(member, entries, words=words)]
+
+
+def frees_all_the_time(gang: Gang, member: int) -> list[Said]:
+    """Every place is given to nobody, as often as possible."""
+    return _states(gang, member, NO_OWNER)
 
 
 def blocks(gang: Gang, member: int) -> list[Said]:
     """Every place is blocked by a body."""
-    entries: Entries = {}
-    for slot in gang.places:
-        grant = gang.release(slot, BLOCKED)
-        if grant is not None:
-            entries[slot] = (gang.version(slot) + 1, 0.0, BLOCKED), Certificate(number=0, grant=grant)
-    words = tuple(gang.word(member, slot, BLOCKED) for slot in gang.places)
-    return [gang.message(member, entries, words=words)]
+    return _states(gang, member, BLOCKED)
 
 
 def exchanges_what_others_own(gang: Gang, member: int) -> list[Said]:

@@ -100,7 +100,7 @@ class Evidence:
             entry = entries[slot]
             if entry is UNSAID:
                 continue
-            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), table):
+            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), len(table)):
                 entries[slot] = UNSAID
         for word in proofs.words:
             self._hear_word(word, table)
@@ -110,12 +110,12 @@ class Evidence:
             offer=self._hear_offer(message, proofs, most_claims(len(table))),
         )
 
-    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, table: BidTable) -> bool:
+    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, places: int) -> bool:
         version, _, owner = entry
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
             certificate = self._held[slot, entry]
-        elif not (plausible(entry, certificate.number, len(table)) and self._holds(slot, entry, certificate)):
+        elif not (plausible(entry, certificate.number, places) and self._holds(slot, entry, certificate)):
             self.refused["uncertified"] += 1
             return False
         if owner < 0:
