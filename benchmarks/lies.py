@@ -18,7 +18,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,7 @@ from llm_flock.experiments.statistics import wilson
 from llm_flock.mission import Mission
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.network.observer import Observer
+from llm_flock.trust.keys import make_keys
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -105,7 +108,8 @@ def in_place(team: object) -> bool:
     return all(goal is not None and math.dist(goal, x) <= near for goal, x in zip(goals, team.positions, strict=False))
 
 
-N_SWARM = 6
+SWARM = {1: 6, 2: 7}
+"""Robots for so many liars, which the team reckons with."""
 PATIENCE_S = 30.0
 OF_THE_WIRE = ("beacons elsewhere", "beacons that are no numbers", "reports of its own", "a flood")
 
@@ -119,12 +123,14 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path) -> Outcome:
     from llm_flock.runtime.network.swarm import launched
     from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
 
-    members = range(N_SWARM - liars, N_SWARM)
+    n = SWARM[liars]
+    members = range(n - liars, n)
     rng = random.Random(seed)
-    honest = Mission(shape="circle", n_robots=N_SWARM - liars)
+    honest = Mission(shape="circle", n_robots=n - liars)
     starts = start_positions(honest, None, "connected", np.random.default_rng(seed)).tolist()
     corners = [[4.0 + 5.0 * k, 4.0] for k in range(liars)]
-    config = swarm_config(N_SWARM, seed=seed, keys=str(keys), gather_s=1.0, start_positions=[*starts, *corners])
+    options = {"keys": str(keys), "liars": liars, "gather_s": 1.0, "start_positions": [*starts, *corners]}
+    config = swarm_config(n, seed=seed, **options)
     async with launched(config, absent=frozenset(members)) as swarm:
         found = {j: load_keys(swarm.config, j) for j in members}
         gang = Gang({j: key for j, key in found.items() if key is not None}, config.mission, seed)
@@ -197,20 +203,24 @@ def reported_in_place(observer: Observer, honest: Sequence[int], places: Mapping
     return all(goal is not None and math.dist(goal, places[j]) <= near for j, goal in zip(honest, goals, strict=True))
 
 
-def swarm(arguments: Sequence[str] = ()) -> None:
-    """Every lie against processes, one liar and two."""
-    from lies import EVERYTHING, LIES
-
-    from llm_flock.trust.keys import make_keys
-
-    runs = _options(arguments).runs
+def one_swarm(lie: str, liars: int, seed: int) -> Outcome:
+    """One swarm with keys of its own."""
     with tempfile.TemporaryDirectory() as folder:
         keys = Path(folder) / "team"
-        make_keys(keys, N_SWARM)
-        for liars in (1, 2):
+        make_keys(keys, SWARM[liars])
+        return asyncio.run(fly_swarm(lie, liars, seed, keys))
+
+
+def swarm(arguments: Sequence[str] = ()) -> None:
+    """Every lie against processes, one liar and two; several swarms at a time, if asked for."""
+    from lies import EVERYTHING, LIES
+
+    options = _options(arguments)
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for liars in SWARM if options.liars is None else [options.liars]:
             for lie in (*OF_THE_WIRE, *LIES, EVERYTHING):
-                outcomes = [asyncio.run(fly_swarm(lie, liars, seed, keys)) for seed in range(runs)]
-                print(line(lie, N_SWARM, liars, outcomes), flush=True)
+                outcomes = list(pool.map(partial(one_swarm, lie, liars), range(options.runs)))
+                print(line(lie, SWARM[liars], liars, outcomes), flush=True)
 
 
 def line(name: str, n: int, liars: int, outcomes: Sequence[Outcome]) -> str:
@@ -264,6 +274,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks lies")
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--robots", type=int, help="only teams of this size, for the curve")
-    parser.add_argument("--liars", type=int, help="only this many liars, for the curve")
+    parser.add_argument("--liars", type=int, help="only this many liars, for curve and swarm")
+    parser.add_argument("--jobs", type=int, default=1, help="swarms of processes at a time [1]")
     parser.add_argument("--told", type=int, help="number of liars that the team reckons with, for the curve [as many]")
     return parser.parse_args(arguments)
