@@ -1,4 +1,7 @@
-"""A member with its own keys, a process's worth of lies: it holds one place at most, and the honest form without it."""
+"""A member with its own keys, a process's worth of lies: it holds one place at most, and the honest form without it.
+
+What it signed shows to anybody who has the record and the public keys that it lied.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,10 @@ import time
 from pathlib import Path
 
 from swarms import formed, swarm_config
+from typer.testing import CliRunner
 
 from llm_flock.arrays import Point
+from llm_flock.cli import app
 from llm_flock.errors import MessageError
 from llm_flock.members import WORLD
 from llm_flock.protocol.messages.codec import decode, encode
@@ -139,7 +144,7 @@ async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
 
 def test_a_member_that_lies_holds_one_place_and_hurts_nobody(tmp_path: Path) -> None:
     make_keys(tmp_path / "team", N)
-    config = swarm_config(N, seed=3, keys=str(tmp_path / "team"), gather_s=1.0)
+    config = swarm_config(N, seed=3, keys=str(tmp_path / "team"), gather_s=1.0, out=str(tmp_path / "run"))
     stopped, result, liar = asyncio.run(fly(config))
     assert stopped == "formed"
     # What it claimed before its last claim counts no more, and is freed as soon as two honest robots say so.
@@ -147,3 +152,12 @@ def test_a_member_that_lies_holds_one_place_and_hurts_nobody(tmp_path: Path) -> 
     refused = result.messages_rejected
     assert {"uncertified", "unverified_plan", "impostor"} <= refused.keys(), refused
     assert result.min_separation is not None and result.min_separation >= config.mission.safe_distance - 1e-6
+    assert list(result.shown_to_lie) == [LIAR]
+    # A third party has the record and the public keys, and nothing else.
+    third = tmp_path / "third"
+    third.mkdir()
+    (third / "team.json").write_bytes((tmp_path / "team" / "team.json").read_bytes())
+    shown = CliRunner().invoke(app, ["inspect", str(tmp_path / "run"), "--keys", str(third)])
+    assert shown.exit_code == 0
+    lines = [line for line in shown.stdout.splitlines() if "accuses" in line]
+    assert len(lines) == 1 and f"robot {LIAR} of lying" in lines[0] and f"proven, robot {LIAR} signed it" in lines[0]

@@ -26,6 +26,7 @@ from sample_records import make_record
 from signed_team import Liar, SignedTeam
 from toy_keys import ToyKeys
 
+from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import show_conversation, show_overview
 from llm_flock.errors import AnswerError, FlockError, InputError, MessageError, RecordError
 from llm_flock.formations import load_points
@@ -46,6 +47,8 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
+from llm_flock.protocol.signed.guilt import guilt
+from llm_flock.protocol.verification.validator import Validator
 from llm_flock.record.reader import iter_messages, read_record
 from llm_flock.record.writer import NullWriter
 from llm_flock.runtime.flight.config import FlightConfig
@@ -68,6 +71,7 @@ from llm_flock.viewer import data, events
 from llm_flock.viewer.library import Library, load
 
 CASES = 25
+VALIDATOR = Validator(verify=True, shield_on=True)
 
 seeds = st.integers(0, 2**63)
 
@@ -129,7 +133,10 @@ def test_no_signed_message_ends_an_agent(seed: int) -> None:
     for _ in range(3):
         heard = [e.payload for a in honest.agents for e in a.handle(CommRoundBegan()) if isinstance(e, Broadcast)]
         heard.append(liar.says(slot=rng.randrange(4)))
-        tried(lambda heard=heard: honest.comm_round([mangled(rng.choice(heard), rng, 1) for _ in range(6)]))
+        hostile = [mangled(rng.choice(heard), rng, 1) for _ in range(6)]
+        tried(lambda hostile=hostile: honest.comm_round(hostile))
+        for payload in hostile:
+            tried(lambda payload=payload: guilt(payload, 3, honest.mission, VALIDATOR, ToyKeys(0)))
     honest.end()
 
 
@@ -242,6 +249,7 @@ def rewritten(source: Path, target: Path, rng: random.Random) -> None:
 def inspected(path: Path) -> None:
     found = read_record(path)
     show_overview(found)
+    show_accusations(found, None)
     for robot in range(3):
         try:
             show_conversation(found, robot, None)

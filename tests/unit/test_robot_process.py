@@ -29,6 +29,7 @@ class FakeLink:
 
     def __init__(self) -> None:
         self.traffic = LinkTraffic()
+        self.at_hand = b""
         self.handlers: dict[str, Callable[[int, bytes], None]] = {}
         self.sent: list[tuple[str, bytes]] = []
 

@@ -12,13 +12,14 @@ import pytest
 from sample_records import llm_entry, make_record
 
 from llm_flock.cli import terminal
+from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import live_line, show_conversation, show_overview
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.printable import CleanFormatter, printable
 from llm_flock.record.reader import RunRecord, read_record
-from llm_flock.record.schema import ChatLine
+from llm_flock.record.schema import ChatLine, ProtocolEvent
 from llm_flock.runtime.trial import TrialProgress
 
 AWKWARD = ["text:{x}", "text:[/]foo", "text:{task.fields[label]} [bold", "text:a\\"]
@@ -93,8 +94,12 @@ def test_nothing_in_a_record_drives_the_terminal(
         }
     )
     mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": HOSTILE}})
-    hostile = replace(record, llm=(call,), missions=(mission,), result={"plan_robot": 1, "plan_by": HOSTILE})
+    detail = {"robot": 1, "reason": HOSTILE, "proof": HOSTILE}
+    event = ProtocolEvent(round=0, comm_round=None, robot=0, kind="accused", detail=detail)
+    result = {"plan_robot": 1, "plan_by": HOSTILE}
+    hostile = replace(record, llm=(call,), missions=(mission,), events=(event,), result=result)
     show_overview(hostile)
+    show_accusations(hostile, None)
     show_conversation(hostile, 0, None)
     out = capsys.readouterr().out
     assert shown(out) and "here" in out and "\\x1b[2J" in out

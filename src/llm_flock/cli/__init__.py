@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.comparison import compare
 from llm_flock.cli.display import live_line, no_success, show_conversation, show_overview, summary_table
 from llm_flock.cli.distill import distill
@@ -143,6 +144,10 @@ def inspect(
     record: RecordPath,
     robot: Annotated[int | None, typer.Option(min=0, help="Show only this robot's conversation")] = None,
     round_number: Annotated[int | None, typer.Option("--round", min=0, help="Show only this round")] = None,
+    team: Annotated[
+        Path | None,
+        typer.Option("--keys", metavar="DIR", help="Check accusations of lying with a team's public keys (team.json)"),
+    ] = None,
 ) -> None:
     """Show a record: its summary, or the conversation of a robot with its model."""
     from llm_flock.record.reader import read_record
@@ -150,6 +155,7 @@ def inspect(
     found = read_record(_record_file(record))
     if robot is None and round_number is None:
         show_overview(found)
+        show_accusations(found, team)
     else:
         show_conversation(found, robot, round_number)
 

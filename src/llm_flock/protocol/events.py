@@ -197,6 +197,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "deadlock": frozenset({"goal_distance", "rounds"}),
     "held": frozenset({"cause", "reason"}),
     "dropped_notes": frozenset({"count"}),
+    "accused": frozenset({"robot", "reason", "proof"}),
     "killed": frozenset(),
     "joined": frozenset(),
     "injected": frozenset({"model", "loss"}),

@@ -89,8 +89,8 @@ def _config(config: dict[str, Any]) -> dict[str, Any]:
 
 
 _DETAILS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("plan", "question", "by", "state", "shape", "about", "cause", "model"), (str,)),
-    **dict.fromkeys(("from", "slot", "before", "wait", "refusals"), (int,)),
+    **dict.fromkeys(("plan", "question", "by", "state", "shape", "about", "cause", "model", "proof"), (str,)),
+    **dict.fromkeys(("from", "slot", "before", "wait", "refusals", "robot"), (int,)),
     **dict.fromkeys(("proposed", "flown", "vacant", "slots", "missing"), (list, tuple)),
 }
 """Types of details of events, by name, on which readers rely; all may be null."""

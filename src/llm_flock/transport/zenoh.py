@@ -157,7 +157,8 @@ class ZenohLink:
 
     A payload is dropped, not delayed, where a receiver does not keep up, or where its topic brings more than `rates`
     allow: messages a second under one topic, by kind. That is counted as `too_many`, before a signature is checked.
-    Handlers run in `loop`. The session is closed by `close`.
+    Handlers run in `loop`; while one runs, `at_hand` is the message as it came, sealed. The session is closed by
+    `close`.
     """
 
     def __init__(
@@ -171,6 +172,7 @@ class ZenohLink:
         rates: Mapping[str, float],
     ) -> None:
         self.traffic = LinkTraffic()
+        self.at_hand = b""
         self._session: Any = session
         self._root = f"{ROOT}/{swarm}"
         self._own = own
@@ -220,6 +222,7 @@ class ZenohLink:
                 self.traffic.refused[error.reason] += 1
                 return
             if sender != self._own:
+                self.at_hand = sealed
                 handler(sender, payload)
 
         def take(sample: zenoh.Sample) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, Protocol
 import msgspec
 
 from llm_flock.errors import MessageError
-from llm_flock.protocol.signed.certificates import Authenticator
+from llm_flock.protocol.signed.certificates import Authenticator, Verifier
 
 ENVELOPE_VERSION = 1
 SIGNATURE_BYTES = 64
@@ -105,13 +105,7 @@ class Envelope:
         """
         if len(sealed) > self._max_payload + OVERHEAD:
             raise MessageError("oversized", f"{len(sealed)} bytes")
-        if sealed[:1] != bytes([ENVELOPE_VERSION]):
-            raise MessageError("version", f"this program opens envelopes of version {ENVELOPE_VERSION}")
-        body, signature = sealed[:-SIGNATURE_BYTES], sealed[-SIGNATURE_BYTES:]
-        try:
-            letter = _DECODER.decode(memoryview(body)[1:])
-        except msgspec.DecodeError as error:
-            raise MessageError("malformed", str(error)) from None
+        letter = _letter(sealed)
         if letter.sender == self._keys.member:
             raise MessageError("own_id", "an envelope from outside in one's own name")
         # Cheap checks come before the signature, but nothing is remembered before it.
@@ -119,11 +113,36 @@ class Envelope:
         objection = heard.objection(letter)
         if objection is not None:
             raise MessageError(objection, f"number {letter.sequence} of session {letter.session}")
-        if not self._keys.check(letter.sender, _statement(topic, body), signature):
-            raise MessageError("bad_signature", f"not signed by {letter.sender}")
+        _check_signature(letter, sealed, topic, self._keys)
         heard.take(letter)
         self._heard[letter.sender] = heard
         return letter.sender, letter.payload
+
+
+def signed_payload(sealed: bytes, topic: str, verifier: Verifier) -> tuple[int, bytes]:
+    """The sender of an envelope, and its payload, new or not: for whoever judges messages afterwards.
+
+    Raises:
+        MessageError: with reason `version`, `malformed` or `bad_signature`.
+    """
+    letter = _letter(sealed)
+    _check_signature(letter, sealed, topic, verifier)
+    return letter.sender, letter.payload
+
+
+def _letter(sealed: bytes) -> _Letter:
+    if sealed[:1] != bytes([ENVELOPE_VERSION]):
+        raise MessageError("version", f"this program opens envelopes of version {ENVELOPE_VERSION}")
+    try:
+        return _DECODER.decode(memoryview(sealed)[1:-SIGNATURE_BYTES])
+    except msgspec.DecodeError as error:
+        raise MessageError("malformed", str(error)) from None
+
+
+def _check_signature(letter: _Letter, sealed: bytes, topic: str, verifier: Verifier) -> None:
+    body, signature = sealed[:-SIGNATURE_BYTES], sealed[-SIGNATURE_BYTES:]
+    if not verifier.check(letter.sender, _statement(topic, body), signature):
+        raise MessageError("bad_signature", f"not signed by {letter.sender}")
 
 
 def _statement(topic: str, body: bytes) -> bytes:

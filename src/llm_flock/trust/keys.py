@@ -36,17 +36,11 @@ PUBLIC = 0o644
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Keyring:
-    """The keys of one member: its secret key, and the public keys of all by their ids."""
+class PublicKeys:
+    """The public keys of all members of a team by their ids: enough to check what they have signed."""
 
     swarm: bytes  # name of the team, drawn when its keys were made; part of every signature
-    member: int
     public: Mapping[int, Ed25519PublicKey]
-    _secret: Ed25519PrivateKey = field(repr=False)
-
-    def sign(self, statement: bytes) -> bytes:
-        """The own signature on a statement of this team."""
-        return self._secret.sign(self.swarm + statement)
 
     def check(self, member: int, statement: bytes, signature: bytes) -> bool:
         """Whether a member signed this statement."""
@@ -63,6 +57,18 @@ class Keyring:
     def robots(self) -> int:
         """Number of robots that the team has keys for."""
         return sum(member >= 0 for member in self.public)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Keyring(PublicKeys):
+    """The keys of one member: its secret key, and the public keys of all."""
+
+    member: int
+    _secret: Ed25519PrivateKey = field(repr=False)
+
+    def sign(self, statement: bytes) -> bytes:
+        """The own signature on a statement of this team."""
+        return self._secret.sign(self.swarm + statement)
 
 
 def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
@@ -97,11 +103,11 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
     _write(folder / "team.json", json.dumps(team, indent=1).encode(), PUBLIC)
 
 
-def load_keyring(folder: Path, member: int) -> Keyring:
-    """The keys that a member needs in flight.
+def load_public_keys(folder: Path) -> PublicKeys:
+    """The public keys of a team; only `team.json` has to be there.
 
     Raises:
-        InputError: a file is missing, damaged, does not fit the others, or is secret but readable by other users.
+        InputError: the file is missing or damaged.
     """
     path = folder / "team.json"
     try:
@@ -112,8 +118,21 @@ def load_keyring(folder: Path, member: int) -> Keyring:
         known = team["version"] == 1 and len(swarm) == 16
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError("keys", str(path), f"the public keys that `llm-flock keys` writes ({error!r})") from None
-    if not known or member not in public:
-        raise InputError("keys", str(path), f"keys of version 1 with one for {member_name(member)}")
+    if not known:
+        raise InputError("keys", str(path), "keys of version 1")
+    return PublicKeys(swarm=swarm, public=public)
+
+
+def load_keyring(folder: Path, member: int) -> Keyring:
+    """The keys that a member needs in flight.
+
+    Raises:
+        InputError: a file is missing, damaged, does not fit the others, or is secret but readable by other users.
+    """
+    team = load_public_keys(folder)
+    swarm, public = team.swarm, team.public
+    if member not in public:
+        raise InputError("keys", str(folder / "team.json"), f"keys with one for {member_name(member)}")
     path = folder / member_name(member) / "sign.key"
     try:
         _check_private(path)

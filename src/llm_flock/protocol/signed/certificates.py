@@ -58,15 +58,19 @@ def most_claims(places: int) -> int:
     return 4 * places + 64
 
 
-class Authenticator(Protocol):
+class Verifier(Protocol):
+    """Checks signatures."""
+
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
+        """Whether a member signed this statement."""
+        ...
+
+
+class Authenticator(Verifier, Protocol):
     """Signs as its robot, and checks the signatures of others."""
 
     def sign(self, statement: bytes) -> bytes:
         """The own signature on a statement."""
-        ...
-
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
         ...
 
 

@@ -24,6 +24,7 @@ from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event
 from llm_flock.protocol.messages.channel import Authorization
 from llm_flock.protocol.messages.message import NO_OWNER
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, StepAnswer
+from llm_flock.runtime.network.accusations import Accuser
 from llm_flock.runtime.network.body_control import STILL, BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import FAULT, refusing
@@ -55,7 +56,10 @@ STUCK_S = 0.3
 
 
 class AgentLoop:
-    """Drives one agent: `planner` answers its questions, `radio` hears and sees, `broadcast` sends its messages."""
+    """Drives one agent: `planner` answers its questions, `radio` hears and sees, `broadcast` sends its messages.
+
+    In a team with keys, `accuser` shows observers what no honest robot sends.
+    """
 
     def __init__(
         self,
@@ -65,6 +69,7 @@ class AgentLoop:
         radio: Radio,
         body: BodyControl,
         broadcast: Callable[[bytes], None],
+        accuser: Accuser | None = None,
     ) -> None:
         self.agent = agent
         self.round = 0
@@ -74,7 +79,7 @@ class AgentLoop:
         self.refused = Counter[str]()
         self._dropped_notes = self._faults = self._reports = 0
         self._config, self._planner, self._radio, self._body = config, planner, radio, body
-        self._broadcast = broadcast
+        self._broadcast, self._accuser = broadcast, accuser
         self._known = {config.mission.digest}
         self._comm_rounds = 0
         self._settled_at = 0
@@ -158,6 +163,10 @@ class AgentLoop:
         if not self.agent.position:
             return
         self.handle(events.CommRoundEnded())
+        if self._accuser is not None:
+            accusation = self._accuser.accuse(self.agent.rejected.total(), self.agent.mission)
+            if accusation is not None:
+                self._note(accusation.kind, dict(accusation.detail))
         if self._comm_rounds % (self._config.protocol.comm_rounds or 1) == 0:
             self.period += 1
             self.handle(events.HeartbeatDue(self.period))

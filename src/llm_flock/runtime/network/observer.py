@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -26,6 +27,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import finite, mission_info
+from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
@@ -36,6 +38,9 @@ WITNESSES = 2
 SILENT_S = 1.0
 """A robot that reports is there; it is gone once it has left the network and has been silent for this long [s]."""
 
+MOST_UNPROVEN = 8
+"""Accusations of one robot that prove nothing, after which no more of them are judged: each takes time."""
+
 MOST_PLANS = 4096
 """Most plans whose places are kept: far more than an honest team makes."""
 
@@ -44,7 +49,8 @@ class Observer:
     """Follows one swarm. Give it what arrives, and call `check` again and again.
 
     It writes the record to `sink`, and calls `on_row` with every row of it. `signed` tells whether the operator signed
-    a mission; None in a team without keys, where every process is trusted. `clock` is the wall clock [s].
+    a mission, and `judge` whether an accusation is proven; None in a team without keys, where every process is trusted
+    and nothing can be proven. `clock` is the wall clock [s].
     """
 
     def __init__(
@@ -54,6 +60,7 @@ class Observer:
         on_row: Callable[[TrialProgress], None] | None = None,
         *,
         signed: Callable[[MissionStamp, bytes], bool] | None = None,
+        judge: Judge | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self.min_separation = math.inf
@@ -65,12 +72,14 @@ class Observer:
         self.reports: dict[int, RobotReport] = {}
         self.heard_s: dict[int, float] = {}
         self.breakers_opened: set[int] = set()
+        self.shown_to_lie: dict[int, str] = {}
+        self._unproven = Counter[int]()
         self._suppliers: dict[tuple[str, int], str] = {}
         self._models = parse_models(config.model.model, config.mission.n_robots)
         self._config = config
         self._sink = sink
         self._on_row = on_row
-        self._signed = signed
+        self._signed, self._judge = signed, judge
         self._clock = clock
         self._left: set[int] = set()
         self._world: WorldState | None = None
@@ -168,6 +177,7 @@ class Observer:
             events = [
                 ProtocolEvent(round=0, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
                 for event in report.happened
+                if event.kind != "accused" or self._is_news(robot, event.detail)
             ]
             calls = [LlmEntry.model_validate({**call, "round": 0}) for call in report.calls]
         except ValidationError as error:
@@ -175,6 +185,19 @@ class Observer:
         if any(call.robot != robot for call in calls):
             raise MessageError("impostor", f"robot {robot} reports a call of another robot's model")
         return events, calls
+
+    def _is_news(self, accuser: int, accusation: Mapping[str, Any]) -> bool:
+        """Whether a robot is shown to lie for the first time; accusations that prove nothing are dropped."""
+        if self._judge is None or self._unproven[accuser] >= MOST_UNPROVEN:
+            return False
+        if accusation.get("robot") in range(self.mission.n_robots) and accusation["robot"] in self.shown_to_lie:
+            return False
+        found = self._judge.confirms(accusation, [self.mission])
+        if found is None or not 0 <= found[0] < self.mission.n_robots:
+            self._unproven[accuser] += 1
+            return False
+        self.shown_to_lie[found[0]] = found[1]
+        return True
 
     def _take_places(self, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""

@@ -11,10 +11,11 @@ from typing import Any, cast
 from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.runtime.entries import llm_entry
+from llm_flock.runtime.network.accusations import Accuser
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import REPORT_S, load_keys, open_link, receive, refusing
+from llm_flock.runtime.network.connection import REPORT_S, judge_of, load_keys, open_link, receive, refusing
 from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stopped
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock.runtime.planners import TeamPlanners
@@ -65,7 +66,11 @@ class RobotProcess:
         keys = load_keys(config, robot)
         rules = config.protocol.rules()
         agent = make_agent(config, rules, robot, own_clock=True, authenticator=keys, liars=network.liars)
-        self.agent_loop = AgentLoop(config, agent, self.planners[robot], self.radio, self.body, self._broadcast)
+        judge = judge_of(config, keys)
+        self._accuser = None if judge is None else Accuser(judge)
+        self.agent_loop = AgentLoop(
+            config, agent, self.planners[robot], self.radio, self.body, self._broadcast, self._accuser
+        )
         receive(link, "frame", WorldState, self._on_state, sender=WORLD)
         receive(link, "beacon", Beacon, self._hear)
         receive(link, "say", BeaconedMessage, lambda sender, said: self._hear(sender, said.beacon, said.message))
@@ -94,13 +99,15 @@ class RobotProcess:
         if len(self._latencies_s) < MOST_LATENCIES:
             self._latencies_s.append(min(max(0.0, now - beacon.stamp), LONGEST_LATENCY_S))
         # A stamp in the future would make the beacon look younger than it is.
-        seen = Seen(stamp=min(beacon.stamp, now), position=beacon.position)
+        seen, sealed = Seen(stamp=min(beacon.stamp, now), position=beacon.position), self._link.at_hand
         self.radio.place(sender, seen)
 
         def hand_over() -> None:
             with refusing(self._link.traffic.refused):
                 self.radio.beacon(sender, seen)
                 if message is not None:
+                    if self._accuser is not None:
+                        self._accuser.hear(sender, sealed)
                     self.agent_loop.receive(message, sender)
 
         self.radio.deliver(sender, hand_over, self._loop.call_later)

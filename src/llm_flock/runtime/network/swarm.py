@@ -64,6 +64,7 @@ class SwarmResult:
     plan_by: str | None  # who made that plan: a model, by its name, or `geometry`
     breakers_opened: tuple[int, ...]  # robots whose circuit breaker was open at any time
     messages_rejected: dict[str, int]  # by reason
+    shown_to_lie: dict[int, str]  # robots whose own signatures prove that they lie, and the reason
     ended: dict[str, int]  # processes that ended before the swarm did, and their exit codes; -9 for SIGKILL, and so on
     record: str | None  # its path; None without one
 
@@ -210,6 +211,7 @@ class Swarm:
             plan_by=None if supplier is None else supplier[1],
             breakers_opened=tuple(sorted(observer.breakers_opened)),
             messages_rejected=dict(observer.rejected),
+            shown_to_lie=dict(observer.shown_to_lie),
             ended=dict(self.ended),
             record=None if self.config.record is None else str(self.config.record),
         )

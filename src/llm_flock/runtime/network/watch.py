@@ -15,7 +15,14 @@ from llm_flock.record.schema import SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import mission_order, open_link, receive, signed_by_operator
+from llm_flock.runtime.network.connection import (
+    judge_of,
+    load_keys,
+    mission_order,
+    open_link,
+    receive,
+    signed_by_operator,
+)
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import RobotReport, WorldState, pack
@@ -43,7 +50,8 @@ def observing(
     config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; call in a running event loop."""
-    observer = Observer(config, sink, on_row, signed=signed_by_operator(config, WATCHER))
+    signed, judge = signed_by_operator(config, WATCHER), judge_of(config, load_keys(config, WATCHER))
+    observer = Observer(config, sink, on_row, signed=signed, judge=judge)
     with closing(open_link(config, WATCHER, FREE_PORT)) as link:
         receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
         receive(link, "report", RobotReport, observer.report)

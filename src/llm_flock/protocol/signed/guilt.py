@@ -1,0 +1,99 @@
+"""What a message proves about its sender, to anybody who has the public keys of the team.
+
+What an honest robot sends has passed its own checks, and carries every signature that they need. So a message that
+these checks refuse, whatever else the receiver knows, was not sent by an honest robot. Which checks those are is stated
+here; a sender that only changes its mind, or is wrong about what it sees, passes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+
+from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
+from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
+from llm_flock.protocol.messages.channel import Inbound
+from llm_flock.protocol.messages.message import UNSAID, Message
+from llm_flock.protocol.signed.certificates import (
+    LIARS,
+    Context,
+    Proofs,
+    Verifier,
+    beat_statement,
+    word_statement,
+)
+from llm_flock.protocol.signed.channel import SignedChannel
+from llm_flock.protocol.signed.evidence import Evidence
+from llm_flock.protocol.verification.validator import Validator
+
+OUTSIDER = -1
+"""Id of somebody who judges and is no robot."""
+
+
+@dataclass(frozen=True)
+class _Outsider:
+    """Somebody without keys of its own."""
+
+    verifier: Verifier
+
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
+        """Whether a member signed this statement."""
+        return self.verifier.check(member, statement, signature)
+
+    def sign(self, statement: bytes) -> bytes:
+        """Nothing is ever signed by who only judges."""
+        raise AssertionError(statement)
+
+
+def guilt(
+    payload: bytes,
+    sender: int,
+    mission: Mission,
+    validator: Validator,
+    verifier: Verifier,
+    liars: int = LIARS,
+) -> str | None:
+    """Why no honest robot sends this message, as a reason for refusals (docs/reference/wire.md); None if one could.
+
+    Call with a payload that `sender` has signed as a whole, and with any mission of the team: plans for another mission
+    are not checked. A message of another version proves nothing.
+    """
+    authenticator = _Outsider(verifier)
+    evidence = Evidence(OUTSIDER, authenticator, liars)
+    liveness = Liveness(0, mission.n_robots, TIME_OUT)
+    channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, liveness)
+    try:
+        inbound = channel.open(payload, sender)
+        _check_order(channel, inbound)
+    except MessageError as error:
+        return None if error.reason == "version" else error.reason
+    message, proofs = inbound.message, inbound.message.proofs
+    assert isinstance(proofs, Proofs), "a signed channel leaves them there"
+    if message.mission.digest == mission.digest and validator.objection(mission, message.plan) is not None:
+        return "unverified_plan"
+    return _forged(message, proofs, evidence)
+
+
+def _check_order(channel: SignedChannel, inbound: Inbound) -> None:
+    """Check that the operator gave a mission that is spelled out; the first one has no order."""
+    if inbound.message.mission_text is not None and inbound.message.mission.counter > 0:
+        channel.check_mission(inbound.message.mission, inbound.authorization)
+
+
+def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
+    """Whether the message states something in the name of a robot that has not signed it."""
+    for robot, (count, signature) in enumerate(zip(message.beats or (), proofs.beats or (), strict=False)):
+        if signature and not evidence.signed_by(robot, beat_statement(robot, count), signature):
+            return "uncertified"
+    if message.plan_digest is None:
+        return None
+    about = Context(message.mission, message.plan_digest)
+    evidence.turn_to(about)
+    evidence.admit(message, msgspec.structs.replace(proofs, words=()), (UNSAID,) * message.places)
+    words = all(
+        evidence.signed_by(word.witness, word_statement(about, word.slot, word.version, word.owner), word.signature)
+        for word in proofs.words
+    )
+    return None if words and not evidence.refused else "uncertified"

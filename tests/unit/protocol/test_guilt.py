@@ -1,0 +1,99 @@
+"""What a message proves about its sender: nothing about the honest, and who sent it about most lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from lies import LIES, Gang
+from signed_team import SignedTeam, line_up
+from toy_keys import ToyKeys
+
+from llm_flock.mission import Mission
+from llm_flock.protocol.events import MissionGiven
+from llm_flock.protocol.messages.channel import Authorization
+from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.signed.certificates import OPERATOR, WIRE_SIGNED, mission_statement
+from llm_flock.protocol.signed.guilt import guilt
+from llm_flock.protocol.verification.validator import Validator
+
+N = 5
+MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
+LATER = MISSION.change(spacing=6.0)
+ORDERED_AT = 10**12
+VALIDATOR = Validator(verify=True, shield_on=True)
+
+SHOWN = {
+    "claims every place": {None, "uncertified"},  # so many claims are allowed, and no more
+    "claims at huge versions": {"uncertified"},
+    "claims in the name of others": {"uncertified"},
+    "frees every place and takes one": {None},  # says what it sees
+    "frees every place all the time": {None},
+    "blocks every place": {None},
+    "exchanges what others own": {"uncertified"},
+    "offers one place to all": {None, "uncertified"},
+    "plans of its own": {None, "unverified_plan"},  # faultless, but for the mission before
+    "a plan in one place": {"unverified_plan"},
+    "another mission": {"no_order"},
+    "heartbeats of others": {"uncertified"},
+    "speaks for others": {"impostor"},
+    "noise": {None, "malformed", "impostor", "forged_origin", "uncertified"},
+    "far too large": {"oversized"},
+    "equivocates": {None, "uncertified"},
+    "silence": set[str | None](),
+}
+
+
+@dataclass(frozen=True)
+class Public:
+    """The keys of a team, for somebody who is no member."""
+
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
+        return ToyKeys(0).check(member, statement, signature)
+
+
+def found(payload: bytes, sender: int, mission: Mission = MISSION) -> str | None:
+    return guilt(payload, sender, mission, VALIDATOR, Public())
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_lies_are_shown_and_nothing_is_shown_about_the_honest(lie: str) -> None:
+    """Messages are lost, and the mission changes in flight."""
+    team = SignedTeam(MISSION, line_up(N), loss=0.2)
+    gang = Gang({N - 1: ToyKeys(N - 1)}, MISSION)
+    reasons: set[str | None] = set()
+    said: list[bytes] = []
+    for number in range(14):
+        team.begin()
+        if number == 7:
+            stamp = MissionStamp(ORDERED_AT, LATER.digest)
+            signed = Authorization(counter=ORDERED_AT, signature=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
+            team.agents[0].handle(MissionGiven(mission=LATER, ordered_at=ORDERED_AT, authorization=signed))
+        for _ in range(5):
+            for payload in said:
+                gang.hear(payload)
+            lies = gang.says(lie)
+            reasons |= {found(payload, sender) or found(payload, sender, LATER) for sender, payload, _ in lies}
+            said = team.comm_round(said_by=lies)
+            for sender, payload in enumerate(said):
+                assert found(payload, sender) is None
+                assert found(payload, sender, LATER) is None
+        team.end()
+    assert team.agents[-1].mission == LATER
+    assert reasons <= SHOWN[lie] and (reasons != {None} or SHOWN[lie] == {None}), reasons
+
+
+def test_another_version_proves_nothing() -> None:
+    assert found(bytes([WIRE_SIGNED + 1]) + b"anything", 0) is None
+
+
+def test_a_word_in_the_name_of_another_is_shown() -> None:
+    team = SignedTeam(MISSION, line_up(N))
+    gang = Gang({N - 1: ToyKeys(N - 1)}, MISSION)
+    team.begin()
+    for payload in team.comm_round():
+        gang.hear(payload)
+    word = gang.word(N - 1, 0, -1)
+    forged = type(word)(0, word.slot, word.version, word.owner, word.signature)
+    assert found(gang.message(N - 1, words=(word,))[1], N - 1) is None
+    assert found(gang.message(N - 1, words=(forged,))[1], N - 1) == "uncertified"
