@@ -12,8 +12,8 @@
             (only when named)
 `links`     ten stand-ins for Crazyflies connected and told to move, through cflib (only when named)
 `physics`   flights of drones with real dynamics, and how fast that is; see benchmarks/physics.py (only when named)
-`swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`: see
-            benchmarks/swarm.py (only when named)
+`swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`,
+            `swarm-flood`: see benchmarks/swarm.py (only when named)
 `local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
@@ -174,7 +174,7 @@ LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
 LONG |= {"containment-http": containment.over_http}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
 LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.table}
-LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty}
+LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty, "swarm-flood": swarm.flood}
 
 if __name__ == "__main__":
     commands = {

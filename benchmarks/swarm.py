@@ -6,25 +6,37 @@ long as its slowest model, and the flight of one step after that; the time of ei
 With `KEYS=1` the processes sign what they say, and talk over TLS. A robot's processor time is that of its mission: its
 start is left out.
 `python -m benchmarks swarm-faults` does it with every fault, five runs each; `swarm-thirty` starts thirty processes.
+`python -m benchmarks swarm-flood` has one of six members flood the others for `FLOOD_S` seconds.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
+import multiprocessing
 import os
 import signal
 import statistics
 import tempfile
 import time
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import llm_flock
+from llm_flock.protocol.messages.codec import encode
+from llm_flock.protocol.messages.message import Message, MissionStamp
+from llm_flock.protocol.signed.certificates import Proofs, wrap
+from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
+from llm_flock.runtime.network.connection import open_link
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
+from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack
 from llm_flock.trust.keys import make_keys
 
 RUNS, FAULT_RUNS, THIRTY_RUNS = (int(os.environ.get("RUNS", default)) for default in ("20", "5", "3"))
@@ -220,6 +232,64 @@ def faults() -> None:
             print(f"  seed {seed}: {flight.result.mission_s} s; {_line(flight)}", flush=True)
         assert all(flight.result.n_robots == robots for flight in flights)
         _summary(name, flights)
+
+
+FLOOD_S = float(os.environ.get("FLOOD_S", "90"))
+FLOODS = {"a quiet member": 0.0, "1,000 messages/s": 1000.0, "as many as it can": math.inf}
+
+
+def flood() -> None:
+    """Five robots with keys, and a member that floods them with faultless messages, of its own and signed, or not."""
+    with tempfile.TemporaryDirectory() as folder:
+        keys = Path(folder) / "team"
+        make_keys(keys, 6)
+        rng = np.random.default_rng(1)
+        starts = start_positions(llm_flock.Mission(shape="circle", n_robots=5), None, "connected", rng).tolist()
+        for name, rate in FLOODS.items():
+            sent: list[int] = []
+
+            async def meanwhile(swarm: Swarm, rate: float = rate, sent: list[int] = sent) -> None:
+                with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+                    loop = asyncio.get_running_loop()
+                    sent.append(await loop.run_in_executor(pool, _flood, swarm.config, rate, FLOOD_S))
+
+            config = config_of(
+                6, 1, keys=str(keys), gather_s=1.0, max_s=FLOOD_S + 60.0, start_positions=[*starts, CORNER]
+            )
+            flight = fly(config, meanwhile, absent=1)
+            result = flight.result
+            late = f"latency p50 {1000 * (result.latency_p50_s or 0):.1f} ms"
+            print(
+                f"{name}: {sent[0] / FLOOD_S:.0f} messages/s, formed after {result.mission_s:.1f} s, {late}, "
+                f"{_line(flight)}, {result.messages_rejected.get('too_many', 0)} too many, ended {result.ended}",
+                flush=True,
+            )
+
+
+CORNER = [4.0, 4.0]
+
+
+def _flood(config: SwarmConfig, rate: float, lasts_s: float) -> int:
+    """A process of its own: say the same for a while, so many times a second; returns how many times it was said."""
+
+    async def whole() -> int:
+        os.nice(10)  # on a machine of its own, it would not take processor time from the others
+        link = open_link(config, config.mission.n_robots - 1, listen="tcp/127.0.0.1:0")
+        member, sent, began = config.mission.n_robots - 1, 0, time.monotonic()
+        stamp = MissionStamp(0, config.mission.digest)
+        said = wrap(encode(Message(sender=member, sequence=0, neighbors=1, mission=stamp)), Proofs())
+        await asyncio.sleep(1.0)
+        while (now := time.monotonic()) - began < lasts_s:
+            due = min(1000.0, rate * (now - began) - sent)
+            for _ in range(int(due)):
+                beacon = Beacon(stamp=time.time(), position=(CORNER[0], CORNER[1]))
+                link.publish("say", member, pack(BeaconedMessage(beacon=beacon, message=said)))
+                sent += 1
+            await asyncio.sleep(0.0 if due >= 1.0 else 0.001)
+        link.close()
+        return sent
+
+    return asyncio.run(whole())
 
 
 def _fly_with(seed: int, options: dict[str, Any], *, recorded: bool = False, **happens: Any) -> Flight:
