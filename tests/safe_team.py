@@ -1,4 +1,4 @@
-"""A team that wants nothing but its goals: each robot flies as its own safety lets it."""
+"""A team that wants nothing but its goals: each robot flies round obstacles as its own safety lets it."""
 
 import math
 from collections import Counter
@@ -8,6 +8,7 @@ import numpy as np
 from llm_flock.metrics import AT_GOAL, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, segment_clearance
+from llm_flock.protocol.motion.progress import leg_to
 from llm_flock.protocol.motion.safety import Safety
 
 SAFE = 3.0
@@ -42,10 +43,13 @@ class SafeTeam:
         for i, safety in enumerate(self.robots):
             sensed = {j: x for j, x in enumerate(rows) if j != i and math.dist(x, rows[i]) <= self.mission.sensing}
             goal = tuple(self.goals[i].tolist())
-            far = math.dist(rows[i], goal)
+            leg = leg_to(self.mission, rows[i], goal)
+            far = math.dist(rows[i], leg.stop)
             share = min(1.0, self.mission.max_step / max(far, 1e-9))
-            wish = goal if share == 1.0 else tuple(x + share * (g - x) for x, g in zip(rows[i], goal, strict=True))
-            flight = safety.step(rows[i], sensed, wish, goal, AT_GOAL * self.mission.spacing)
+            wish = leg.stop
+            if share < 1.0:
+                wish = tuple(x + share * (g - x) for x, g in zip(rows[i], leg.stop, strict=True))
+            flight = safety.step(rows[i], sensed, wish, leg, AT_GOAL * self.mission.spacing)
             self.kinds.update(note.kind for note in flight.notes)
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
             after[i] = flight.waypoint

@@ -115,7 +115,10 @@ def _waits(model: str) -> bool:
     return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
-ADDED: Mapping[str, frozenset[str]] = {"limits": frozenset({"max_answer_tokens"})}
+ADDED: Mapping[str, frozenset[str]] = {
+    "limits": frozenset({"max_answer_tokens"}),
+    "trial": frozenset({"start_area"}),
+}
 """Settings, by section, that are younger than the first sweeps; none is given unless it is set."""
 
 

@@ -131,6 +131,7 @@ def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQu
         _moved(question, frame),
         plan=Plan.of(map(frame.rounded, question.plan.points)),
         target=None if question.target is None else frame.rounded(question.target),
+        corner=None if question.corner is None else frame.rounded(question.corner),
     )
     return FramedQuestion(question=question, framed=framed, frame=frame)
 

@@ -59,6 +59,7 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     **OBSERVED,
     "plan": lambda asked: plan_text(asked.plan),
     "slot": lambda asked: asked.slot,
+    "cornering": lambda asked: asked.corner is not None,
     "searching": lambda asked: asked.target is not None and asked.slot is not None,
     "waiting": lambda asked: asked.slot is None,
     "goal": lambda asked: place_text(asked.goal),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial.distance import cdist
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Pairwise, Point, Points
 
 AT_GOAL = 0.05
 """Largest distance at which a robot counts as at its goal, as a share of the spacing."""
@@ -43,12 +44,17 @@ def robots_at_goal(goal_distances: Sequence[float], spacing: float) -> int:
     return sum(distance <= AT_GOAL * spacing for distance in goal_distances)
 
 
-def bottleneck_distance(start: ArrayLike, goals: ArrayLike) -> float:
+Ways: TypeAlias = Callable[[Points, Points], Pairwise]
+"""Lengths of the ways from each of some positions to each of some goals, shape (n, m) [units]."""
+
+
+def bottleneck_distance(start: ArrayLike, goals: ArrayLike, ways: Ways = cdist) -> float:
     """Smallest distance D for which all robots can have different goals within D [units], exactly.
 
-    With more robots than goals, the smallest D for which all goals can have different robots.
+    With more robots than goals, the smallest D for which all goals can have different robots. `ways` measures
+    distances, straight ones by default.
     """
-    apart = cdist(np.asarray(start, dtype=np.float64), np.asarray(goals, dtype=np.float64))
+    apart = ways(np.asarray(start, dtype=np.float64), np.asarray(goals, dtype=np.float64))
     robots, places = apart.shape
     wanted = min(robots, places)
     # No robot can do better than its nearest goal, and no goal better than its nearest robot.
@@ -72,8 +78,9 @@ def lower_bound_rounds(
     drift: Callable[[int], Point] | None = None,
     *,
     within: float = 0.0,
+    ways: Ways = cdist,
 ) -> int:
-    """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and free paths.
+    """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and nobody in the way.
 
     Args:
         start: positions at the start.
@@ -82,9 +89,10 @@ def lower_bound_rounds(
         drift: displacement of the plan after a number of rounds [units], at most max_step / 2 per round; None for a
             plan that stands still.
         within: distance at which a robot counts as at its goal [units].
+        ways: lengths of ways to a plan that stands still: round obstacles, for instance.
     """
     if drift is None:
-        return max(0, math.ceil((bottleneck_distance(start, plan_points) - within) / max_step - ROUNDING))
+        return max(0, math.ceil((bottleneck_distance(start, plan_points, ways) - within) / max_step - ROUNDING))
     points = np.asarray(plan_points, dtype=np.float64)
     rounds = 0
     while bottleneck_distance(start, points + drift(rounds)) > (rounds + ROUNDING) * max_step + within:

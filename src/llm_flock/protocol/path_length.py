@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import floyd_warshall
 
 from llm_flock import graph
-from llm_flock.arrays import Pairwise, Point, Vector
+from llm_flock.arrays import Pairwise, Point, Points, Vector
+from llm_flock.obstacles import Roadmap
 from llm_flock.protocol.plan import Plan
 
 REACH = 1.5
@@ -32,32 +33,46 @@ ACROSS = 8.0
 """A robot in touch with the whole team flies straight, unless its goal is this many spacings away: it would be alone
 for long, where others could move up instead."""
 
+NO_WAY = 1e6
+"""Length that stands for a way that does not exist [units]: longer than any other."""
+
 BESIDE = 0.6
 """Distance at which robots on such a path pass its places, on the side of the centre [spacings]."""
 
 
-def path_lengths(here: Point, plan: Plan, slots: Iterable[int], spacing: float) -> list[float]:
+def ways(here: Point, places: Points, roadmap: Roadmap | None) -> Vector:
+    """Lengths of the ways from `here` to some places, shape (m, d), round obstacles [units]; as long as `NO_WAY`."""
+    if roadmap is None:
+        return np.linalg.norm(places - np.array(here), axis=1)
+    return np.minimum(roadmap.lengths(here, places), NO_WAY)
+
+
+def path_lengths(
+    here: Point, plan: Plan, slots: Iterable[int], spacing: float, roadmap: Roadmap | None = None
+) -> list[float]:
     """Lengths of the cheapest paths from `here` to the places of some slots [units; frame of the plan]."""
     if len(plan.points) > LARGEST:
-        return [math.dist(here, plan.points[a]) for a in slots]
-    every = _by_places(here, plan, spacing)
+        return ways(here, plan.array[list(slots)], roadmap).tolist()
+    every = _by_places(here, plan, spacing, roadmap)
     return [every[a] for a in slots]
 
 
 @lru_cache(maxsize=4096)
-def _by_places(here: Point, plan: Plan, spacing: float) -> list[float]:
-    return (_hops(here, plan, spacing) + _between(plan, spacing)).min(axis=1).tolist()
+def _by_places(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None) -> list[float]:
+    return (_hops(here, plan, spacing, roadmap) + _between(plan, spacing, roadmap)).min(axis=1).tolist()
 
 
-def next_stop(here: Point, plan: Plan, slot: int, center: Point, spacing: float) -> Point | None:
+def next_stop(
+    here: Point, plan: Plan, slot: int, center: Point, spacing: float, roadmap: Roadmap | None = None
+) -> Point | None:
     """The next stop on the path from `here` to a far place, beside a place ahead [units; frame of the plan].
 
     None where the straight line is the cheapest.
     """
     if len(plan) > LARGEST or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
-    left = _between(plan, spacing)[slot]
-    counted = _hops(here, plan, spacing) + left
+    left = _between(plan, spacing, roadmap)[slot]
+    counted = _hops(here, plan, spacing, roadmap) + left
     first = int(counted.argmin())
     near = np.linalg.norm(plan.array - np.array(here), axis=1) <= FAR * spacing
     ahead = np.flatnonzero(near & (left <= left[first]))
@@ -70,15 +85,18 @@ def next_stop(here: Point, plan: Plan, slot: int, center: Point, spacing: float)
 
 
 @lru_cache(maxsize=4096)
-def _hops(here: Point, plan: Plan, spacing: float) -> Vector:
-    """Cost of a straight hop to each place, shape (n,) [units]."""
-    return _counted(np.linalg.norm(plan.array - np.array(here), axis=1), spacing)
+def _hops(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None) -> Vector:
+    """Cost of a hop to each place, shape (n,) [units]."""
+    return _counted(ways(here, plan.array, roadmap), spacing)
 
 
 @lru_cache(maxsize=256)
-def _between(plan: Plan, spacing: float) -> Pairwise:
+def _between(plan: Plan, spacing: float, roadmap: Roadmap | None) -> Pairwise:
     """Lengths of the paths between any two places, shape (n, n) [units]."""
-    return np.asarray(floyd_warshall(_counted(graph.distances(plan.array), spacing), directed=False))
+    apart = graph.distances(plan.array)
+    if roadmap is not None:
+        apart = np.array([ways(place, plan.array, roadmap) for place in plan.points])
+    return np.asarray(floyd_warshall(_counted(apart, spacing), directed=False))
 
 
 def _counted(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:

@@ -41,6 +41,7 @@ class StepQuestion:
         plan: the plan that is followed, as it stands at the end of this round.
         slot: own slot in it; None for a spare robot, which goes to wait at `target`.
         target: where to go instead of the own place, for example on a search; None otherwise [units; world frame].
+        corner: the next corner of the way there, where obstacles are in between; None otherwise [units; world frame].
         horizon: largest number of waypoints in the answer, one for each round; 1 is the paper's question.
     """
 
@@ -52,12 +53,15 @@ class StepQuestion:
     plan: Plan
     slot: int | None
     target: Point | None = None
+    corner: Point | None = None
     horizon: int = 1
     probe: bool = False
 
     @property
     def goal(self) -> Point:
-        """Where to go: the own place, or `target` [units; world frame]."""
+        """Where to go: the own place, or `target`, or the next `corner` on the way [units; world frame]."""
+        if self.corner is not None:
+            return self.corner
         if self.target is not None:
             return self.target
         assert self.slot is not None, "a robot without a place is told where to wait"

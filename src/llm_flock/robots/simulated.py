@@ -28,17 +28,25 @@ class Sensing:
     sensed: Mapping[int, Point]
 
 
+Area: TypeAlias = tuple[Point, Point] | None
+"""Two opposite corners of a part of the arena [units]; None for all of it."""
+
+
 def start_positions(
-    mission: Mission, given: Sequence[Sequence[float]] | None, rule: StartRule, rng: np.random.Generator
+    mission: Mission,
+    given: Sequence[Sequence[float]] | None,
+    rule: StartRule,
+    rng: np.random.Generator,
+    area: Area = None,
 ) -> Points:
-    """Start positions, given or else drawn, shape (n, d) [units].
+    """Start positions, given or else drawn in an area, shape (n, d) [units].
 
     Raises:
         InputError: no room was found; or positions given have a wrong shape, a number that is not finite, or a robot
             outside the arena.
     """
     if given is None:
-        return draw_start(mission, rule, rng)
+        return draw_start(mission, rule, rng, area)
     try:
         array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
@@ -57,17 +65,17 @@ def start_positions(
     return array
 
 
-def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> Points:
-    """Random start positions, in the arena (paper, line 184) and clear of obstacles, shape (n, d) [units].
+def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator, area: Area = None) -> Points:
+    """Random start positions in the arena (paper, line 184) or in an area, clear of obstacles, shape (n, d) [units].
 
     `separated` redraws a robot that is nearer than the safe distance to one placed before; `uniform` is the paper's raw
     draw, which may start in violation. Both are uniform. `connected` is `separated` with each robot drawn within radio
     range of a robot placed before, chosen at random, so that the radio graph is connected.
 
     Raises:
-        InputError: no room was found.
+        InputError: no room was found, or the area does not lie in the arena.
     """
-    low, high = (np.array(corner) for corner in mission.arena)
+    low, high = (np.array(corner) for corner in _area(mission, area))
     if rule == "uniform" and not mission.obstacles:
         return rng.uniform(low, high, size=(mission.n_robots, mission.dim))
     placed = np.empty((mission.n_robots, mission.dim))
@@ -80,8 +88,20 @@ def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator) -> P
                 placed[k] = draw
                 break
         else:
-            raise InputError("n_robots", mission.n_robots, f"room for that many starts (found {k}) in the arena")
+            where = "the arena" if area is None else f"the area {area}"
+            raise InputError("n_robots", mission.n_robots, f"room for that many starts (found {k}) in {where}")
     return placed
+
+
+def _area(mission: Mission, area: Area) -> tuple[Point, Point]:
+    if area is None:
+        return mission.arena
+    (low, high), (least, most) = area, mission.arena
+    if {len(low), len(high)} != {mission.dim} or not all(
+        a <= x < y <= b for a, x, y, b in zip(least, low, high, most, strict=True)
+    ):
+        raise InputError("start_area", area, f"two corners of {mission.dim} coordinates in the arena, the lower first")
+    return area
 
 
 def _nearest(placed: Points, draw: Vector) -> float:

@@ -85,7 +85,8 @@ async def run_async(
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
     warn_of_radio(config.mission)
     given = config.trial
-    start = start_positions(config.mission, given.start_positions, given.start, stream(given.seed, Stream.START))
+    rng = stream(given.seed, Stream.START)
+    start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
     bodies = InstantBodies(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
     planners = TeamPlanners(config, lane)
     with open_outputs(config, planners, sink) as (journal, record):

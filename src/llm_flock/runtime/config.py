@@ -162,6 +162,9 @@ class TrialConfig(ConfigSection):
     start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
         default=None, description="Start positions, instead of random ones [units]"
     )
+    start_area: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] | None = Field(
+        default=None, description="Two opposite corners of the area of random starts [the arena]"
+    )
     kill: str | None = Field(
         default=None, description="Kill these robots, each at the start of a round: ID@ROUND,ID@ROUND,..."
     )

@@ -70,8 +70,9 @@ class Episode:
             return mission.drift(self.flown + rounds)
 
         along = None if mission.velocity is None else drift
-        within = metrics.AT_GOAL * mission.spacing
-        return metrics.lower_bound_rounds(self._start[list(awake)], goals, mission.max_step, along, within=within)
+        within, start = metrics.AT_GOAL * mission.spacing, self._start[list(awake)]
+        ways = mission.shortest_ways
+        return metrics.lower_bound_rounds(start, goals, mission.max_step, along, within=within, ways=ways)
 
     def error(self, positions: Points) -> metrics.ShapeError | None:
         """Distance from the ideal shape of as many robots as `positions`, shape (m, d), has; None without an ideal."""

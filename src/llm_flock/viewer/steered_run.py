@@ -68,7 +68,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     if _free(config.model.model):
         # These raise now what would otherwise only be raised when the run begins.
         TeamPlanners(config)
-        draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START))
+        draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START), config.trial.start_area)
     return config
 
 

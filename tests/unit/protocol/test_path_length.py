@@ -5,6 +5,8 @@ from itertools import permutations
 
 import pytest
 
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths
 from llm_flock.protocol.plan import Plan
 
@@ -80,3 +82,14 @@ def test_a_place_at_which_the_cheapest_way_begins_is_flown_to_straight() -> None
 def test_in_plans_of_very_many_places_the_way_is_straight() -> None:
     row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
     assert next_stop((0.0, 0.0), row, LARGEST, (0.0, 0.0), 10.0) is None
+
+
+def test_paths_lead_round_obstacles() -> None:
+    """A wall between two of four places in a row: the way from one side to the other is longer."""
+    row = Plan.of([(20.0 + 10.0 * k, 50.0) for k in range(4)])
+    wall = Obstacle(polygon=((34.0, 40.0), (36.0, 40.0), (36.0, 60.0), (34.0, 60.0)))
+    roadmap = Mission(shape="line", n_robots=4, obstacles=(wall,), center=(35.0, 80.0)).roadmap
+    assert path_lengths((20.0, 50.0), row, [1], 10.0, roadmap) == pytest.approx([10.0])
+    (past,) = path_lengths((20.0, 50.0), row, [2], 10.0, roadmap)
+    assert past > 2 * math.hypot(15.0, 11.5)
+    assert next_stop((20.0, 50.0), row, 3, (35.0, 80.0), 10.0, roadmap) is not None

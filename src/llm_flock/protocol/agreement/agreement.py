@@ -160,6 +160,7 @@ class Agreement:
             heard=[m for m in heard if m.plan == plan],
             sensed=self._sensed,
             mission=self.stamp,
+            roadmap=self.mission.roadmap if self.mission.velocity is None else None,
             occupancy=occupancy,
             positions=None if self.liveness.silent else self.all_to_all.complete(plan),
         )

@@ -10,6 +10,7 @@ from typing import Protocol
 import msgspec
 
 from llm_flock.arrays import Point
+from llm_flock.obstacles import Roadmap
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import (
     NO_MISSION,
@@ -47,6 +48,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         position: own believed position [units; frame of the mission].
         spacing: wanted distance between neighbouring robots [units].
+        roadmap: the ways round obstacles, for lengths; None where straight lines count.
         chosen: the slot that the robot's own model named, None where the model gave no plan.
         adopted: whether the plan is another robot's.
         heard: the newest message of each robot on the same plan, in ascending order of ids.
@@ -66,6 +68,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     heard: Sequence[Message]
     sensed: Mapping[int, Point]
     mission: MissionStamp = NO_MISSION
+    roadmap: Roadmap | None = None
     occupancy: Occupancy | None = None
     positions: TeamPositions | None = None
     granted: BidTable | None = None

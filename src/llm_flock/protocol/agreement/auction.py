@@ -16,7 +16,6 @@ from functools import lru_cache
 from itertools import compress
 from typing import TypeAlias
 
-import numpy as np
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
@@ -24,7 +23,7 @@ from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
-from llm_flock.protocol.path_length import path_lengths
+from llm_flock.protocol.path_length import path_lengths, ways
 
 BID_DECIMALS = 9
 
@@ -101,7 +100,7 @@ class AuctionAssignment:
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
-        distances = np.linalg.norm(now.plan.array - np.array(now.position), axis=1)
+        distances = ways(now.position, now.plan.array, now.roadmap)
         bids = tuple((-distances).round(BID_DECIMALS).tolist())
         empty: BidTable = (UNSAID,) * len(now.plan)
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
@@ -112,7 +111,7 @@ class AuctionAssignment:
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
         if now.positions is not None:
-            table, more = merged(table, [(optimal_assignment(now.plan, now.positions), None)])
+            table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap), None)])
             touched |= more
         if now.granted is None:
             table = with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)
@@ -198,15 +197,15 @@ def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
     """By how much exchanging slots with a robot at `there` lowers the sum of the squared path lengths [units^2].
 
-    Paths lead along the formation, or are `straight`.
+    Paths lead along the formation, or, if `straight`, only round obstacles.
     """
 
-    def ways(here: Point) -> list[float]:
+    def left(here: Point) -> list[float]:
         if straight:
-            return [math.dist(here, now.plan.points[a]) for a in (mine, theirs)]
-        return path_lengths(here, now.plan, (mine, theirs), now.spacing)
+            return ways(here, now.plan.array[[mine, theirs]], now.roadmap).tolist()
+        return path_lengths(here, now.plan, (mine, theirs), now.spacing, now.roadmap)
 
-    (keep, take), (their_take, their_keep) = ways(now.position), ways(there)
+    (keep, take), (their_take, their_keep) = left(now.position), left(there)
     return keep**2 + their_keep**2 - take**2 - their_take**2
 
 

@@ -26,9 +26,11 @@ from scipy.optimize import linear_sum_assignment
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Roadmap
 from llm_flock.protocol.membership.rendezvous import landing
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
+from llm_flock.protocol.path_length import ways
 from llm_flock.protocol.plan import Plan
 
 ROUNDS = 8
@@ -164,13 +166,13 @@ def _rounded(point: Point) -> Point:
 
 
 @lru_cache(maxsize=64)
-def optimal_assignment(plan: Plan, positions: TeamPositions) -> BidTable:
-    """The bid table with the smallest sum of squared distances.
+def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None) -> BidTable:
+    """The bid table with the smallest sum of squared lengths of ways, round obstacles where there is a roadmap.
 
     With more robots than places some robots get no slot; with fewer, some slots stay free.
     """
     version, places = positions
-    distances = np.linalg.norm(np.array(places)[:, None] - plan.array[None], axis=2)
+    distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)
     for robot, slot in zip(*linear_sum_assignment(distances**2), strict=True):
         table[slot] = (version, float(-distances[robot, slot].round(DECIMALS)), int(robot))

@@ -61,7 +61,8 @@ class ConnectivityRecovery:
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_all_to_all(table, slot) and (live.strangers or live.silent or lonely):
-            target = next_stop(here, places, slot, mission.center, mission.spacing)
+            roadmap = mission.roadmap if mission.velocity is None else None
+            target = next_stop(here, places, slot, mission.center, mission.spacing, roadmap)
         if target is None and places is not plan:
             target = places.points[slot]
         return target, self._search.looked, notes

@@ -16,6 +16,7 @@ from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
 from llm_flock.protocol.motion.pace import Pace
+from llm_flock.protocol.motion.progress import Leg, leg_to
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
@@ -84,7 +85,7 @@ class Pilot:
         self._committed: CommittedPath | None = None
         self._question: StepQuestion | None = None
         self._scene: Observation | None = None
-        self._aim: Point = ()
+        self._leg: Leg | None = None
 
     def decide(
         self, scene: Observation, mission: Mission, plan: Plan, slot: int | None, target: Point | None
@@ -96,7 +97,8 @@ class Pilot:
         """
         ahead = scene.ahead
         self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
-        self._aim = plan.points[slot or 0] if target is None else target
+        aim = plan.points[slot or 0] if target is None else target
+        leg = self._leg = leg_to(mission, scene.position, aim, scene.drift, ahead)
         question = self._question = StepQuestion(
             mission=mission,
             robot=self._robot,
@@ -106,6 +108,7 @@ class Pilot:
             plan=Plan.of(moved(x, ahead) for x in plan.points) if ahead else plan,
             slot=slot,
             target=None if target is None else moved(target, ahead),
+            corner=None if leg.stop == leg.goal else moved(leg.stop, ahead),
             horizon=self._horizon,
         )
         trigger = None if self._committed is None else self._trigger(self._committed, question, scene)
@@ -153,15 +156,16 @@ class Pilot:
     def _by_geometry(self, question: StepQuestion, scene: Observation, asked: Point | None = None) -> list[Effect]:
         """A straight step to the goal in place of the planner's."""
         self._committed = None
-        return self._fly(straight_path(question).waypoint, scene, self._aim, asked, Origin.GEOMETRY)
+        return self._fly(straight_path(question).waypoint, scene, asked, Origin.GEOMETRY)
 
     def seek(self, scene: Observation, mission: Mission, target: Point) -> list[Effect]:
         """Fly by geometry to a point where others will look [units; frame of the mission]: a robot without a plan."""
         self.forget()
         self._tolerance = AT_GOAL * mission.spacing
-        here, goal, max_step = scene.position, moved(target, scene.ahead), mission.max_step
+        self._leg = leg_to(mission, scene.position, target, scene.drift, scene.ahead)
+        here, goal, max_step = scene.position, moved(self._leg.stop, scene.ahead), mission.max_step
         wish = goal if math.dist(here, goal) <= max_step else shortened(here, goal, max_step)
-        return self._fly(wish, scene, target, None, Origin.GEOMETRY)
+        return self._fly(wish, scene, None, Origin.GEOMETRY)
 
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
@@ -184,7 +188,8 @@ class Pilot:
         if not scene.ahead:
             return question
         plan = Plan.of(moved(x, scene.ahead, -1.0) for x in question.plan.points)
-        return replace(question, position=scene.here, plan=plan, target=self._aim)
+        assert self._leg is not None, "a robot with a question has a goal"
+        return replace(question, position=scene.here, plan=plan, target=self._leg.goal, corner=self._leg.stop)
 
     def _trigger(self, committed: CommittedPath, question: StepQuestion, scene: Observation) -> Trigger | None:
         """The event that makes a new question necessary: that of the path, or a next step that fails its checks now."""
@@ -205,7 +210,7 @@ class Pilot:
         fit = self._validator.waypoint(question, answer)
         if isinstance(fit, NoAnswer):
             return self.hold(scene, fit.cause, fit.reason, asked)
-        effects = self._fly(fit, scene, self._aim, asked, Origin.MODEL if fit == asked else Origin.CLIPPED)
+        effects = self._fly(fit, scene, asked, Origin.MODEL if fit == asked else Origin.CLIPPED)
         if fit != asked:
             effects.insert(0, Note("clipped", {"proposed": asked, "flown": fit}))
         if self._committed is not None:
@@ -214,12 +219,13 @@ class Pilot:
             self._committed = self._committed.after_step(scene.here, moved(flown.waypoint, scene.ahead, -1.0))
         return effects
 
-    def _fly(self, wish: Point, scene: Observation, aim: Point, asked: Point | None, origin: Origin) -> list[Effect]:
-        """The safe move for a waypoint of this origin, on the way to `aim` [units; frame of the mission]."""
+    def _fly(self, wish: Point, scene: Observation, asked: Point | None, origin: Origin) -> list[Effect]:
+        """The safe move for a waypoint of this origin."""
         notes: list[Effect] = []
         flown = wish
         if self._safety is not None:
-            flight = self._safety.step(scene.position, scene.sensed, wish, aim, self._tolerance, scene.drift)
+            assert self._leg is not None, "a robot flies to a goal"
+            flight = self._safety.step(scene.position, scene.sensed, wish, self._leg, self._tolerance, scene.drift)
             flown = flight.waypoint
             notes.extend(flight.notes)
             if flight.origin is Origin.DETOUR or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):

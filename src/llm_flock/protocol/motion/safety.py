@@ -15,8 +15,8 @@ from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.progress import (
     GAIN_SHARE,
     SIDE_ROUNDS,
-    SIDE_ROUNDS_AT_OBSTACLES,
     GoalProgress,
+    Leg,
     detour,
     update_progress,
 )
@@ -44,7 +44,7 @@ class Safety:
     def __init__(self, robot: int, limits: Mission, noise_bound: float) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
         self._progress: GoalProgress | None = None
-        self._side_rounds = (SIDE_ROUNDS_AT_OBSTACLES if limits.obstacles else SIDE_ROUNDS) + 2 * (robot % 4)
+        self._side_rounds = SIDE_ROUNDS + 2 * (robot % 4)
 
     def stay(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep:
         """The step of a robot without a waypoint: hold the position, unless another robot is too near."""
@@ -56,14 +56,14 @@ class Safety:
         position: Point,
         sensed: Mapping[int, Point],
         wish: Point,
-        goal: Point,
+        leg: Leg,
         tolerance: float,
         drift: Point = (),
     ) -> SafeStep:
         """The safe waypoint for the planner's waypoint `wish` [units; world frame].
 
-        The goal is in the frame of the mission, which is displaced by `drift` (empty if the mission stands still), and
-        counts as reached within `tolerance` [units].
+        The mission's frame is displaced by `drift` (empty if the mission stands still), and the goal of the leg counts
+        as reached within `tolerance` [units].
         """
         separating = self._separate(position, sensed)
         if separating is not None:
@@ -73,8 +73,7 @@ class Safety:
         was_blocked = self._progress is not None and self._progress.blocked
         progress = self._progress = update_progress(
             self._progress,
-            here,
-            goal,
+            leg,
             gain=GAIN_SHARE * limits.max_step,
             within=tolerance + self._noise_bound,
             side_rounds=self._side_rounds,
@@ -86,15 +85,15 @@ class Safety:
                 return SafeStep(waypoint=wish, origin=Origin.MODEL)
             note = Note("shielded", {"proposed": wish, "flown": safe})
             return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(note,))
-        distance = math.dist(here, goal)
         waypoint, self._progress = detour(
             progress,
             here,
+            leg.stop,
             lambda target: moved(self._project(position, moved(target, drift), others), drift, -1.0),
-            length=min(limits.max_step, max(distance, limits.safe_distance)),
-            follow=bool(limits.obstacles),
+            length=min(limits.max_step, max(math.dist(here, leg.stop), limits.safe_distance)),
         )
-        notes = () if was_blocked else (Note("deadlock", {"goal_distance": distance, "rounds": progress.idle}),)
+        blocked = Note("deadlock", {"goal_distance": math.dist(here, leg.goal), "rounds": progress.idle})
+        notes = () if was_blocked else (blocked,)
         return SafeStep(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:

@@ -34,7 +34,9 @@ def with_drones(config: FlightConfig) -> FlightConfig:
             for drone in read_crazyflies(Path(config.fleet.crazyflies))
         ]
     else:
-        rows = draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START)).tolist()
+        rows = draw_start(
+            config.mission, config.trial.start, stream(config.trial.seed, Stream.START), config.trial.start_area
+        ).tolist()
         places = [config.frame.to_world(tuple(row)) for row in rows]
         found = [{"name": f"drone{robot}", "start": place[:2]} for robot, place in enumerate(places)]
     fleet = config.fleet.model_dump(exclude={"drones", "crazyflies"})

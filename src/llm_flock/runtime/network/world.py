@@ -126,7 +126,8 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
         InputError: the endpoint cannot be opened, or there is no room for the starts.
     """
     mission, network, trial = config.mission, config.network, config.trial
-    start = start_positions(mission, trial.start_positions, trial.start, stream(trial.seed, Stream.START))
+    rng = stream(trial.seed, Stream.START)
+    start = start_positions(mission, trial.start_positions, trial.start, rng, trial.start_area)
     bodies = WorldBodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
 
     def obey(sender: int, order: Command) -> None:

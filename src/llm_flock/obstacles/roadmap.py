@@ -1,0 +1,246 @@
+"""Shortest ways round obstacles, in the plane and in space.
+
+A roadmap has corners round every obstacle, far enough away for a body, and connects those that see each other. In the
+plane only edges that touch no obstacle's outline at a slant can be part of a shortest way (Latombe: Robot Motion
+Planning, 1991, ch. 4: reduced visibility graph); in space, where shortest ways bend on edges, points all round each
+ball are an approximation. Shortest ways to a goal come from Dijkstra's algorithm over all corners at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from llm_flock.arrays import Point, Points, Vector
+from llm_flock.obstacles import polygons
+from llm_flock.obstacles.obstacle import Obstacle, clearance, segment_clearance
+
+if TYPE_CHECKING:
+    import shapely  # imported where it is used: missions without polygons start faster without it
+
+AWAY = 0.5
+"""Largest distance of a corner from the shortest way, as a share of a body's radius: few corners for short ways."""
+
+SECTOR_RAD = math.pi / 18
+"""Largest angle that one corner goes round where lengths matter, and not the number of corners."""
+
+AROUND = 48
+"""Corners round a ball in space."""
+
+MARGIN = 0.02
+"""Corners lie farther away from obstacles than bodies have to by this share of a body's radius."""
+
+SLACK = 1e-9
+"""Ways count as clear that come nearer to an obstacle than allowed by less than this [units]."""
+
+HOP = 0.25
+"""Each corner of a way counts like this share of a body's diameter: of two ways nearly as long, take the straighter."""
+
+
+class Roadmap:
+    """Ways between obstacles for bodies of one radius. Get it from `roadmap_of`: building it takes a while.
+
+    Args:
+        arena: two opposite corners of the flight space [units].
+        obstacles: what stands in it, all of the same dimension.
+        radius: smallest distance of a body's centre from obstacles [units].
+        exact: in the plane, give lengths to within 0.4 % of the part that leads round obstacles, at the price of ways
+            with many corners; for lower bounds.
+    """
+
+    def __init__(
+        self, arena: tuple[Point, Point], obstacles: Sequence[Obstacle], radius: float, *, exact: bool = False
+    ) -> None:
+        self._obstacles, self._radius = tuple(obstacles), radius
+        self._exact = exact
+        self._reach = radius if exact else radius * (1.0 + MARGIN)
+        self._hop = 0.0 if exact else 2.0 * HOP * radius
+        discs = [o for o in self._obstacles if o.polygon is None]
+        dim = len(arena[0])
+        self._centers = np.array([o.center for o in discs]).reshape(len(discs), dim)
+        self._radii = np.array([o.radius or 0.0 for o in discs])
+        self._polygons = _united([o for o in self._obstacles if o.polygon is not None])
+        corners, normals, bends = self._corners(dim)
+        low, high = np.array(arena)
+        inside = ((corners >= low) & (corners <= high)).all(axis=1)
+        free = inside & self._clear(corners, corners, radius)
+        self._nodes, self._normals, self._bends = corners[free], normals[free], bends[free]
+        self._links = self._connected()
+        self._left = lru_cache(maxsize=1024)(self._left_to)
+
+    def _corners(self, dim: int) -> tuple[Points, Points, Vector]:
+        """Points round every obstacle, the directions away from it, and sines of the angles that each goes round."""
+        found: list[tuple[Points, Points, Vector]] = [(np.empty((0, dim)), np.empty((0, dim)), np.empty(0))]
+        for obstacle in self._obstacles:
+            if obstacle.polygon is not None:
+                sector = self._sector(self._reach)
+                found.extend(_round_corner(at, self._reach, sector) for at in _turns(obstacle.polygon))
+                continue
+            assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a disc or a polygon"
+            out = obstacle.radius + self._reach
+            if dim == 2:
+                found.append(_round_corner((obstacle.center, 0.0, 2.0 * math.pi), out, self._sector(out)))
+            else:
+                found.append(_round_ball(obstacle.center, out))
+        corners, normals, bends = zip(*found, strict=True)
+        return np.concatenate(corners), np.concatenate(normals), np.concatenate(bends)
+
+    def _sector(self, out: float) -> float:
+        """Largest angle that one corner goes round at this distance [rad]."""
+        return SECTOR_RAD if self._exact else 2.0 * math.acos(out / (out + AWAY * self._radius))
+
+    def _clear(self, starts: Points, ends: Points, radius: float) -> NDArray[np.bool_]:
+        """Whether the segments, each from a row to a row, keep this distance from every obstacle."""
+        clear = np.ones(len(starts), dtype=np.bool_)
+        along = ends - starts
+        squared = np.maximum((along * along).sum(axis=1), 1e-300)
+        for center, size in zip(self._centers, self._radii, strict=True):
+            share = np.clip(((center - starts) * along).sum(axis=1) / squared, 0.0, 1.0)
+            nearest = starts + share[:, None] * along - center
+            clear &= np.linalg.norm(nearest, axis=1) >= size + radius - SLACK
+        if self._polygons is not None and len(starts):
+            import shapely
+
+            lines: Any = shapely.linestrings(np.stack([starts, ends], axis=1))
+            near = cast("Any", shapely).dwithin(self._polygons, lines, max(radius - SLACK, 0.0))
+            clear &= ~np.asarray(near, dtype=np.bool_)
+        return clear
+
+    def _touching(self, point: Vector) -> NDArray[np.bool_]:
+        """Corners past which a straight way from a point, perhaps nearer to an obstacle, can go on round theirs."""
+        slack = max(0.0, self._reach - clearance(tuple(point.tolist()), self._obstacles)) + SLACK
+        towards = self._nodes - point
+        gaps = np.linalg.norm(towards, axis=1)
+        slant = np.abs((towards * self._normals).sum(axis=1))
+        return slant <= self._bends * gaps + slack
+
+    def _connected(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
+        """Pairs of corners that see each other, and their distances."""
+        count = len(self._nodes)
+        touching = np.array([self._touching(node) for node in self._nodes]).reshape(count, count)
+        first, second = np.nonzero(np.triu(touching & touching.T, 1))
+        clear = self._clear(self._nodes[first], self._nodes[second], self._radius)
+        first, second = first[clear], second[clear]
+        return first, second, np.linalg.norm(self._nodes[first] - self._nodes[second], axis=1)
+
+    def _seen(self, point: Point) -> tuple[NDArray[np.int64], Vector]:
+        """Corners that a body at a point can fly to straight, and their distances.
+
+        A body that is too near an obstacle sees whatever does not lead nearer to one.
+        """
+        here = np.array(point)
+        candidates = np.flatnonzero(self._touching(here))
+        ends = self._nodes[candidates]
+        room = min(self._radius, clearance(point, self._obstacles))
+        seen = candidates[self._clear(np.broadcast_to(here, ends.shape), ends, room)]
+        return seen, np.linalg.norm(self._nodes[seen] - here, axis=1)
+
+    def straight(self, here: Point, goal: Point) -> bool:
+        """Whether a body can fly straight from one point to another."""
+        room = min(self._radius, clearance(here, self._obstacles), clearance(goal, self._obstacles))
+        return segment_clearance(here, goal, self._obstacles) >= room - SLACK
+
+    def length(self, here: Point, goal: Point) -> float:
+        """Length of the shortest way, with the extra for corners [units]; infinite where there is none."""
+        if self.straight(here, goal):
+            return math.dist(here, goal)
+        return self._way(here, goal)[0]
+
+    def lengths(self, here: Point, goals: Points) -> Vector:
+        """As `length` to each goal, shape (m,), for goals of shape (m, d) that are clear of obstacles."""
+        start = np.array(here)
+        lengths = np.linalg.norm(goals - start, axis=1)
+        room = min(self._radius, clearance(here, self._obstacles))
+        for k in np.flatnonzero(~self._clear(np.broadcast_to(start, goals.shape), goals, room)):
+            lengths[k] = self._way(here, tuple(goals[k].tolist()))[0]
+        return lengths
+
+    def next_stop(self, here: Point, goal: Point) -> Point:
+        """The next corner of the shortest way; `goal` itself where it can be flown to straight, or not at all."""
+        if self.straight(here, goal):
+            return goal
+        corner = self._way(here, goal)[1]
+        return goal if corner is None else corner
+
+    def _way(self, here: Point, goal: Point) -> tuple[float, Point | None]:
+        """Length of the shortest way through at least one corner, and its first corner."""
+        left = self._left(goal)
+        seen, gaps = self._seen(here)
+        if not len(seen):
+            return math.inf, None
+        lengths = gaps + left[seen]
+        # A corner at which the body is already leads nowhere.
+        lengths[gaps < SLACK] = math.inf
+        best = int(lengths.argmin())
+        if not math.isfinite(float(lengths[best])):
+            return math.inf, None
+        return float(lengths[best]), tuple(self._nodes[seen[best]].tolist())
+
+    def _left_to(self, goal: Point) -> Vector:
+        """Length of the shortest way from each corner to a goal, the extra for corners included, shape (corners,)."""
+        count = len(self._nodes)
+        seen, gaps = self._seen(goal)
+        first, second, lengths = self._links
+        rows = np.concatenate([first, np.full(len(seen), count)])
+        columns = np.concatenate([second, seen])
+        weights = np.concatenate([lengths, np.maximum(gaps, SLACK)]) + self._hop
+        linked = csr_array((weights, (rows, columns)), shape=(count + 1, count + 1))
+        return np.asarray(dijkstra(linked, directed=False, indices=[count]))[0, :count]
+
+
+@lru_cache(maxsize=64)
+def roadmap_of(
+    arena: tuple[Point, Point], obstacles: tuple[Obstacle, ...], radius: float, *, exact: bool = False
+) -> Roadmap:
+    """The roadmap between these obstacles; built once for all robots of a process."""
+    return Roadmap(arena, obstacles, radius, exact=exact)
+
+
+def _united(found: Sequence[Obstacle]) -> shapely.Geometry | None:
+    if not found:
+        return None
+    import shapely
+
+    united = shapely.union_all([shapely.Polygon(o.polygon) for o in found])
+    shapely.prepare(united)
+    return united
+
+
+def _turns(outline: Sequence[Point]) -> Iterable[tuple[Point, float, float]]:
+    """The convex corners of a polygon: where, from which direction away from it, and round by how much [rad]."""
+    corners = outline if polygons.signed_area(outline) > 0.0 else outline[::-1]
+    for k, corner in enumerate(corners):
+        before, after = corners[k - 1], corners[(k + 1) % len(corners)]
+        turn = polygons.cross(before, corner, after)
+        if turn <= 0.0:
+            continue
+        came = math.atan2(corner[1] - before[1], corner[0] - before[0])
+        goes = math.atan2(after[1] - corner[1], after[0] - corner[0])
+        yield corner, came - math.pi / 2.0, (goes - came) % (2.0 * math.pi)
+
+
+def _round_corner(at: tuple[Point, float, float], reach: float, sector: float) -> tuple[Points, Points, Vector]:
+    """Points round a turn at least `reach` away [units], their directions, and the sines of half their sectors."""
+    corner, start, turn = at
+    count = math.ceil(turn / sector - 1e-9)
+    half = turn / count / 2.0
+    angles = start + half * (2.0 * np.arange(count) + 1.0)
+    away = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.array(corner) + reach / math.cos(half) * away, away, np.full(count, math.sin(half))
+
+
+def _round_ball(center: Point, out: float) -> tuple[Points, Points, Vector]:
+    """The same round a ball, on a Fibonacci lattice."""
+    k = np.arange(AROUND) + 0.5
+    height, turn = 1.0 - 2.0 * k / AROUND, math.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - height * height)
+    away = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    half = 2.0 * math.acos(1.0 - 2.0 / AROUND)
+    return np.array(center) + out / math.cos(half) * away, away, np.full(AROUND, math.sin(half))
