@@ -92,4 +92,3 @@ def test_paths_lead_round_obstacles() -> None:
     assert path_lengths((20.0, 50.0), row, [1], 10.0, roadmap) == pytest.approx([10.0])
     (past,) = path_lengths((20.0, 50.0), row, [2], 10.0, roadmap)
     assert past > 2 * math.hypot(15.0, 11.5)
-    assert next_stop((20.0, 50.0), row, 3, (35.0, 80.0), 10.0, roadmap) is not None
