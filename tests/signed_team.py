@@ -31,6 +31,7 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
+from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
 from llm_flock.protocol.plan import Plan
@@ -76,6 +77,7 @@ class SignedTeam:
         loss: share of messages lost.
         liars: robots without an agent, the last ones.
         tolerated: number of liars that the honest reckon with.
+        gaps: what the honest do about places that nobody can take.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class SignedTeam:
         loss: float = 0.0,
         liars: int = 1,
         tolerated: int = 1,
+        gaps: Gaps = "report",
     ) -> None:
         rules = PRESETS["flock"]
         self.mission = mission
@@ -102,6 +105,7 @@ class SignedTeam:
                 verify=True,
                 authenticator=ToyKeys(robot),
                 liars=tolerated,
+                gaps=gaps,
             )
             for robot in range(mission.n_robots - liars)
         ]

@@ -136,7 +136,7 @@ def test_no_signed_message_ends_an_agent(seed: int) -> None:
         hostile = [mangled(rng.choice(heard), rng, 1) for _ in range(6)]
         tried(lambda hostile=hostile: honest.comm_round(hostile))
         for payload in hostile:
-            tried(lambda payload=payload: guilt(payload, 3, honest.mission, VALIDATOR, ToyKeys(0)))
+            tried(lambda payload=payload: guilt(payload, 3, [honest.mission], VALIDATOR, ToyKeys(0)))
     honest.end()
 
 

@@ -12,22 +12,24 @@ from reports import CONFIG, MISSION, N, told
 from sample_records import make_record
 from toy_keys import ToyKeys
 
-from llm_flock.cli.accusations import show_accusations
+from llm_flock.cli.accusations import MOST_SHOWN, show_accusations
 from llm_flock.errors import InputError, MessageError
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, MissionStamp
-from llm_flock.protocol.signed.certificates import Proofs, wrap
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.signed.certificates import Proofs, origin_statement, wrap
 from llm_flock.record.reader import read_record
 from llm_flock.record.schema import ProtocolEvent
-from llm_flock.runtime.entries import mission_info
+from llm_flock.runtime.entries import mission_info, run_info
 from llm_flock.runtime.network.accusations import MOST_JUDGED, MOST_PROOF_BYTES, Accuser, Judge
+from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import MOST_UNPROVEN, Observer
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, ReportedEvent, pack
 from llm_flock.trust.envelope import Envelope, signed_payload
 from llm_flock.trust.keys import load_keyring, load_public_keys, make_keys
 
 LIAR = 2
-JUDGE = Judge(ToyKeys(0))
+JUDGE = Judge(ToyKeys(0), CONFIG)
 STAMP = MissionStamp(0, MISSION.digest)
 
 
@@ -35,7 +37,7 @@ def sealed(message: bytes | None, by: int = LIAR, topic: str | None = None) -> b
     """What a member sends; `None` for a message between processes that is none."""
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     payload = b"\x03?" if message is None else pack(BeaconedMessage(beacon=beacon, message=message))
-    topic = f"say/{by}" if topic is None else topic
+    topic = JUDGE.topic(by) if topic is None else topic
     return Envelope(ToyKeys(by), 1, max_payload=MOST_PROOF_BYTES).seal(payload, topic)
 
 
@@ -62,15 +64,35 @@ def accusation(proof: object, robot: object = LIAR) -> dict[str, Any]:
         (LIAR, sealed(said(LIAR)), None),
         (1, FORGED, None),
         (LIAR, sealed(said(1), topic="report/2"), None),
-        (LIAR, sealed(said(1), by=0, topic="say/2"), None),
+        (LIAR, sealed(said(1), by=0, topic=JUDGE.topic(2)), None),
         (LIAR, FORGED[:-1] + bytes([FORGED[-1] ^ 1]), None),
         (LIAR, b"", None),
         (LIAR, b"\x07" + FORGED[1:], None),
-        (LIAR, Envelope(ToyKeys(LIAR), 1, max_payload=99).seal(b"\x01old", "say/2"), None),
+        (LIAR, Envelope(ToyKeys(LIAR), 1, max_payload=99).seal(b"\x01old", JUDGE.topic(2)), None),
     ],
 )
 def test_only_what_a_robot_signed_in_its_own_topic_counts(robot: int, message: bytes, expected: str | None) -> None:
-    assert JUDGE.verdict(robot, message, MISSION) == expected
+    assert JUDGE.verdict(robot, message, [MISSION]) == expected
+
+
+@pytest.mark.parametrize("other", [{"swarm": "other"}, {"gaps": "replan"}, {"n_robots": 6}, {"verify": False}])
+def test_messages_of_another_flight_prove_nothing(other: dict[str, Any]) -> None:
+    """They were faultless there."""
+    config = SwarmConfig.build({}, **{"shape": "triangle", "n_robots": N, "model": "simulated:ideal", **other})
+    judge = Judge(ToyKeys(0), config)
+    assert judge.topic(LIAR) != JUDGE.topic(LIAR) and judge.verdict(LIAR, FORGED, [config.mission]) is None
+
+
+def test_where_plans_are_not_verified_none_proves_anything() -> None:
+    bad = Plan.of([(50.0, 50.0)] * N)
+    origin = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=1, proposer=LIAR, sequence=0)
+    message = Message(sender=LIAR, sequence=0, neighbors=1, plan=bad, provenance=origin)
+    proofs = Proofs(origin=ToyKeys(LIAR).sign(origin_statement(origin, bad.digest)))
+    for verify, expected in ((True, "unverified_plan"), (False, None)):
+        config = SwarmConfig.build({}, shape="triangle", n_robots=N, model="simulated:ideal", verify=verify)
+        judge = Judge(ToyKeys(0), config)
+        proof = sealed(wrap(encode(message), proofs), topic=judge.topic(LIAR))
+        assert judge.verdict(LIAR, proof, [config.mission]) == expected
 
 
 @pytest.mark.parametrize(
@@ -78,6 +100,7 @@ def test_only_what_a_robot_signed_in_its_own_topic_counts(robot: int, message: b
     [
         accusation(FORGED, robot="2"),
         accusation(FORGED, robot=1),
+        accusation(FORGED, robot=True),
         accusation(7),
         accusation("not base64"),
         accusation("A" * (2 * MOST_PROOF_BYTES + 4)),
@@ -141,7 +164,7 @@ def test_a_robot_accuses_each_liar_once_and_only_after_a_refusal() -> None:
 
 def test_a_robot_judges_a_sender_so_often_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     judged: list[object] = []
-    judge = Judge(ToyKeys(0))
+    judge = Judge(ToyKeys(0), CONFIG)
     monkeypatch.setattr(judge, "verdict", lambda *_: judged.append(1))
     accuser = Accuser(judge)
     for refused in range(1, 2 * MOST_JUDGED):
@@ -151,8 +174,8 @@ def test_a_robot_judges_a_sender_so_often_and_no_more(monkeypatch: pytest.Monkey
 
 
 def test_an_envelope_is_judged_after_it_was_opened() -> None:
-    assert signed_payload(FORGED, "say/2", ToyKeys(0))[0] == LIAR
-    for topic, letter in (("say/1", FORGED), ("say/2", b""), ("say/2", b"\x01?" + bytes(64))):
+    assert signed_payload(FORGED, JUDGE.topic(2), ToyKeys(0))[0] == LIAR
+    for topic, letter in (("say/2", FORGED), (JUDGE.topic(2), b""), (JUDGE.topic(2), b"\x01?" + bytes(64))):
         with pytest.raises(MessageError):
             signed_payload(letter, topic, ToyKeys(0))
 
@@ -165,7 +188,7 @@ def test_the_public_keys_are_enough_to_check_a_record(
     liar = load_keyring(tmp_path / "team", LIAR)
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     payload = pack(BeaconedMessage(beacon=beacon, message=said(1)))
-    proof = Envelope(liar, 1, max_payload=MOST_PROOF_BYTES).seal(payload, f"say/{LIAR}")
+    proof = Envelope(liar, 1, max_payload=MOST_PROOF_BYTES).seal(payload, JUDGE.topic(LIAR))
     events = tuple(
         ProtocolEvent(round=0, comm_round=None, robot=1, kind="accused", detail=accusation(proof, robot))
         for robot in (LIAR, 0)
@@ -174,13 +197,18 @@ def test_the_public_keys_are_enough_to_check_a_record(
     third.mkdir()
     (third / "team.json").write_bytes((tmp_path / "team" / "team.json").read_bytes())
     record = read_record(make_record(tmp_path / "run.mcap", n=N, rounds=1))
-    record = replace(record, events=events, missions=(mission_info(MISSION, 0, 0),))
+    run = run_info(CONFIG, simulated=True)
+    record = replace(record, run=run, events=events, missions=(mission_info(MISSION, 0, 0),))
     show_accusations(record, third)
     show_accusations(record, None)
     first, second, *unchecked = capsys.readouterr().out.splitlines()
-    assert first == "robot 1 accuses robot 2 of lying (whatever): proven, robot 2 signed it (impostor)"
-    assert second == "robot 1 accuses robot 0 of lying (whatever): not proven"
-    assert all("check this with --keys" in line for line in unchecked)
+    assert first == "robot 1 accuses robot 2 of lying: proven, it signed this message (impostor)"
+    assert second == "robot 1 accuses robot 0 of lying: not proven"
+    assert len(unchecked) == 2 and all("give --keys" in line for line in unchecked)
+    show_accusations(replace(record, run=record.run.model_copy(update={"config": {}})), third)
+    assert "not proven" in capsys.readouterr().out, "a record of no swarm"
+    show_accusations(replace(record, events=2 * MOST_SHOWN * events[:1]), third)
+    assert f"{MOST_SHOWN} more accusations" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"team\.json"):
         show_accusations(record, tmp_path / "nowhere")
     assert load_public_keys(third).robots == N

@@ -2,53 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from llm_flock.cli.terminal import Screen
 from llm_flock.errors import FlockError, InputError
 from llm_flock.mission import Mission
-from llm_flock.protocol.signed.certificates import LIARS
 
 if TYPE_CHECKING:
     from llm_flock.record.reader import RunRecord
     from llm_flock.runtime.network.accusations import Judge
 
 
+MOST_SHOWN = 64
+"""Accusations of a record that are checked and shown."""
+
+
 def show_accusations(record: RunRecord, keys: Path | None) -> None:
     """Print a line for each accusation in a record; with a team's folder, whether its proof holds.
+
+    What the accuser says is not shown, only what the proof says: a record may come from anywhere.
 
     Raises:
         InputError: the folder has no public keys.
     """
     judge = None if keys is None else _judge(record, keys)
-    missions = [] if judge is None else list(_missions(record))
-    for event in record.events:
-        if event.kind != "accused":
-            continue
-        robot, reason = event.detail.get("robot"), event.detail.get("reason")
-        line = f"robot {event.robot} accuses robot {robot} of lying ({reason})"
-        if judge is None:
-            line += ": check this with --keys and the folder of the team's public keys"
+    missions = [] if judge is None else _missions(record)
+    accused = [event for event in record.events if event.kind == "accused"]
+    screen = Screen()
+    for event in accused[:MOST_SHOWN]:
+        line = f"robot {event.robot} accuses robot {event.detail.get('robot')} of lying: "
+        if keys is None:
+            line += "to check this, give --keys and the folder of the team's public keys"
         else:
-            proven = judge.confirms(event.detail, missions)
-            line += ": not proven" if proven is None else f": proven, robot {proven[0]} signed it ({proven[1]})"
-        Screen().print(Text(line))
+            proven = judge.confirms(event.detail, missions) if judge is not None and missions else None
+            line += "not proven" if proven is None else f"proven, it signed this message ({proven[1]})"
+        screen.print(Text(line))
+    if len(accused) > MOST_SHOWN:
+        screen.print(Text(f"{len(accused) - MOST_SHOWN} more accusations"))
 
 
-def _judge(record: RunRecord, keys: Path) -> Judge:
+def _judge(record: RunRecord, keys: Path) -> Judge | None:
+    """Who judges the record's messages; None for a record of no swarm of this program."""
     try:
         from llm_flock.runtime.network.accusations import Judge
+        from llm_flock.runtime.network.config import SwarmConfig
         from llm_flock.trust.keys import load_public_keys
     except ImportError:
         raise InputError("keys", str(keys), "possible with the extra: pip install 'llm-flock[network]'") from None
-    config = record.run.config
-    liars = cast("Mapping[str, Any]", config.get("network") or {}).get("liars", LIARS)
-    gaps = cast("Mapping[str, Any]", config.get("protocol") or {}).get("gaps")
-    return Judge(load_public_keys(keys), liars=liars if isinstance(liars, int) else LIARS, any_size=gaps == "replan")
+    public = load_public_keys(keys)
+    try:
+        return Judge(public, SwarmConfig.model_validate(record.run.config))
+    except (FlockError, ValueError):
+        return None
 
 
 def _missions(record: RunRecord) -> list[Mission]:

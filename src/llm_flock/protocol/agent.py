@@ -264,7 +264,7 @@ class Agent:
         if not self._own_clock:
             self._begin_period(event.round)
         places = self._replanning.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
-        if places is None or listening:
+        if places is None or listening or not agreement.may_propose:
             # A robot that joins a working team listens first, and only then proposes a plan.
             return Phase.AGREEING, []
         self._asked = PlanQuestion(

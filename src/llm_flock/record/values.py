@@ -98,7 +98,8 @@ _DETAILS: dict[str, tuple[type, ...]] = {
 
 def _details(detail: dict[str, Any]) -> dict[str, Any]:
     for name, value in detail.items():
-        if value is not None and not isinstance(value, _DETAILS.get(name, object)):
+        wanted = _DETAILS.get(name, object)
+        if value is not None and (not isinstance(value, wanted) or (wanted == (int,) and isinstance(value, bool))):
             raise ValueError(f"{name} is not a value of type {type(value).__name__}")
     return _free(detail)
 

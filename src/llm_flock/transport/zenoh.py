@@ -152,13 +152,19 @@ class Allowance:
         return True
 
 
+def sealed_topic(topic: str, contexts: Mapping[str, str]) -> str:
+    """The topic with the context of its kind, as a seal covers it."""
+    context = contexts.get(topic.partition("/")[0])
+    return topic if context is None else f"{topic} {context}"
+
+
 class ZenohLink:
     """Connects one process to a swarm's network. A topic is `kind/id`; other swarms, and own messages, are ignored.
 
     A payload is dropped, not delayed, where a receiver does not keep up, or where its topic brings more than `rates`
     allow: messages a second under one topic, by kind. That is counted as `too_many`, before a signature is checked.
-    Handlers run in `loop`; while one runs, `at_hand` is the message as it came, sealed. The session is closed by
-    `close`.
+    The seal of a kind with a context covers it too: senders and receivers must have the same. Handlers run in `loop`;
+    while one runs, `at_hand` is the message as it came, sealed. The session is closed by `close`.
     """
 
     def __init__(
@@ -170,6 +176,7 @@ class ZenohLink:
         seal: Seal,
         loop: asyncio.AbstractEventLoop,
         rates: Mapping[str, float],
+        contexts: Mapping[str, str] | None = None,
     ) -> None:
         self.traffic = LinkTraffic()
         self.at_hand = b""
@@ -178,7 +185,7 @@ class ZenohLink:
         self._own = own
         self._seal = seal
         self._loop = loop
-        self._rates = rates
+        self._rates, self._contexts = rates, contexts or {}
         self._allowances: dict[str, Allowance] = {}
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
@@ -196,7 +203,7 @@ class ZenohLink:
             publisher = self._publishers[topic] = self._session.declare_publisher(
                 f"{self._root}/{topic}", congestion_control=zenoh.CongestionControl.DROP, express=True
             )
-        sealed = self._seal.seal(payload, topic)
+        sealed = self._seal.seal(payload, sealed_topic(topic, self._contexts))
         self.traffic.sent[kind] += 1
         self.traffic.bytes[kind] += len(sealed)
         publisher.put(sealed)
@@ -215,7 +222,7 @@ class ZenohLink:
             try:
                 if len(sealed) > MAX_SEALED_BYTES:
                     raise MessageError("oversized", f"{len(sealed)} bytes")
-                sender, payload = self._seal.open(sealed, topic)
+                sender, payload = self._seal.open(sealed, sealed_topic(topic, self._contexts))
                 if named not in (None, str(sender)):
                     raise MessageError("wrong_topic", f"{sender} in {kind}")
             except MessageError as error:

@@ -24,14 +24,14 @@ ORDERED_AT = 10**12
 VALIDATOR = Validator(verify=True, shield_on=True)
 
 SHOWN = {
-    "claims every place": {None, "uncertified"},  # so many claims are allowed, and no more
+    "claims every place": {None, "uncertified"},  # the latter without the words that freed it
     "claims at huge versions": {"uncertified"},
     "claims in the name of others": {"uncertified"},
     "frees every place and takes one": {None},  # says what it sees
     "frees every place all the time": {None},
     "blocks every place": {None},
     "exchanges what others own": {"uncertified"},
-    "offers one place to all": {None, "uncertified"},
+    "offers one place to all": {None, "uncertified"},  # more than an honest robot makes
     "plans of its own": {None, "unverified_plan"},  # faultless, but for the mission before
     "a plan in one place": {"unverified_plan"},
     "another mission": {"no_order"},
@@ -52,8 +52,8 @@ class Public:
         return ToyKeys(0).check(member, statement, signature)
 
 
-def found(payload: bytes, sender: int, mission: Mission = MISSION) -> str | None:
-    return guilt(payload, sender, mission, VALIDATOR, Public())
+def found(payload: bytes, sender: int) -> str | None:
+    return guilt(payload, sender, [MISSION, LATER], VALIDATOR, Public())
 
 
 @pytest.mark.parametrize("lie", LIES)
@@ -73,11 +73,10 @@ def test_lies_are_shown_and_nothing_is_shown_about_the_honest(lie: str) -> None:
             for payload in said:
                 gang.hear(payload)
             lies = gang.says(lie)
-            reasons |= {found(payload, sender) or found(payload, sender, LATER) for sender, payload, _ in lies}
+            reasons |= {found(payload, sender) for sender, payload, _ in lies}
             said = team.comm_round(said_by=lies)
             for sender, payload in enumerate(said):
                 assert found(payload, sender) is None
-                assert found(payload, sender, LATER) is None
         team.end()
     assert team.agents[-1].mission == LATER
     assert reasons <= SHOWN[lie] and (reasons != {None} or SHOWN[lie] == {None}), reasons

@@ -74,8 +74,9 @@ def test_a_release_needs_one_witness_more_than_may_lie() -> None:
     assert slot is not None
     table = team.agents[0].claim.table or ()
     entry = (table[slot][0] + 1, 0.0, NO_OWNER)
-    for robots, fits in (((5, 6), False), ((5, 5, 6), False), ((2, 5, 6), True)):
-        assert evidence._fit(slot, entry, release(team, slot, robots), len(table)) is fits, robots
+    for robots in ((5, 6), (5, 5, 6), (2, 5, 6, 6), (1, 2, 5, 6)):
+        assert not evidence._fit(slot, entry, release(team, slot, robots), len(table)), robots
+    assert evidence._fit(slot, entry, release(team, slot, (2, 5, 6)), len(table))
 
 
 def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> None:

@@ -11,16 +11,16 @@ from toy_keys import ToyKeys
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.agreement.messaging import MOST_BAD_PLANS
 from llm_flock.protocol.events import Broadcast, CommRoundBegan, MissionGiven, Planned, RoundBegan
-from llm_flock.protocol.messages.channel import Authorization
+from llm_flock.protocol.messages.channel import Authorization, _decoded
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, MissionStamp, Offer
+from llm_flock.protocol.messages.message import MOST_EPOCHS, MOST_LOOKS, NO_OWNER, Message, MissionStamp, Offer
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
-    MOST_EPOCHS,
     OPERATOR,
     Proofs,
     beat_statement,
@@ -31,6 +31,7 @@ from llm_flock.protocol.signed.certificates import (
     wrap,
 )
 from llm_flock.protocol.signed.evidence import Evidence
+from llm_flock.protocol.verification.plans import _verdict, check_plan
 
 MISSION = Mission(shape="circle", n_robots=5)
 
@@ -80,6 +81,80 @@ def test_origins_are_remembered_in_bounded_memory(
 
 
 # ---------------------------------------------------------------- who speaks
+
+
+@pytest.mark.parametrize("adopted", [False, True])
+def test_the_origin_of_the_plan_in_force_is_kept_whatever_else_comes(
+    team: SignedTeam, liar: Liar, adopted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its proposer floods the team with more plans, and falls silent: the others go on to hear each other."""
+    monkeypatch.setattr("llm_flock.protocol.signed.channel.REMEMBERED_ORIGINS", 4)
+    flood = [
+        liar.says(plan=good_plan(MISSION, 40 + k), provenance=liar.provenance(epoch=0, sequence=0), table=None)
+        for k in range(12)
+    ]
+    best = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=1), table=None)
+    if adopted:
+        team.fly(3, lambda: [best])
+    team.fly(1, lambda: [best, *flood])
+    before = team.counts("forged_origin")
+    team.fly(3)
+    assert team.agents[0].plan == good_plan(MISSION, 3) and team.settled()
+    assert team.counts("forged_origin") == before == 0
+
+
+def test_no_robot_plans_again_after_the_last_plan() -> None:
+    """A liar proposes a plan for a smaller team as the last that counts: nobody proposes one that nobody accepts."""
+    team = SignedTeam(MISSION, line_up(5), gaps="replan")
+    liar = Liar(team)
+    team.fly(2)
+    smaller = MISSION.resized(4)
+    last = liar.says(plan=good_plan(smaller, 3), provenance=liar.provenance(epoch=MOST_EPOCHS), table=None)
+    team.fly(20, lambda: [last])
+    origins = {agent.provenance.epoch for agent in team.agents if agent.provenance is not None}
+    assert origins == {MOST_EPOCHS} and team.counts("many_plans") == 0
+    agreement = team.agents[0]._agreement
+    before = agreement.plan
+    assert agreement.propose(PlanAnswer(plan=good_plan(MISSION, 5), slot=0), "model") == [] and agreement.plan == before
+
+
+def test_a_plan_of_unknown_origin_is_passed_on_without_signature(team: SignedTeam, liar: Liar) -> None:
+    """Receivers refuse it; it never happens as long as origins are kept."""
+    plan, origin = good_plan(MISSION, 9), liar.provenance(epoch=2)
+    content = encode(Message(sender=0, sequence=1, neighbors=1, plan=plan, provenance=origin))
+    sealed = channel_of(team.agents[0]).seal(content)
+    assert unwrap(sealed, 5)[1].origin is None
+
+
+def test_visits_are_counted_up_to_what_others_accept(team: SignedTeam) -> None:
+    agreement = team.agents[0]._agreement
+    slot = agreement.claim.slot
+    assert slot is not None and agreement.claim.table is not None
+    table = list(agreement.claim.table)
+    table[slot] = (0, float(MOST_LOOKS), NO_OWNER)
+    agreement.claim = msgspec.structs.replace(agreement.claim, table=tuple(table))
+    agreement.count_search([slot])
+    assert (agreement.claim.table or ())[slot] == (0, float(MOST_LOOKS), NO_OWNER)
+
+
+def test_bad_plans_are_verified_a_few_times_a_round(team: SignedTeam, liar: Liar) -> None:
+    team.begin()
+    lies = [
+        liar.says(plan=Plan.of([(50.0, 50.0 + 0.01 * k)] * 5), provenance=liar.provenance(epoch=1), table=None)
+        for k in range(3 * MOST_BAD_PLANS)
+    ]
+    reasons = [reason for lie in lies for reason in team.tell(0, lie, team.liar)]
+    assert reasons == MOST_BAD_PLANS * ["unverified_plan"] + 2 * MOST_BAD_PLANS * ["many_plans"]
+
+
+def test_signed_messages_fill_no_cache(team: SignedTeam, liar: Liar) -> None:
+    """That of decoded messages is for simulations; a flood of large plans would fill it."""
+    _decoded.cache_clear()
+    team.fly(1, lambda: [liar.says()])
+    assert _decoded.cache_info().currsize == 0
+    before = _verdict.cache_info().misses
+    assert check_plan(MISSION, Plan.of([(50.0, 50.0)] * 900)) is not None
+    assert _verdict.cache_info().misses == before
 
 
 def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:

@@ -22,7 +22,15 @@ from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.occupancy import observe, still_bodies
 from llm_flock.protocol.membership.replanning import Replanning
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    MOST_EPOCHS,
+    MOST_LOOKS,
+    NO_OWNER,
+    Message,
+    MissionStamp,
+    Provenance,
+)
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.verification.validator import Validator, fallback_notes
@@ -89,7 +97,9 @@ class Agreement:
         table = self.claim.table
         if table is None or not slots:
             return
-        visited = {a: (table[a][0], table[a][1] + 1.0, NO_OWNER) for a in slots if table[a][2] == NO_OWNER}
+        visited = {
+            a: (table[a][0], min(table[a][1] + 1.0, MOST_LOOKS), NO_OWNER) for a in slots if table[a][2] == NO_OWNER
+        }
         self.claim = replace(self.claim, table=changed(table, visited))
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
@@ -107,12 +117,26 @@ class Agreement:
         self._refused_answer = failure if self.validator.verify else None
         return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
 
+    @property
+    def _next_epoch(self) -> int:
+        return max(0 if self.provenance is None else self.provenance.epoch + 1, self._proposals)
+
+    @property
+    def may_propose(self) -> bool:
+        """Whether another plan for this mission can follow on the one in force: there are `MOST_EPOCHS` at most."""
+        return self._next_epoch <= MOST_EPOCHS
+
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
-        """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment."""
+        """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
+
+        Nothing happens where no more plans may follow.
+        """
+        if not self.may_propose:
+            return []
         origin = Provenance(
             mission=self.stamp.counter,
             mission_digest=self.stamp.digest,
-            epoch=0 if self.provenance is None else self.provenance.epoch + 1,
+            epoch=self._next_epoch,
             neighbors=self.neighbors,
             proposer=self._robot,
             sequence=self._proposals,

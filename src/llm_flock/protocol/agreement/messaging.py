@@ -25,6 +25,9 @@ REMEMBERED_PAYLOADS = 256
 """Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
 their payloads once a round saves a tenth of a large team's time."""
 
+MOST_BAD_PLANS = 8
+"""Plans of one sender that may fail verification in a round; then no more of them are verified, which takes time."""
+
 REMEMBERED_REFUSALS = 1024
 """Most refused plans that are remembered, so that a flood of plans costs bounded memory."""
 
@@ -39,6 +42,7 @@ class Messaging:
         self._beats: list[NDArray[np.int64]] = []
         self._refused: Counter[str] = Counter()
         self._refused_plans: set[str] = set()
+        self._bad_plans = Counter[int]()
         self._repeated: dict[bytes, Message] = {}
 
     @property
@@ -54,6 +58,7 @@ class Messaging:
     def begin_round(self, near: frozenset[int]) -> None:
         """Begin a round with these robots sensed within radio range. Call after the agreement's `begin_round`."""
         self._dissemination.begin_round(near, self._agreement.neighbors)
+        self._bad_plans.clear()
         self._repeated.clear()
 
     def broadcast(self) -> bytes:
@@ -129,9 +134,13 @@ class Messaging:
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
         message, mission, validator = inbound.message, self._agreement.mission, self._agreement.validator
+        if message.plan is not None and self._bad_plans[message.sender] >= MOST_BAD_PLANS:
+            often = f"robot {message.sender} sends one bad plan after another"
+            return [self._reject(MessageError("many_plans", often))]
         objection = validator.objection(mission, message.plan)
         if objection is not None and message.plan is not None:
             self._dissemination.hear(message)
+            self._bad_plans[message.sender] += 1
             return self._reject_plan(message.plan, objection)
         plan = self._dissemination.resolve_plan(message, self._agreement.plan)
         if plan is not None:
@@ -186,6 +195,7 @@ class Messaging:
         Call once before a decision: it counts the heartbeats of all messages.
         """
         heard = [self._newest[sender] for sender in sorted(self._newest)]
+        self._channel.hold(heard)
         self._agreement.liveness.hear(self._beats)
         self._newest, self._beats = {}, []
         return heard

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from functools import lru_cache
 
 import msgspec
@@ -70,6 +71,9 @@ class Channel:
         """The operator's signature on the mission in force; empty for the first one, and without keys."""
         return b""
 
+    def hold(self, heard: Sequence[Message]) -> None:
+        """Take note of the messages on which the next decision is made."""
+
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
         """Check that a mission was given by the operator; without keys any robot may pass one on."""
 
@@ -78,7 +82,7 @@ class Channel:
         return payload
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _decoded(payload: bytes, n_robots: int, dim: int) -> Inbound:
     """A broadcast has many receivers: in a simulation its bytes are decoded once for all of them."""
     message = decode(payload, n_robots, dim)

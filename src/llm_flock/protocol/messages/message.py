@@ -46,6 +46,12 @@ of the mission]."""
 LAST_ROUND = 1023
 """Largest round number in a position report."""
 
+MOST_LOOKS = 64
+"""Largest number of visits to a vacant slot in an entry."""
+
+MOST_EPOCHS = 32
+"""Largest epoch: plans for one mission that follow on each other."""
+
 UNSAID: BidEntry = (0, 0.0, NO_OWNER)
 """The entry of lowest rank: merging it changes nothing, so it stands for slots that a message leaves out."""
 

@@ -23,6 +23,7 @@ from llm_flock.protocol.messages.codec import max_payload_bytes
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     MAX_BID,
+    MOST_LOOKS,
     NO_OWNER,
     BidEntry,
     Id,
@@ -46,15 +47,8 @@ def witnesses(liars: int) -> int:
     return liars + 1
 
 
-MOST_LOOKS = 64
-"""Largest number of visits to a vacant slot in a valid entry."""
-
-MOST_EPOCHS = 32
-"""Largest number of plans for one mission."""
-
-
 def most_claims(places: int) -> int:
-    """Highest number of a claim on a plan: honest bids lose at most once a slot, and exchanges are few."""
+    """Highest number of a claim on a plan that counts: honest bids lose at most once a slot, and exchanges are few."""
     return 4 * places + 64
 
 
@@ -195,9 +189,9 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(_Signed)
 
 
-def max_signed_bytes(n_robots: int) -> int:
+def max_signed_bytes(n_robots: int, liars: int = LIARS) -> int:
     """Largest message with certificates that a team of N legitimately needs [bytes]."""
-    return max_payload_bytes(n_robots) + 2048 + 1536 * n_robots
+    return max_payload_bytes(n_robots) + 2048 + (1376 + 80 * witnesses(liars)) * n_robots
 
 
 def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...], tuple[Grant, ...]]:
@@ -215,14 +209,15 @@ def wrap(message: bytes, proofs: Proofs) -> bytes:
     return bytes([WIRE_SIGNED]) + _ENCODER.encode(_Signed(message, proofs))
 
 
-def unwrap(payload: bytes, n_robots: int) -> tuple[bytes, Proofs]:
+def unwrap(payload: bytes, n_robots: int, liars: int = LIARS) -> tuple[bytes, Proofs]:
     """The message and its certificates in a payload from any member.
 
     Raises:
         MessageError: with reason `oversized`, `version` or `malformed`.
     """
-    if len(payload) > max_signed_bytes(n_robots):
-        raise MessageError("oversized", f"{len(payload)} bytes, at most {max_signed_bytes(n_robots)} are allowed")
+    most = max_signed_bytes(n_robots, liars)
+    if len(payload) > most:
+        raise MessageError("oversized", f"{len(payload)} bytes, at most {most} are allowed")
     if payload[:1] != bytes([WIRE_SIGNED]):
         raise MessageError("version", f"signed messages are of version {WIRE_SIGNED}")
     try:
@@ -277,11 +272,11 @@ def _statement(kind: str, context: Context, *values: float) -> bytes:
     return _ENCODER.encode((kind, context.mission.counter, context.mission.digest, context.plan, *values))
 
 
-def plausible(entry: BidEntry, number: int, places: int) -> bool:
+def plausible(entry: BidEntry, number: int) -> bool:
     """Whether an honest robot could ever write such an entry."""
     version, bid, owner = entry
     if owner == NO_OWNER:
         return 0.0 <= bid <= MOST_LOOKS
     if owner == BLOCKED:
         return bid == 0.0 and version > 0
-    return -MAX_BID <= bid <= 0.0 and 0 < number <= most_claims(places)
+    return -MAX_BID <= bid <= 0.0 and number > 0

@@ -16,9 +16,8 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import MOST_EPOCHS, Message, MissionStamp, Provenance
 from llm_flock.protocol.signed.certificates import (
-    MOST_EPOCHS,
     OPERATOR,
     Authenticator,
     Proofs,
@@ -48,6 +47,8 @@ class SignedChannel(Channel):
         self._evidence = evidence
         self._liveness = liveness
         self._origins: dict[tuple[Provenance, str], bytes] = {}
+        self._held: dict[tuple[Provenance, str], bytes] = {}
+        self._in_force: dict[tuple[Provenance, str], bytes] = {}
         self._beats: dict[int, dict[int, bytes]] = {}
         self._authorization: Authorization | None = None
 
@@ -62,11 +63,13 @@ class SignedChannel(Channel):
         Raises:
             MessageError: as `unwrap` and `Channel.open`, and with reason `impostor`, `forged_origin` or `many_plans`.
         """
-        content, proofs = unwrap(payload, self._n_robots)
-        message = super().open(content, sender).message
+        content, proofs = unwrap(payload, self._n_robots, self._evidence.liars)
+        message = decode(content, self._n_robots, self._dim)
+        if message.sender == self._robot:
+            raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
         if message.sender != sender:
             raise MessageError("impostor", f"robot {sender} speaks as robot {message.sender}")
-        self._check_origin(message, proofs)
+        proofs = msgspec.structs.replace(proofs, origin=self._checked_origin(message, proofs))
         beats = self._verified_beats(message, proofs)
         return Inbound(
             message=msgspec.structs.replace(message, proofs=proofs),
@@ -74,18 +77,35 @@ class SignedChannel(Channel):
             authorization=Authorization(counter=message.mission.counter, signature=proofs.mission or b""),
         )
 
-    def _check_origin(self, message: Message, proofs: Proofs) -> None:
+    def _checked_origin(self, message: Message, proofs: Proofs) -> bytes | None:
+        """The proposer's signature on the plan of a message, if it is about one."""
         origin, plan = message.provenance, message.plan_digest
         if origin is None or plan is None:
-            return
+            return None
         if not origin.sequence <= origin.epoch <= MOST_EPOCHS:
             raise MessageError("many_plans", f"plan {origin.sequence} of robot {origin.proposer} in {origin.epoch}")
-        if (origin, plan) in self._origins:
-            return
+        known = self._known_origin(origin, plan)
+        if known is not None:
+            return known
         signature = proofs.origin or b""
         if not self._authenticator.check(origin.proposer, origin_statement(origin, plan), signature):
             raise MessageError("forged_origin", f"robot {origin.proposer} has not signed this plan")
         self._remember(origin, plan, signature)
+        return signature
+
+    def _known_origin(self, origin: Provenance, plan: str) -> bytes | None:
+        return self._held.get((origin, plan)) or self._origins.get((origin, plan))
+
+    def hold(self, heard: Sequence[Message]) -> None:
+        """Keep the origins of messages on which the next decision is made, whatever else comes in.
+
+        The plan that is adopted has to be passed on with its origin, also if its proposer floods the others with more.
+        """
+        self._held = dict(self._in_force)
+        for message in heard:
+            origin, plan, proofs = message.provenance, message.plan_digest, message.proofs
+            if origin is not None and plan is not None and isinstance(proofs, Proofs):
+                self._held[origin, plan] = proofs.origin or b""
 
     def _remember(self, origin: Provenance, plan: str, signature: bytes) -> None:
         if len(self._origins) >= REMEMBERED_ORIGINS:
@@ -140,9 +160,13 @@ class SignedChannel(Channel):
         origin, plan = message.provenance, message.plan_digest
         if origin is None or plan is None:
             return None
-        if origin.proposer == self._robot and (origin, plan) not in self._origins:
-            self._remember(origin, plan, self._authenticator.sign(origin_statement(origin, plan)))
-        return self._origins.get((origin, plan))
+        signature = self._known_origin(origin, plan)
+        if signature is None and origin.proposer == self._robot:
+            signature = self._authenticator.sign(origin_statement(origin, plan))
+            self._remember(origin, plan, signature)
+        if signature is not None:
+            self._in_force = {(origin, plan): signature}
+        return signature
 
     def _signed_beats(self, beats: Sequence[int]) -> tuple[bytes, ...]:
         count = beats[self._robot]

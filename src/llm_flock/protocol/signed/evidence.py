@@ -66,6 +66,11 @@ class Evidence:
         self._outdated: set[tuple[int, BidEntry]] = set()
         self._outdated_before: set[tuple[int, BidEntry]] = set()
 
+    @property
+    def liars(self) -> int:
+        """Robots that may lie together."""
+        return self._witnesses - 1
+
     def turn_to(self, context: Context) -> None:
         """Start without evidence unless mission and plan are the same as before."""
         if context != self._context:
@@ -115,8 +120,12 @@ class Evidence:
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
             certificate = self._held[slot, entry]
-        elif not (plausible(entry, certificate.number, places) and self._holds(slot, entry, certificate)):
+        elif not (plausible(entry, certificate.number) and self._holds(slot, entry, certificate)):
             self.refused["uncertified"] += 1
+            return False
+        elif certificate.number > most_claims(places):
+            # Its owner may be honest, and have been driven from place to place by liars.
+            self.refused["many_claims"] += 1
             return False
         if owner < 0:
             if isinstance(certificate.grant, ReleaseGrant):
@@ -153,7 +162,8 @@ class Evidence:
 
     def _free(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> bool:
         statement = word_statement(self._page, slot, version, owner)
-        return len({robot for robot, _ in grant.words}) >= self._witnesses and all(
+        # Exactly as many as are needed: whoever merges the entry has to pass the grant on.
+        return len(grant.words) == len({robot for robot, _ in grant.words}) == self._witnesses and all(
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
         )
 

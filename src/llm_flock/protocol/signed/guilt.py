@@ -7,6 +7,7 @@ here; a sender that only changes its mind, or is wrong about what it sees, passe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -50,17 +51,18 @@ class _Outsider:
 def guilt(
     payload: bytes,
     sender: int,
-    mission: Mission,
+    missions: Sequence[Mission],
     validator: Validator,
     verifier: Verifier,
     liars: int = LIARS,
 ) -> str | None:
     """Why no honest robot sends this message, as a reason for refusals (docs/reference/wire.md); None if one could.
 
-    Call with a payload that `sender` has signed as a whole, and with any mission of the team: plans for another mission
-    are not checked. A message of another version proves nothing.
+    Call with a payload that `sender` has signed as a whole, and with one or more missions of the team: plans for
+    another mission are not checked. A message of another version proves nothing, and neither do more claims than
+    count, as liars can drive an honest robot from place to place.
     """
-    authenticator = _Outsider(verifier)
+    mission, authenticator = missions[0], _Outsider(verifier)
     evidence = Evidence(OUTSIDER, authenticator, liars)
     liveness = Liveness(0, mission.n_robots, TIME_OUT)
     channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, liveness)
@@ -71,7 +73,8 @@ def guilt(
         return None if error.reason == "version" else error.reason
     message, proofs = inbound.message, inbound.message.proofs
     assert isinstance(proofs, Proofs), "a signed channel leaves them there"
-    if message.mission.digest == mission.digest and validator.objection(mission, message.plan) is not None:
+    asked = next((m for m in missions if m.digest == message.mission.digest), None)
+    if asked is not None and validator.objection(asked, message.plan) is not None:
         return "unverified_plan"
     return _forged(message, proofs, evidence)
 
@@ -96,4 +99,4 @@ def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
         evidence.signed_by(word.witness, word_statement(about, word.slot, word.version, word.owner), word.signature)
         for word in proofs.words
     )
-    return None if words and not evidence.refused else "uncertified"
+    return None if words and not evidence.refused["uncertified"] else "uncertified"

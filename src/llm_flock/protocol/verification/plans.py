@@ -66,7 +66,8 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     and, if the ideal is known, close to it after the best rotation and correspondence. A formation that travels passes
     obstacles: where they are does not matter for its plan.
     """
-    return _verdict(mission, plan)[1]
+    # Plans of another size are not worth remembering, however many come.
+    return _fault_of_form(mission, plan) or _verdict(mission, plan)[1]
 
 
 def blocked_within(mission: Mission) -> float:
@@ -96,18 +97,16 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
     """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
-    return _verdict(mission, plan)[0]
+    return PlanClass.REFUSED if _fault_of_form(mission, plan) else _verdict(mission, plan)[0]
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
-    """Class and reason. Cached, so that a plan is checked once even if many robots of a process receive it."""
-    reason = (
-        _fault_of_form(mission, plan)
-        or _fault_of_place(mission, plan)
-        or _fault_of_world(mission, plan)
-        or _fault_of_spacing(mission, plan)
-    )
+    """Class and reason of a plan of the right form.
+
+    Cached, so that a plan is checked once even if many robots of a process receive it.
+    """
+    reason = _fault_of_place(mission, plan) or _fault_of_world(mission, plan) or _fault_of_spacing(mission, plan)
     if reason is not None:
         return PlanClass.REFUSED, reason
     residual = _residual(mission, plan)

@@ -7,17 +7,20 @@ slow a team, about what a robot sees, cannot be proven.
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.signed.certificates import LIARS, Verifier
+from llm_flock.protocol.signed.certificates import Verifier
 from llm_flock.protocol.signed.guilt import guilt
 from llm_flock.protocol.verification.validator import Validator
+from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import BeaconedMessage, unpack
+from llm_flock.transport.zenoh import sealed_topic
 
 MOST_PROOF_BYTES = 1 << 18
 """Largest message that is shown: reports have a limit too."""
@@ -29,19 +32,37 @@ REMEMBERED = 4
 """Newest messages of each sender between two exchanges that may be judged."""
 
 
+def contexts(config: SwarmConfig) -> dict[str, str]:
+    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends.
+
+    Robots that are configured differently do not hear each other, and a message of another flight proves nothing.
+    """
+    network, protocol, mission = config.network, config.protocol, config.mission
+    about = (network.swarm, mission.n_robots, mission.dim, network.liars, protocol.gaps, protocol.verify)
+    return {"say": hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest()}
+
+
 class Judge:
     """Decides by public keys alone whether a sealed message shows that its sender lies."""
 
-    def __init__(self, verifier: Verifier, *, liars: int = LIARS, any_size: bool = False) -> None:
-        self._verifier, self._liars = verifier, liars
-        self._validator = Validator(verify=True, shield_on=True, any_size=any_size)
+    def __init__(self, verifier: Verifier, config: SwarmConfig) -> None:
+        protocol = config.protocol
+        self._verifier, self._liars = verifier, config.network.liars
+        self._contexts = contexts(config)
+        self._validator = Validator(
+            verify=bool(protocol.verify), shield_on=bool(protocol.shield), any_size=protocol.gaps == "replan"
+        )
 
-    def verdict(self, robot: int, sealed: bytes, mission: Mission) -> str | None:
+    def topic(self, robot: int) -> str:
+        """The topic that a robot's seals on its messages cover."""
+        return sealed_topic(f"say/{robot}", self._contexts)
+
+    def verdict(self, robot: int, sealed: bytes, missions: Sequence[Mission]) -> str | None:
         """Why no honest robot sends this, for a message that the robot has sealed; None if nothing is proven."""
         from llm_flock.trust.envelope import signed_payload
 
         try:
-            sender, payload = signed_payload(sealed, f"say/{robot}", self._verifier)
+            sender, payload = signed_payload(sealed, self.topic(robot), self._verifier)
         except MessageError:
             return None
         if sender != robot:
@@ -50,19 +71,19 @@ class Judge:
             message = unpack(BeaconedMessage, payload).message
         except MessageError as error:
             return None if error.reason == "version" else error.reason
-        return guilt(message, robot, mission, self._validator, self._verifier, self._liars)
+        return guilt(message, robot, missions, self._validator, self._verifier, self._liars)
 
-    def confirms(self, detail: Mapping[str, Any], missions: Iterable[Mission]) -> tuple[int, str] | None:
+    def confirms(self, detail: Mapping[str, Any], missions: Sequence[Mission]) -> tuple[int, str] | None:
         """The robot that an accusation proves to lie, and the reason; None if it does not, whatever it holds."""
         robot, proof = detail.get("robot"), detail.get("proof")
-        if not isinstance(robot, int) or not isinstance(proof, str) or len(proof) > 2 * MOST_PROOF_BYTES:
+        if type(robot) is not int or not isinstance(proof, str) or len(proof) > 2 * MOST_PROOF_BYTES:
             return None
         try:
             sealed = base64.b64decode(proof, validate=True)
         except ValueError:
             return None
-        verdicts = (self.verdict(robot, sealed, mission) for mission in missions)
-        return next(((robot, reason) for reason in verdicts if reason is not None), None)
+        reason = self.verdict(robot, sealed, missions)
+        return None if reason is None else (robot, reason)
 
 
 class Accuser:
@@ -91,7 +112,7 @@ class Accuser:
                 if self._judged[sender, mission.digest] >= MOST_JUDGED:
                     break
                 self._judged[sender, mission.digest] += 1
-                reason = self._judge.verdict(sender, sealed, mission)
+                reason = self._judge.verdict(sender, sealed, [mission])
                 if reason is not None:
                     self.accused.add(sender)
                     proof = base64.b64encode(sealed).decode("ascii")

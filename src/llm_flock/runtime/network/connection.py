@@ -16,7 +16,7 @@ from llm_flock.members import OPERATOR, WORLD, member_name, members
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.protocol.signed.certificates import Verifier, mission_statement
-from llm_flock.runtime.network.accusations import Judge
+from llm_flock.runtime.network.accusations import Judge, contexts
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.wire import MissionOrder, T, unpack
 from llm_flock.transport.seal import PlainSeal, Seal
@@ -117,7 +117,9 @@ def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> Ze
         seal = Envelope(keys, next_session(folder, member, time.time()), max_payload=MAX_SEALED_BYTES)
     session = open_session(settings(listen=listens, connect=connects, lease_s=network.lease_s, security=security))
     loop = asyncio.get_running_loop()
-    return ZenohLink(session, swarm=network.swarm, own=member, seal=seal, loop=loop, rates=rates(config))
+    return ZenohLink(
+        session, swarm=network.swarm, own=member, seal=seal, loop=loop, rates=rates(config), contexts=contexts(config)
+    )
 
 
 def receive(
@@ -147,8 +149,7 @@ def receive(
 
 def judge_of(config: SwarmConfig, keys: Verifier | None) -> Judge | None:
     """What tells whether a message shows that its sender lies; None in a team without keys."""
-    any_size = config.protocol.gaps == "replan"
-    return None if keys is None else Judge(keys, liars=config.network.liars, any_size=any_size)
+    return None if keys is None else Judge(keys, config)
 
 
 def signed_by_operator(config: SwarmConfig, member: int) -> Callable[[MissionStamp, bytes], bool] | None:
