@@ -51,7 +51,7 @@ def test_no_changed_bit_is_accepted(payload: bytes, data: st.DataObject) -> None
 @given(st.binary(max_size=300))
 def test_noise_is_refused(noise: bytes) -> None:
     assert refused(pair()[1], noise)
-    assert refused(pair()[1], b"\1" + noise)
+    assert refused(pair()[1], b"\2" + noise)
 
 
 def test_nobody_speaks_for_another_or_for_the_reader() -> None:
@@ -75,8 +75,8 @@ def test_size_is_bounded_before_anything_is_read() -> None:
 def test_reasons_have_names() -> None:
     _, reader = pair()
     assert refused(reader, b"") == "version"
-    assert refused(reader, b"\2abc") == "version"
-    assert refused(reader, b"\1abc") == "malformed"
+    assert refused(reader, b"\1abc") == "version"
+    assert refused(reader, b"\2abc") == "malformed"
 
 
 def test_a_new_start_is_heard_and_the_old_one_is_not_heard_again() -> None:
@@ -122,7 +122,7 @@ def test_an_unsigned_number_moves_no_window() -> None:
     writer, reader = pair()
     reader.open(writer.seal(b"x"))
     letter = msgspec.msgpack.encode([1, 2**61, 2**61, b"forged"])
-    assert refused(reader, b"\1" + letter + bytes(64)) == "bad_signature"
+    assert refused(reader, b"\2" + letter + bytes(64)) == "bad_signature"
     assert reader.open(writer.seal(b"y")) == (1, b"y")
 
 

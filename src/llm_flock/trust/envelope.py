@@ -14,7 +14,7 @@ import msgspec
 from llm_flock.errors import MessageError
 from llm_flock.protocol.signed.certificates import Authenticator, Verifier
 
-ENVELOPE_VERSION = 1
+ENVELOPE_VERSION = 2
 SIGNATURE_BYTES = 64
 WINDOW = 1024
 """Numbers up to this far behind the newest are still accepted, once."""
