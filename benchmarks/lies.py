@@ -218,7 +218,7 @@ def swarm(arguments: Sequence[str] = ()) -> None:
     options = _options(arguments)
     with ProcessPoolExecutor(options.jobs) as pool:
         for liars in SWARM if options.liars is None else [options.liars]:
-            for lie in (*OF_THE_WIRE, *LIES, EVERYTHING):
+            for lie in (*OF_THE_WIRE, *LIES, EVERYTHING) if options.lie is None else [options.lie]:
                 outcomes = list(pool.map(partial(one_swarm, lie, liars), range(options.runs)))
                 print(line(lie, SWARM[liars], liars, outcomes), flush=True)
 
@@ -275,6 +275,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--robots", type=int, help="only teams of this size, for the curve")
     parser.add_argument("--liars", type=int, help="only this many liars, for curve and swarm")
+    parser.add_argument("--lie", help="only this one, for the swarm")
     parser.add_argument("--jobs", type=int, default=1, help="swarms of processes at a time [1]")
     parser.add_argument("--told", type=int, help="number of liars that the team reckons with, for the curve [as many]")
     return parser.parse_args(arguments)

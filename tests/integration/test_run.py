@@ -322,47 +322,6 @@ def test_a_record_is_never_overwritten(tmp_path: Path) -> None:
     assert not (tmp_path / "tape").exists()
 
 
-def test_given_starts_are_taken_or_refused() -> None:
-    mission = llm_flock.Mission(shape="line", n_robots=2)
-    result = llm_flock.run(mission, start_positions=((1, 2), (30, 40)), rounds=1)
-    assert result.positions[0].tolist() == [[1, 2], [30, 40]]
-    with pytest.raises(InputError, match="start_positions"):
-        llm_flock.run(mission, start_positions=((1, 2),), rounds=1)
-    for outside in ((30, 100.5), (-0.5, 40)):
-        with pytest.raises(InputError, match=r"start_positions = .* inside the arena .*robot 1 is not"):
-            llm_flock.run(mission, start_positions=((0, 100), outside), rounds=1)
-
-
-def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> None:
-    from llm_flock.metrics import min_separation
-    from llm_flock.robots.simulated import draw_start
-
-    mission = llm_flock.Mission(n_robots=10)
-    near = 0
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        assert min_separation(draw_start(mission, "separated", rng)) >= 3
-        near += min_separation(draw_start(mission, "uniform", np.random.default_rng(seed))) < 3
-    assert near > 10
-
-
-def test_connected_starts_are_in_radio_contact_and_apart() -> None:
-    from llm_flock import graph
-    from llm_flock.metrics import min_separation
-    from llm_flock.robots.simulated import draw_start
-
-    mission = llm_flock.Mission(n_robots=30)
-    for seed in range(20):
-        starts = draw_start(mission, "connected", np.random.default_rng(seed))
-        assert min_separation(starts) >= 3 and (starts >= 0).all() and (starts <= 100).all()
-        near = graph.neighbors(starts, mission.comm_range)
-        met = [0]
-        for robot in met:
-            met.extend(j for j in near[robot] if j not in met)
-        assert len(met) == 30
-    assert min_separation(draw_start(mission, "connected", np.random.default_rng(0))) < mission.comm_range
-
-
 def test_every_robot_thinks_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """All calls of a round are under way together, up to the limit."""
     now = most = 0

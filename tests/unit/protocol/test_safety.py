@@ -79,6 +79,17 @@ def test_round_an_obstacle_exactly_in_line(obstacle: Obstacle) -> None:
     assert team.clearance >= SAFE / 2 - 1e-6
 
 
+@pytest.mark.parametrize("spacing", [SAFE, 1.05 * SAFE])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_line_as_tight_as_the_safe_distance_fills_up(spacing: float, seed: int) -> None:
+    """Beside another robot, a place is approached by halves; nobody takes that for being blocked."""
+    starts = np.array([[30.0 + 6.0 * k, 20.0] for k in range(7)])
+    starts += np.random.default_rng(seed).uniform(-1.4, 1.4, starts.shape)
+    team = SafeTeam(starts, [[40.0 + spacing * k, 60.0] for k in range(7)])
+    assert team.fly(40) is not None
+    assert team.smallest >= SAFE - 1e-6
+
+
 def test_a_goal_that_cannot_be_reached_is_noted_once_and_circled() -> None:
     team = SafeTeam([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
     assert team.fly(80) is None

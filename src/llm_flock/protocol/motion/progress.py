@@ -23,7 +23,7 @@ PATIENCE = 3
 """Rounds without progress after which a robot counts as blocked."""
 
 GAIN_SHARE = 0.05
-"""Approaching the goal by this share of `max_step` counts as progress."""
+"""Approaching the goal by this share of `max_step`, or of what is left, counts as progress."""
 
 TURN_RAD = math.radians(15.0)
 """Angle between the directions that a detour tries."""
@@ -116,10 +116,12 @@ def detour(
     for k in range(round(2 * math.pi / TURN_RAD)):
         heading = straight + progress.side * k * TURN_RAD
         direction = (math.cos(heading), math.sin(heading), *(0.0 for _ in position[2:]))
-        waypoint = project(moved(position, direction, length))
+        # Straight ahead, the goal is far enough: beside another robot it is approached by halves.
+        step = length if k else min(length, math.dist(position, stop))
+        waypoint = project(moved(position, direction, step))
         gained = sum((y - x) * u for x, y, u in zip(position, waypoint, direction, strict=True))
         if gained > best_gain:
             best, best_gain = waypoint, gained
-        if gained >= USEFUL_SHARE * length:
+        if gained >= USEFUL_SHARE * step:
             break
     return best, replace(progress, rounds_on_side=progress.rounds_on_side + 1)

@@ -74,7 +74,7 @@ class Safety:
         progress = self._progress = update_progress(
             self._progress,
             leg,
-            gain=GAIN_SHARE * limits.max_step,
+            gain=GAIN_SHARE * min(limits.max_step, leg.left),
             within=tolerance + self._noise_bound,
             side_rounds=self._side_rounds,
         )
