@@ -17,7 +17,7 @@ from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.bodies import InstantBodies
-from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_radio
+from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
@@ -83,7 +83,7 @@ async def run_async(
         assignment = assignment_rule(protocol.assignment or "")
 
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
-    warn_of_radio(config.mission)
+    warn_of_mission(config.mission)
     given = config.trial
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)

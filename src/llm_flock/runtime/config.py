@@ -281,15 +281,27 @@ class RunConfig(ConfigSection):
         return cls.build(base, **overrides)
 
 
+ROOM = 1.05
+"""Smallest spacing, in safe distances, at which robots have room to move (docs/explanation/safe-motion.md)."""
+
+
 @cache
-def warn_of_radio(mission: Mission) -> None:
-    """Log a warning, once for each mission, if robots at their places would not all be in radio contact."""
+def warn_of_mission(mission: Mission) -> None:
+    """Log a warning, once for each mission, if it may not form: for want of radio contact, or of room to move."""
     if mission.ideal is not None and not in_radio_contact(Plan.of(mission.ideal), mission.comm_range):
         logger.warning(
             "comm_range = %g is too short for this formation: robots at its places, %g apart, are not all in radio "
             "contact. The team may take long to agree or never form, and cannot notice a dead robot.",
             mission.comm_range,
             mission.spacing,
+        )
+    if mission.n_places > 1 and mission.spacing < ROOM * mission.safe_distance:
+        logger.warning(
+            "spacing = %g leaves robots no room to move: they keep %g apart. The team may take long to form, or never "
+            "do; a spacing of %g would do.",
+            mission.spacing,
+            mission.safe_distance,
+            ROOM * mission.safe_distance,
         )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from llm_flock.protocol.planning import Planner
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.api import open_outputs
-from llm_flock.runtime.config import warn_of_radio
+from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
@@ -91,7 +91,7 @@ class Flight:
             FlockError: the deadman did not start, or a file cannot be written any more; all drones were landed.
         """
         config = self._config
-        warn_of_radio(config.mission)
+        warn_of_mission(config.mission)
         planners = TeamPlanners(config)
         try:
             self._on_stage("connecting")

@@ -22,7 +22,7 @@ from typing import Any
 
 from llm_flock.errors import FlockError
 from llm_flock.record.writer import NullWriter
-from llm_flock.runtime.config import warn_of_radio
+from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.network.config import SwarmConfig, check_models
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.watch import CHECK_S, observing
@@ -231,7 +231,7 @@ async def launched(
         InputError: the configuration does not work here.
     """
     check_models(config)
-    warn_of_radio(config.mission)
+    warn_of_mission(config.mission)
     if not config.network.connect:
         network = config.network.model_copy(update={"connect": f"tcp/127.0.0.1:{free_port()}"})
         config = config.model_copy(update={"network": network})
