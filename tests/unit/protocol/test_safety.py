@@ -79,6 +79,30 @@ def test_round_an_obstacle_exactly_in_line(obstacle: Obstacle) -> None:
     assert team.clearance >= SAFE / 2 - 1e-6
 
 
+def test_between_two_discs_a_robot_keeps_to_its_way() -> None:
+    """A whole step would slide off the way, to where the last corner comes next again."""
+    discs = Obstacle(center=(92.47, 53.22), radius=1.209), Obstacle(center=(85.62, 49.97), radius=2.893)
+    team = SafeTeam([[91.423795, 50.000112]], [[82.51, 60.67]], *discs)
+    assert team.fly(12) is not None
+    assert team.kinds["deadlock"] == 0 and team.clearance >= SAFE / 2 - 1e-6
+
+
+def test_a_robot_that_obstacles_alone_slow_down_makes_no_detour() -> None:
+    """It has waited for long behind others that are gone now."""
+    disc = Obstacle(center=(50.0, 50.0), radius=6.0)
+    mission = Mission(shape="text:any", n_robots=2, obstacles=(disc,))
+    leg = Leg(goal=(60.0, 57.6), stop=(60.0, 57.6), left=20.0)
+    safety = Safety(0, mission, 0.0)
+    steps = [safety.step((40.0, 57.6), {}, (45.7, 57.6), leg, 0.5) for _ in range(PATIENCE + 2)]
+    step = steps[-1]
+    assert step.origin is not Origin.DETOUR and step.waypoint[0] > 41.0
+    steps = [safety.step((40.0, 57.6), {}, (34.0, 57.6), leg, 0.5) for _ in range(PATIENCE + 2)]
+    assert steps[-1].origin is Origin.DETOUR, "away from where it has to go"
+    aside, ahead = (42.0, 50.0), ((43.0, 57.6),)
+    kept = safety._on_its_way((40.0, 57.6), leg.stop, (45.7, 57.6), aside, ahead)
+    assert kept == aside, "no step leads on, however short"
+
+
 @pytest.mark.parametrize("spacing", [SAFE, 1.05 * SAFE])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_line_as_tight_as_the_safe_distance_fills_up(spacing: float, seed: int) -> None:

@@ -22,6 +22,9 @@ from llm_flock.protocol.motion.progress import (
 )
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 
+SHORTER = (0.5, 0.25, 0.125, 0.0625)
+"""Shares of a step that are tried where the whole one slides off the way."""
+
 SEPARATION_TOLERANCE = 1e-6
 """Pairs that keep the safe distance to within this count as separated [units]."""
 
@@ -79,8 +82,9 @@ class Safety:
             side_rounds=self._side_rounds,
         )
         others = tuple(sensed.values())
-        if not progress.blocked:
-            safe = self._project(position, wish, others)
+        stop = moved(leg.stop, drift)
+        safe = self._on_its_way(position, stop, wish, self._project(position, wish, others), others)
+        if not progress.blocked or self._in_nobodys_way(position, stop, wish, safe):
             if safe == wish:
                 return SafeStep(waypoint=wish, origin=Origin.MODEL)
             note = Note("shielded", {"proposed": wish, "flown": safe})
@@ -95,6 +99,26 @@ class Safety:
         blocked = Note("deadlock", {"goal_distance": math.dist(here, leg.goal), "rounds": progress.idle})
         notes = () if was_blocked else (blocked,)
         return SafeStep(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
+
+    def _on_its_way(self, position: Point, stop: Point, wish: Point, safe: Point, others: tuple[Point, ...]) -> Point:
+        """The safe waypoint, or a shorter step of the wish if that slides off the way between two obstacles.
+
+        From where it slides to, the robot would be sent back to the last corner, for ever.
+        """
+        roadmap = self._limits.roadmap
+        if roadmap is None or safe == wish or roadmap.straight(safe, stop):
+            return safe
+        for share in SHORTER:
+            shorter = tuple(x + share * (w - x) for x, w in zip(position, wish, strict=True))
+            if roadmap.straight(shorter, stop) and self._project(position, shorter, others) == shorter:
+                return shorter
+        return safe
+
+    def _in_nobodys_way(self, position: Point, stop: Point, wish: Point, safe: Point) -> bool:
+        """Whether obstacles alone slow a robot that heads for its next stop: its way leads past them."""
+        if not self._limits.obstacles or math.dist(safe, stop) >= math.dist(position, stop):
+            return False
+        return safe == self._on_its_way(position, stop, wish, self._project(position, wish, ()), ())
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
         limits, noise = self._limits, self._noise_bound
