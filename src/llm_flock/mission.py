@@ -412,5 +412,6 @@ def input_error(error: ValidationError) -> InputError:
     place = list(first["loc"])
     while len(place) > 1 and isinstance(place[0], str) and isinstance(place[1], str):
         del place[0]
-    field = ".".join(map(str, place)) or "value"
+    # A name may come from a message or a file, with whatever letters.
+    field = ".".join(name if name.isprintable() else ascii(name) for name in map(str, place)) or "value"
     return InputError(field, first.get("input"), first["msg"])

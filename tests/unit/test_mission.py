@@ -165,3 +165,8 @@ def test_a_changed_mission_is_validated_as_a_whole() -> None:
         mission.change(shape="triangle")
     with pytest.raises(InputError, match="center"):
         mission.change(center=(99, 50))
+
+
+def test_an_unknown_field_is_named_in_one_line() -> None:
+    with pytest.raises(InputError, match=r"'sh\\npe' = 'circle' is not allowed"):
+        build_mission(**{"sh\npe": "circle"})
