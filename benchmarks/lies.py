@@ -109,7 +109,7 @@ def in_place(team: object) -> bool:
 
 
 SWARM = {1: 6, 2: 7}
-"""Robots for so many liars, which the team reckons with."""
+"""Size of the team, by the number of liars; the team is told that number."""
 PATIENCE_S = 30.0
 OF_THE_WIRE = ("beacons elsewhere", "beacons that are no numbers", "reports of its own", "a flood")
 

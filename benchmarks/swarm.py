@@ -270,7 +270,7 @@ CORNER = [4.0, 4.0]
 
 
 def _flood(config: SwarmConfig, rate: float, lasts_s: float) -> int:
-    """A process of its own: say the same for a while, so many times a second; returns how many times it was said."""
+    """In a process of its own, repeat one message at a rate [1/s] for some time [s]; returns the number sent."""
 
     async def whole() -> int:
         os.nice(10)  # on a machine of its own, it would not take processor time from the others

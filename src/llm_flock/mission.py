@@ -16,7 +16,7 @@ from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, Roadmap, clearance
 from llm_flock.obstacles.regions import free_regions, region_of
-from llm_flock.obstacles.roadmap import roadmap_of
+from llm_flock.obstacles.roadmap import roadmap_of, shortest_ways
 from llm_flock.printable import hidden
 
 MIN_LENGTH = 1e-3
@@ -240,17 +240,8 @@ class Mission(BaseModel):
         return roadmap_of(self.arena, self.obstacles, self.body_radius) if self.obstacles else None
 
     def shortest_ways(self, starts: Points, goals: Points) -> Pairwise:
-        """Lengths of the shortest ways for one body alone from each start to each goal, shape (n, m) [units].
-
-        Straight ones without obstacles, where there is no way, and in space; never longer than the true ones by more
-        than a few thousandths.
-        """
-        apart = np.linalg.norm(starts[:, None] - goals[None], axis=2)
-        if not self.obstacles or self.dim != 2:
-            return apart
-        roadmap = roadmap_of(self.arena, self.obstacles, self.body_radius, exact=True)
-        lengths = np.array([roadmap.lengths(tuple(start), goals) for start in starts.tolist()])
-        return np.where(np.isfinite(lengths), lengths, apart)
+        """As `llm_flock.obstacles.roadmap.shortest_ways`, among the obstacles of this mission."""
+        return shortest_ways(self.arena, self.obstacles, self.body_radius, starts, goals)
 
     @property
     def n_places(self) -> int:

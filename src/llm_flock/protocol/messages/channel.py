@@ -62,9 +62,12 @@ class Channel:
             MessageError: as `decode`, and with reason `own_id` if the sender claims to be this robot.
         """
         inbound = _decoded(payload, self._n_robots, self._dim)
-        if inbound.message.sender == self._robot:
-            raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
+        self._check_sender(inbound.message)
         return inbound
+
+    def _check_sender(self, message: Message) -> None:
+        if message.sender == self._robot:
+            raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
 
     @property
     def order(self) -> bytes:

@@ -65,8 +65,7 @@ class SignedChannel(Channel):
         """
         content, proofs = unwrap(payload, self._n_robots, self._evidence.liars)
         message = decode(content, self._n_robots, self._dim)
-        if message.sender == self._robot:
-            raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
+        self._check_sender(message)
         if message.sender != sender:
             raise MessageError("impostor", f"robot {sender} speaks as robot {message.sender}")
         proofs = msgspec.structs.replace(proofs, origin=self._checked_origin(message, proofs))
