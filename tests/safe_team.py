@@ -8,7 +8,8 @@ import numpy as np
 from llm_flock.metrics import AT_GOAL, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, segment_clearance
-from llm_flock.protocol.motion.progress import leg_to
+from llm_flock.protocol.messages.message import Course
+from llm_flock.protocol.motion.leg import leg_to
 from llm_flock.protocol.motion.safety import Safety
 
 SAFE = 3.0
@@ -25,6 +26,8 @@ class SafeTeam:
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
         self.robots = [Safety(i, self.mission, 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
+        self.origins: Counter[str] = Counter()
+        self.courses: dict[int, Course] = {}
         self.smallest = math.inf
         self.clearance = math.inf
 
@@ -35,6 +38,10 @@ class SafeTeam:
                 return number
             self.round()
         return None
+
+    def heard(self, receiver: int, sender: int) -> bool:
+        """Whether a course arrives; every one does here."""
+        return True
 
     def round(self) -> None:
         before = self.positions
@@ -49,9 +56,12 @@ class SafeTeam:
             wish = leg.stop
             if share < 1.0:
                 wish = tuple(x + share * (g - x) for x, g in zip(rows[i], leg.stop, strict=True))
-            flight = safety.step(rows[i], sensed, wish, leg, AT_GOAL * self.mission.spacing)
+            courses = {j: course for j, course in self.courses.items() if j in sensed and self.heard(i, j)}
+            flight = safety.step(rows[i], sensed, wish, leg, AT_GOAL * self.mission.spacing, courses=courses)
+            self.origins[flight.origin.value] += 1
             self.kinds.update(note.kind for note in flight.notes)
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
             after[i] = flight.waypoint
+        self.courses = {i: safety.course for i, safety in enumerate(self.robots) if safety.course is not None}
         self.smallest = min(self.smallest, segment_separation(before, after))
         self.positions = after

@@ -69,7 +69,7 @@ class Agent:
 
     Args:
         robot: own id, 0 .. N-1.
-        shield_on: project every waypoint on the buffered Voronoi cell, and detour around what blocks the way.
+        shield_on: project every waypoint on the buffered Voronoi cell, give way to others, and ask them to give way.
         noise_bound: largest error of a believed position [units].
         verify: check every plan before it is followed, and every step before it is flown.
         time_out: rounds without a heartbeat after which a robot counts as dead.
@@ -230,7 +230,7 @@ class Agent:
             case Received():
                 effects = self._receive(event)
             case CommRoundBegan():
-                effects = [Broadcast(self._messaging.broadcast())]
+                effects = [Broadcast(self._messaging.broadcast(self._pilot.course))]
             case CommRoundEnded():
                 phase, effects = self._settle()
             case Sensed():
@@ -354,6 +354,8 @@ class Agent:
             observed=event.observed,
             drift=mission.drift(number - 1) if moving else (),
             ahead=mission.drift(number) if moving else (),
+            courses=self._messaging.courses,
+            still=self._agreement.bodies,
         )
         self._seen = number, event
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed

@@ -35,7 +35,7 @@ class Origin(StrEnum):
     MODEL = "model"
     CLIPPED = "clipped"
     SHIELD = "shield"
-    DETOUR = "detour"
+    YIELD = "yield"
     GEOMETRY = "geometry"
     HOLD = "hold"
 
@@ -195,6 +195,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "shielded": frozenset({"proposed", "flown"}),
     "separating": frozenset({"nearest", "makes_way"}),
     "deadlock": frozenset({"goal_distance", "rounds"}),
+    "gives_way": frozenset({"to"}),
     "held": frozenset({"cause", "reason"}),
     "dropped_notes": frozenset({"count"}),
     "accused": frozenset({"robot", "reason", "proof"}),

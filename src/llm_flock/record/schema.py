@@ -94,7 +94,7 @@ class State(Entry):
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="Commanded this round [units], null at the start")
     origins: Annotated[list[str], AfterValidator(current_origins)] = Field(
-        description="Origin of the waypoint: start, model, clipped, shield, detour, geometry or hold"
+        description="Origin of the waypoint: start, model, clipped, shield, yield, geometry or hold"
     )
     phases: list[str] = Field(description="Phase of each robot's state machine; dead or asleep without one")
     open_breakers: list[list[str]] = Field(

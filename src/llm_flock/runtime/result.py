@@ -102,7 +102,7 @@ class Summary:
         tokens_cached: the part of tokens_input that the provider had in its cache.
         cost_usd: cost where the price of every call is known, else None [US dollars].
         latency_mean_s: mean duration of a call, waits included [s]; None without calls.
-        waypoints: waypoints flown, by origin: model, clipped, shield, detour, geometry, hold.
+        waypoints: waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
         waypoint_shares: the same as shares of all.
         plan_robot: robot that proposed the plan in force at the end; None without one plan.
         plan_by: who made that plan: a model, by its name, or `geometry`.

@@ -16,7 +16,7 @@ from llm_flock.protocol.events import MissionGiven, Note
 from llm_flock.protocol.membership.all_to_all import given_all_to_all
 from llm_flock.protocol.messages.channel import Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
-from llm_flock.protocol.messages.message import Message, MissionStamp, PositionReport
+from llm_flock.protocol.messages.message import Course, Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
 from llm_flock.protocol.messages.order_time import time_text
 from llm_flock.protocol.plan import Plan
@@ -28,6 +28,9 @@ their payloads once a round saves a tenth of a large team's time."""
 MOST_BAD_PLANS = 8
 """Plans of one sender that may fail verification in a round; then no more of them are verified, which takes time."""
 
+COURSE_ROUNDS = 2
+"""Rounds for which a course counts after its sender was last heard: messages get lost."""
+
 REMEMBERED_REFUSALS = 1024
 """Most refused plans that are remembered, so that a flood of plans costs bounded memory."""
 
@@ -37,6 +40,8 @@ class Messaging:
 
     def __init__(self, robot: int, agreement: Agreement, channel: Channel) -> None:
         self._robot, self._agreement, self._channel = robot, agreement, channel
+        self.courses: dict[int, Course] = {}  # ways that others ask to be left free, by sender
+        self._heard_ago: dict[int, int] = {}
         self._dissemination = Dissemination()
         self._newest: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []
@@ -60,9 +65,12 @@ class Messaging:
         self._dissemination.begin_round(near, self._agreement.neighbors)
         self._bad_plans.clear()
         self._repeated.clear()
+        self._heard_ago = {j: ago + 1 for j, ago in self._heard_ago.items()}
+        for j in [j for j, ago in self._heard_ago.items() if ago > COURSE_ROUNDS]:
+            del self._heard_ago[j], self.courses[j]
 
-    def broadcast(self) -> bytes:
-        """This robot's knowledge as bytes. Call once in each communication round."""
+    def broadcast(self, course: Course | None = None) -> bytes:
+        """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
         positions = None
         if agreement.all_to_all.collecting:
@@ -73,13 +81,13 @@ class Messaging:
                 settled=given_all_to_all(claim.table, claim.slot),
                 greeting=self._dissemination.greets,
             )
-        standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim
+        standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim, course
         payload = self._dissemination.unchanged(*standing)
         if payload is None or positions is not None:
-            payload = self._compose(claim, positions)
+            payload = self._compose(claim, course, positions)
         return self._channel.seal(payload)
 
-    def _compose(self, claim: Claim, positions: dict[int, PositionReport] | None) -> bytes:
+    def _compose(self, claim: Claim, course: Course | None, positions: dict[int, PositionReport] | None) -> bytes:
         agreement = self._agreement
         whole = Message(
             sender=self._robot,
@@ -92,6 +100,7 @@ class Messaging:
             table=claim.table,
             table_digest=self._dissemination.digest(claim.table),
             offer=claim.offer,
+            course=course,
             beats=agreement.liveness.beats if self._dissemination.greets else None,
             positions=positions,
         )
@@ -197,5 +206,10 @@ class Messaging:
         heard = [self._newest[sender] for sender in sorted(self._newest)]
         self._channel.hold(heard)
         self._agreement.liveness.hear(self._beats)
+        for message in heard:
+            self._heard_ago.pop(message.sender, None)
+            self.courses.pop(message.sender, None)
+            if message.course is not None:
+                self.courses[message.sender], self._heard_ago[message.sender] = message.course, 0
         self._newest, self._beats = {}, []
         return heard

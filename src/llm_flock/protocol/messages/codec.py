@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 
-from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
@@ -18,7 +18,9 @@ from llm_flock.protocol.messages.message import (
     Bid,
     BidEntry,
     BidTable,
+    Coordinate,
     Counter,
+    Course,
     Id,
     Message,
     MissionStamp,
@@ -28,13 +30,12 @@ from llm_flock.protocol.messages.message import (
 from llm_flock.protocol.messages.order_time import LATEST
 from llm_flock.protocol.plan import Plan
 
-WIRE_VERSION = 6
+WIRE_VERSION = 7
 
 FEW = 0.5
 """Largest share of a table's slots that counts as few."""
 
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
-Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_ROUND)]
 OrderTime = Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]
 Digest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
@@ -62,6 +63,7 @@ class _WireMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     table_digest: Digest | None
     claims: tuple[tuple[Id, Counter, Bid, Owner], ...] | None
     offer: Offer | None
+    course: Course | None
     beats: tuple[Counter, ...] | None
     positions: dict[Id, tuple[Round, tuple[Coordinate, ...], tuple[Coordinate, ...]]] | None
 
@@ -97,6 +99,7 @@ def encode(message: Message, sequence: int | None = None) -> bytes:
         table_digest=None if message.table_digest is None else bytes.fromhex(message.table_digest),
         claims=_claims(message),
         offer=message.offer,
+        course=message.course,
         beats=message.beats,
         positions=message.positions,
     )
@@ -152,6 +155,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(map(_SLOT, wire.claims)),
         table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
         offer=wire.offer,
+        course=wire.course,
         beats=wire.beats,
         positions=wire.positions,
     )
@@ -184,6 +188,8 @@ def _check_ids(wire: _WireMessage, n_robots: int) -> None:
         named.add(wire.provenance.proposer)
     if wire.offer is not None:
         named.add(wire.offer.to)
+    if wire.course is not None:
+        named.add(wire.course.of)
     if wire.claims:
         named.add(max(map(_OWNER, wire.claims)))
     if wire.positions:
@@ -199,6 +205,8 @@ def _check_lengths(wire: _WireMessage, n_robots: int, dim: int) -> None:
         raise MessageError("wrong_length", f"{len(wire.beats)} heartbeats of {n_robots} robots")
     if wire.positions and not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in wire.positions.values()):
         raise MessageError("wrong_length", f"a position has {dim} coordinates")
+    if wire.course is not None and set(map(len, wire.course.path)) != {dim}:
+        raise MessageError("wrong_length", f"a course has points of {dim} coordinates")
     if (wire.plan_digest is None) != (wire.provenance is None) or (wire.plan is not None and wire.plan_digest is None):
         raise MessageError("malformed", "a plan and its provenance go together")
     if (wire.claims is None) != (wire.table_digest is None):

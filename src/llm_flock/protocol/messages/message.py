@@ -22,6 +22,7 @@ MAX_BID = 10 * MAX_COORDINATE
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
 """Far more than an honest robot ever counts, and far enough below the largest machine integer to be raised safely."""
 
@@ -105,6 +106,27 @@ class Offer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=
     bid: Bid
 
 
+HIGHEST = 15
+"""Highest level of a right of way."""
+
+MOST_STOPS = 4
+"""Most points of a course."""
+
+
+class Course(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Where a robot that others block will be in the next rounds; also its form on the wire.
+
+    Attributes:
+        level: rises with the time for which the right of way has been missing.
+        of: the robot whose right it is: the sender, or one that the sender makes way for.
+        path: next corners of the sender's way [units; world frame].
+    """
+
+    level: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
+    of: Id
+    path: Annotated[tuple[tuple[Coordinate, ...], ...], msgspec.Meta(min_length=1, max_length=MOST_STOPS)]
+
+
 class Message(msgspec.Struct, frozen=True, kw_only=True):
     """Everything public about one robot, as broadcast.
 
@@ -123,6 +145,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         said: slots that `table` does not leave out, if there are few; otherwise None.
         table_digest: digest of the sender's whole table (auction only); that of `table` if left out.
         offer: an exchange that the sender offers (auction only).
+        course: the way that the sender asks others to leave free; None if nothing is in its way.
         beats: heartbeat counters of the team, by id; None if not spelled out.
         positions: position reports of the team, by id; None if not spelled out.
         plan_class: class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
@@ -143,6 +166,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     said: tuple[int, ...] | None = None
     table_digest: str | None = None
     offer: Offer | None = None
+    course: Course | None = None
     beats: tuple[int, ...] | None = None
     positions: dict[int, PositionReport] | None = None
     plan_class: int = 0

@@ -14,10 +14,11 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.geometry import straight_path
+from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
+from llm_flock.protocol.motion.leg import Leg, leg_to
 from llm_flock.protocol.motion.pace import Pace
-from llm_flock.protocol.motion.progress import Leg, leg_to
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import NOTHING, Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import shortened
@@ -33,6 +34,8 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
         observed: positions of other robots for the planner's question [units; world frame].
         drift: displacement of the mission's frame so far [units]; empty if the mission stands still.
         ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
+        courses: ways that others ask to be left free, by sender.
+        still: bodies in sight that do not move [units; world frame].
     """
 
     round: int
@@ -41,6 +44,8 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     observed: tuple[Point, ...]
     drift: Point = ()
     ahead: Point = ()
+    courses: Mapping[int, Course] = NOTHING
+    still: tuple[Point, ...] = ()
 
     def seen(self, point: Point) -> Point:
         """A point of the world frame in the present frame of the mission."""
@@ -98,7 +103,7 @@ class Pilot:
         ahead = scene.ahead
         self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
         aim = plan.points[slot or 0] if target is None else target
-        leg = self._leg = leg_to(mission, scene.position, aim, scene.drift, ahead)
+        leg = self._leg = leg_to(mission, scene.position, aim, scene.drift, ahead, scene.still)
         question = self._question = StepQuestion(
             mission=mission,
             robot=self._robot,
@@ -162,7 +167,7 @@ class Pilot:
         """Fly by geometry to a point where others will look [units; frame of the mission]: a robot without a plan."""
         self.forget()
         self._tolerance = AT_GOAL * mission.spacing
-        self._leg = leg_to(mission, scene.position, target, scene.drift, scene.ahead)
+        self._leg = leg_to(mission, scene.position, target, scene.drift, scene.ahead, scene.still)
         here, goal, max_step = scene.position, moved(self._leg.stop, scene.ahead), mission.max_step
         wish = goal if math.dist(here, goal) <= max_step else shortened(here, goal, max_step)
         return self._fly(wish, scene, None, Origin.GEOMETRY)
@@ -172,8 +177,13 @@ class Pilot:
         held = Note("held", {"cause": cause, "reason": reason})
         if self._safety is None:
             return [held, MoveTo(waypoint=scene.position, proposed=asked, origin=Origin.HOLD)]
-        flight = self._safety.stay(scene.position, scene.sensed)
+        flight = self._safety.stay(scene.position, scene.sensed, scene.courses)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
+
+    @property
+    def course(self) -> Course | None:
+        """The way that this robot asks others to leave free, in its last step."""
+        return None if self._safety is None else self._safety.course
 
     def look(self, scene: Observation) -> None:
         """Replace the observation while the planner's answer is pending."""
@@ -225,10 +235,19 @@ class Pilot:
         flown = wish
         if self._safety is not None:
             assert self._leg is not None, "a robot flies to a goal"
-            flight = self._safety.step(scene.position, scene.sensed, wish, self._leg, self._tolerance, scene.drift)
+            flight = self._safety.step(
+                scene.position,
+                scene.sensed,
+                wish,
+                self._leg,
+                self._tolerance,
+                scene.drift,
+                scene.courses,
+                scene.still,
+            )
             flown = flight.waypoint
             notes.extend(flight.notes)
-            if flight.origin is Origin.DETOUR or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
+            if flight.origin is Origin.YIELD or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
                 origin = flight.origin
         return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
 

@@ -1,29 +1,27 @@
-"""One robot's safe motion in lockstep: shielded steps, separation of crowds, and detours."""
+"""One robot's safe motion in lockstep: shielded steps, separation of crowds, and right of way."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
+from types import MappingProxyType
 
 import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note, Origin
+from llm_flock.protocol.messages.message import MOST_STOPS, Course
 from llm_flock.protocol.motion import shield
-from llm_flock.protocol.motion.progress import (
-    GAIN_SHARE,
-    SIDE_ROUNDS,
-    GoalProgress,
-    Leg,
-    detour,
-    update_progress,
-)
+from llm_flock.protocol.motion.leg import Leg, map_of
+from llm_flock.protocol.motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 
 SHORTER = (0.5, 0.25, 0.125, 0.0625)
 """Shares of a step that are tried where the whole one slides off the way."""
+
+NOTHING: Mapping[int, Course] = MappingProxyType({})
 
 SEPARATION_TOLERANCE = 1e-6
 """Pairs that keep the safe distance to within this count as separated [units]."""
@@ -38,21 +36,33 @@ class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Safety:
-    """Turns the planner's waypoints into safe ones, and follows the robot's progress.
+    """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
 
     Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
-    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units].
+    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units]. `courses` are
+    those heard of others, by sender; `still` are bodies in sight that do not move [units; world frame].
     """
 
     def __init__(self, robot: int, limits: Mission, noise_bound: float) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
-        self._progress: GoalProgress | None = None
-        self._side_rounds = SIDE_ROUNDS + 2 * (robot % 4)
+        self._right = RightOfWay(robot, limits)
+        self._gave_way: int | None = None
+        self._asked = False
 
-    def stay(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep:
-        """The step of a robot without a waypoint: hold the position, unless another robot is too near."""
+    @property
+    def course(self) -> Course | None:
+        """Where this robot has to go, for others to leave free; None if nothing is in its way."""
+        return self._right.course
+
+    def stay(self, position: Point, sensed: Mapping[int, Point], courses: Mapping[int, Course] = NOTHING) -> SafeStep:
+        """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
+        self._right.count(at_goal=True)
         separating = self._separate(position, sensed)
-        return SafeStep(waypoint=position, origin=Origin.HOLD) if separating is None else separating
+        if separating is not None:
+            return separating
+        ways = self._right.ways(sensed, courses)
+        aside = self._aside(position, sensed, position, ways, ())
+        return SafeStep(waypoint=position, origin=Origin.HOLD) if aside is None else aside
 
     def step(
         self,
@@ -62,43 +72,99 @@ class Safety:
         leg: Leg,
         tolerance: float,
         drift: Point = (),
+        courses: Mapping[int, Course] = NOTHING,
+        still: Sequence[Point] = (),
     ) -> SafeStep:
         """The safe waypoint for the planner's waypoint `wish` [units; world frame].
 
         The mission's frame is displaced by `drift` (empty if the mission stands still), and the goal of the leg counts
         as reached within `tolerance` [units].
         """
+        right, at_goal = self._right, leg.left <= tolerance + self._noise_bound
+        right.count(at_goal=at_goal)
         separating = self._separate(position, sensed)
         if separating is not None:
             return separating
-        limits = self._limits
-        here = moved(position, drift, -1.0)
-        was_blocked = self._progress is not None and self._progress.blocked
-        progress = self._progress = update_progress(
-            self._progress,
-            leg,
-            gain=GAIN_SHARE * min(limits.max_step, leg.left),
-            within=tolerance + self._noise_bound,
-            side_rounds=self._side_rounds,
-        )
+        goal, stop = moved(leg.goal, drift), moved(leg.stop, drift)
         others = tuple(sensed.values())
-        stop = moved(leg.stop, drift)
+        ways = right.ways(sensed, courses)
+        aside = self._aside(position, sensed, goal, ways, still)
+        if aside is not None:
+            return aside
         safe = self._on_its_way(position, stop, wish, self._project(position, wish, others), others)
-        if not progress.blocked or self._in_nobodys_way(position, stop, wish, safe):
-            if safe == wish:
-                return SafeStep(waypoint=wish, origin=Origin.MODEL)
-            note = Note("shielded", {"proposed": wish, "flown": safe})
-            return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(note,))
-        waypoint, self._progress = detour(
-            progress,
-            here,
-            leg.stop,
-            lambda target: moved(self._project(position, moved(target, drift), others), drift, -1.0),
-            length=min(limits.max_step, max(math.dist(here, leg.stop), limits.safe_distance)),
-        )
-        blocked = Note("deadlock", {"goal_distance": math.dist(here, leg.goal), "rounds": progress.idle})
-        notes = () if was_blocked else (blocked,)
-        return SafeStep(waypoint=moved(waypoint, drift), origin=Origin.DETOUR, notes=notes)
+        if not outside(ways, position, safe):
+            return self._wait(position, wish, others, ways)
+        self._gave_way = None
+        notes: tuple[Note, ...] = ()
+        if not at_goal and self._is_blocked(position, stop, safe, others):
+            right.ask(self._path(position, stop, goal, still))
+            if not self._asked:
+                distance = math.dist(moved(position, drift, -1.0), leg.goal)
+                notes = (Note("deadlock", {"goal_distance": distance, "rounds": right.waited}),)
+            self._asked = True
+        else:
+            self._asked = False
+            right.go_on_asking(() if at_goal else self._path(position, stop, goal, still))
+        if safe == wish:
+            return SafeStep(waypoint=wish, origin=Origin.MODEL, notes=notes)
+        note = Note("shielded", {"proposed": wish, "flown": safe})
+        return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(*notes, note))
+
+    def _aside(
+        self, position: Point, sensed: Mapping[int, Point], goal: Point, ways: Sequence[Way], still: Sequence[Point]
+    ) -> SafeStep | None:
+        """A step out of the way of others, None if this robot is in nobody's way or has nowhere to go."""
+        pressing = [way for way in ways if way.covers(position)]
+        if not pressing:
+            return None
+        refuge = self._right.refuge(position, goal, ways, sensed.values())
+        if refuge is None:
+            return None
+        path = self._path(position, self._next_stop(position, refuge, still), refuge, still)
+        self._right.pass_on(path, pressing[0])
+        to = self._project(position, _towards(position, path[0], self._limits.max_step), tuple(sensed.values()))
+        return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(pressing[0]))
+
+    def _wait(self, position: Point, wish: Point, others: tuple[Point, ...], ways: Sequence[Way]) -> SafeStep:
+        """As much of a step as leads into no way that another has."""
+        to = position
+        for share in SHARES[1:]:
+            shorter = tuple(x + share * (w - x) for x, w in zip(position, wish, strict=True))
+            safe = self._project(position, shorter, others)
+            if outside(ways, position, safe):
+                to = safe
+                break
+        return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
+
+    def _note_way(self, way: Way) -> tuple[Note, ...]:
+        """A note when this robot begins to give way to another."""
+        before, self._gave_way = self._gave_way, way.robot
+        return () if before == way.robot else (Note("gives_way", {"to": way.robot}),)
+
+    def _is_blocked(self, position: Point, stop: Point, safe: Point, others: tuple[Point, ...]) -> bool:
+        """Whether bodies keep the robot from its way, and not its planner or obstacles."""
+        limits = self._limits
+        far = math.dist(position, stop)
+        enough = SLOWED * min(limits.max_step, far)
+        if far - math.dist(safe, stop) >= enough:
+            return False
+        straight = _towards(position, stop, limits.max_step)
+        if far - math.dist(self._project(position, straight, others), stop) >= enough:
+            return False
+        return not limits.obstacles or far - math.dist(self._project(position, straight, ()), stop) >= enough
+
+    def _path(self, position: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
+        """The next corners of the way, first `stop`, as far as a course reaches [units; world frame]."""
+        path, here, left = list[Point](), position, AHEAD * self._limits.max_step
+        while left > 0.0 and len(path) < MOST_STOPS and (here != goal or not path):
+            path.append(_towards(here, stop, left))
+            left -= math.dist(here, stop)
+            here, stop = stop, self._next_stop(stop, goal, still)
+        return path
+
+    def _next_stop(self, here: Point, goal: Point, still: Sequence[Point]) -> Point:
+        roadmap = map_of(self._limits, here, still)
+        return goal if roadmap is None else roadmap.next_stop(here, goal)
 
     def _on_its_way(self, position: Point, stop: Point, wish: Point, safe: Point, others: tuple[Point, ...]) -> Point:
         """The safe waypoint, or a shorter step of the wish if that slides off the way between two obstacles.
@@ -113,12 +179,6 @@ class Safety:
             if roadmap.straight(shorter, stop) and self._project(position, shorter, others) == shorter:
                 return shorter
         return safe
-
-    def _in_nobodys_way(self, position: Point, stop: Point, wish: Point, safe: Point) -> bool:
-        """Whether obstacles alone slow a robot that heads for its next stop: its way leads past them."""
-        if not self._limits.obstacles or math.dist(safe, stop) >= math.dist(position, stop):
-            return False
-        return safe == self._on_its_way(position, stop, wish, self._project(position, wish, ()), ())
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
         limits, noise = self._limits, self._noise_bound
@@ -154,6 +214,14 @@ class Safety:
         nearest = min(math.dist(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
         return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
+
+
+def _towards(here: Point, there: Point, longest: float) -> Point:
+    """A point at most this far on the way to another [units]."""
+    far = math.dist(here, there)
+    return (
+        there if far <= longest else moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
+    )
 
 
 def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:

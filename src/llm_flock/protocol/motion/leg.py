@@ -1,0 +1,61 @@
+"""The way to a goal: its next corner and its length, round obstacles and bodies that do not move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+
+from llm_flock.arrays import Point, moved
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle, Roadmap
+from llm_flock.obstacles.roadmap import roadmap_of
+
+STILL_DECIMALS = 1
+"""Bodies that do not move are on the map to this precision: noise must not change it in every round."""
+
+MOST_STILL = 40
+"""Most bodies on the map, the nearest ones: building it takes a while."""
+
+
+class Leg(msgspec.Struct, frozen=True, kw_only=True):
+    """The way to a goal.
+
+    Attributes:
+        goal: where it ends [units; frame of the mission].
+        stop: its next corner, or the goal [units; frame of the mission].
+        left: its length [units].
+    """
+
+    goal: Point
+    stop: Point
+    left: float
+
+
+def leg_to(
+    mission: Mission, position: Point, goal: Point, drift: Point = (), ahead: Point = (), still: Sequence[Point] = ()
+) -> Leg:
+    """The way from a position [units; world frame] to a goal of the mission's frame, round the obstacles of the world.
+
+    The frame is displaced by `drift` now, and by `ahead` at the end of the round; empty if the mission stands still.
+    `still` are bodies that do not move [units; world frame].
+    """
+    roadmap = map_of(mission, position, still)
+    if roadmap is None:
+        return Leg(goal=goal, stop=goal, left=math.dist(moved(position, drift, -1.0), goal))
+    there = moved(goal, ahead)
+    stop = roadmap.next_stop(position, there)
+    left = roadmap.length(position, moved(goal, drift))
+    return Leg(goal=goal, stop=goal if stop == there else moved(stop, ahead, -1.0), left=left)
+
+
+def map_of(mission: Mission, position: Point, still: Sequence[Point]) -> Roadmap | None:
+    """The map of a mission's obstacles and of bodies that do not move; None where there is neither."""
+    if not still:
+        return mission.roadmap
+    near = sorted(still, key=lambda body: math.dist(body, position))[:MOST_STILL]
+    # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
+    spots = sorted(tuple(round(x, STILL_DECIMALS) for x in body) for body in near)
+    discs = tuple(Obstacle(center=spot, radius=mission.body_radius) for spot in spots)
+    return roadmap_of(mission.arena, (*mission.obstacles, *discs), mission.body_radius)

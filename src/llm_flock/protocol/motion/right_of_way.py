@@ -1,0 +1,252 @@
+"""Right of way: a robot that others block says where it has to go, and whoever is in that way steps aside.
+
+Priority inheritance, as in PIBT: Okumura, Machida, Défago, Tamura: Priority inheritance with backtracking for iterative
+multi-agent path finding (Artificial Intelligence 310, 2022), here in continuous space and from messages only. A robot
+that bodies keep from its way sends its *course* with its rank. A robot of lower rank in that way goes to a refuge, and
+sends the course there with the rank of the first one, so that those in its own way step aside too. One that is not in
+the way does not enter it. Ranks rise with waiting, and with them the width of the way that is given, so nobody waits
+for ever. Where a robot holds its place, it steps aside all the same, and comes back.
+
+Courses only ask. What keeps robots apart is the cell of the shield, whatever is claimed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock.arrays import Point, Points, Vector
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Roadmap, clearance
+from llm_flock.protocol.messages.message import HIGHEST, Course
+
+AHEAD = 3.0
+"""Length of a course, in steps."""
+
+SLOWED = 0.5
+"""A robot is blocked if bodies leave it less than this share of its step."""
+
+KEPT = 2
+"""Rounds for which a robot that was blocked keeps its course."""
+
+RISES = 8
+"""Rounds of waiting for the first rank above the lowest; each further one takes twice as long."""
+
+WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5
+"""Half the width of a way of the lowest rank, what each rank adds, and the most, in safe distances."""
+
+MARGIN = 0.05
+"""A refuge is farther from a way than it has to be, by this share of the safe distance."""
+
+RINGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+"""Distances at which a refuge is looked for, in steps: the farthest is beyond the end of any course."""
+
+HEADINGS = {2: 24, 3: 40}
+"""Number of directions in which a refuge is looked for, by dimension."""
+
+CROWDED = 2.0
+"""Cost of a refuge for each unit that it is too near another body [1]."""
+
+PATIENCE = 16
+"""Rounds for which a robot gives way to one that does not move; then it heeds no more of its courses for as long."""
+
+MOVED = 0.02
+"""A body moves if it is this far from where it was, in steps."""
+
+SHARES = (1.0, 0.75, 0.5, 0.25)
+"""Shares of a step that are tried where the whole one leads into a way that another has."""
+
+Rank: TypeAlias = tuple[int, int, bool, int]
+"""Level, then the lower id of whose right it is, then that robot itself before those that make way for it."""
+
+
+def rank(sender: int, level: int, of: int) -> Rank:
+    """The rank of a robot that asks in the name of `of`; higher ones compare greater."""
+    return level, -of, sender == of, -sender
+
+
+class Way(msgspec.Struct, frozen=True, kw_only=True):
+    """A way that a robot has to be given.
+
+    Attributes:
+        rank: its rank.
+        robot: who asks for it.
+        line: its corners from where that robot is, shape (k, d) [units; world frame].
+        width: half its width [units].
+    """
+
+    rank: Rank
+    robot: int
+    line: Points
+    width: float
+
+    def distances(self, points: Points) -> Vector:
+        """The distance of each of some points, shape (m, d), from the middle of the way, shape (m,) [units]."""
+        legs = [_distances(points, a, b) for a, b in zip(self.line, self.line[1:], strict=False)]
+        return np.min(legs, axis=0)
+
+    def covers(self, point: Point) -> bool:
+        """Whether a body at a point is in the way."""
+        return float(self.distances(np.array([point]))[0]) < self.width - 1e-6
+
+
+class RightOfWay:
+    """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
+
+    Attributes:
+        course: what it asks for; None if nothing is in its way.
+    """
+
+    def __init__(self, robot: int, limits: Mission) -> None:
+        self.course: Course | None = None
+        self._robot, self._limits = robot, limits
+        self._waited = self._kept = 0
+        self._stood: dict[int, tuple[Point, int, int]] = {}
+
+    @property
+    def waited(self) -> int:
+        """Rounds since the robot was at its goal, or had none."""
+        return self._waited
+
+    @property
+    def _level(self) -> int:
+        return min((self._waited // RISES).bit_length(), HIGHEST)
+
+    def count(self, *, at_goal: bool) -> None:
+        """Begin a round."""
+        self._waited = 0 if at_goal else self._waited + 1
+        self.course = None
+
+    def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
+        """The ways that this robot has to give, to robots in sight, the highest rank first.
+
+        Those of a robot that has not moved for `PATIENCE` rounds are not heeded for as long, then for twice as long: a
+        robot that asks and stays where it is hinders no more than a body there.
+        """
+        own, found = rank(self._robot, self._level, self._robot), list[Way]()
+        for j, course in courses.items():
+            if j not in sensed or (theirs := rank(j, course.level, course.of)) <= own:
+                continue
+            safe = self._limits.safe_distance
+            width = safe * min(WIDEST, WIDTH + WIDER * course.level)
+            line = np.array([sensed[j], *course.path])
+            found.append(Way(rank=theirs, robot=j, line=line, width=width))
+        self._stood = {way.robot: self._seen(way.robot, sensed[way.robot]) for way in found}
+        heeded = [way for way in found if self._stood[way.robot][1] <= PATIENCE]
+        return sorted(heeded, key=lambda way: way.rank, reverse=True)
+
+    def _seen(self, robot: int, here: Point) -> tuple[Point, int, int]:
+        """Where a robot that asks was last seen to move to, for how long it has stood there, and for how long to wait.
+
+        The second number counts down after that from the third, which doubles.
+        """
+        there, stood, pause = self._stood.get(robot, (here, 0, PATIENCE))
+        if math.dist(there, here) > MOVED * self._limits.max_step:
+            return here, 0, pause
+        if stood > PATIENCE + pause:
+            return here, 0, 2 * pause
+        return there, stood + 1, pause
+
+    def ask(self, path: Sequence[Point]) -> None:
+        """Ask for the way along a path [units; world frame] by the own right: bodies block it."""
+        self._kept = KEPT
+        self._ask(path, self._level, self._robot)
+
+    def go_on_asking(self, path: Sequence[Point]) -> None:
+        """Keep asking for a while after the way has become free, so that nobody closes it again at once."""
+        self._kept = max(0, self._kept - 1)
+        if self._kept:
+            self._ask(path, self._level, self._robot)
+
+    def pass_on(self, path: Sequence[Point], way: Way) -> None:
+        """Ask for the way to a refuge by the right of the robot for which this one makes way."""
+        self._ask(path, way.rank[0], -way.rank[1])
+
+    def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
+        self.course = Course(level=level, of=of, path=tuple(path)) if path else None
+
+    def refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Iterable[Point]) -> Point | None:
+        """Where to wait until those that come have passed [units; world frame]; None if there is no such place.
+
+        It is outside all ways if possible, otherwise at least outside those that the robot is in, or the one of highest
+        rank, and the nearest of those on the way to the goal. `others` are the bodies in sight.
+        """
+        pressing = [way for way in ways if way.covers(here)]
+        for avoided in (ways, pressing, pressing[:1]):
+            found = self._nearest_refuge(here, goal, avoided, np.array([*others]))
+            if found is not None:
+                return found
+        return None
+
+    def _nearest_refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Points) -> Point | None:
+        limits = self._limits
+        spots = np.array(here) + limits.max_step * _around(len(here))
+        low, high = np.array(limits.arena)
+        free = ((spots >= low) & (spots <= high)).all(axis=1)
+        for way in ways:
+            free &= way.distances(spots) >= way.width + MARGIN * limits.safe_distance
+        spots = spots[free]
+        roadmap = limits.roadmap
+        if roadmap is not None:
+            spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
+        to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
+        stops = spots if roadmap is None else [roadmap.next_stop(here, tuple(spot)) for spot in spots.tolist()]
+        to[~self._leads_away(here, np.array(stops).reshape(spots.shape), ways)] = math.inf
+        crowd = np.maximum(0.0, limits.safe_distance - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
+        cost = 2.0 * to + on + CROWDED * crowd
+        best = int(cost.argmin()) if len(cost) else 0
+        return tuple(spots[best].tolist()) if len(cost) and math.isfinite(float(cost[best])) else None
+
+    def _leads_away(self, here: Point, stops: Points, ways: Sequence[Way]) -> NDArray[np.bool_]:
+        """Whether a straight flight to each stop leads past none of the robots that come."""
+        start, away = np.array(here), np.ones(len(stops), dtype=np.bool_)
+        for way in ways:
+            comes = way.line[0]
+            room = min(float(np.linalg.norm(start - comes)), self._limits.safe_distance)
+            nearest = np.array([float(_distances(comes[None], start, stop)[0]) for stop in stops])
+            away &= nearest >= room - 1e-6
+        return away
+
+
+def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:
+    """Whether a step leads no deeper into any way."""
+    return all(
+        float(after) >= min(way.width, float(before)) - 1e-6
+        for way in ways
+        for before, after in [way.distances(np.array([here, there]))]
+    )
+
+
+@lru_cache
+def _around(dim: int) -> Points:
+    """Where a refuge is looked for: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
+    count = HEADINGS[dim]
+    k = np.arange(count)
+    if dim == 2:
+        turn = 2.0 * math.pi * k / count
+        directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    else:
+        height, turn = 1.0 - (2.0 * k + 1.0) / count, math.pi * (1.0 + math.sqrt(5.0)) * (k + 0.5)
+        flat = np.sqrt(1.0 - height * height)
+        directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    return (np.array(RINGS)[:, None, None] * directions).reshape(-1, dim)
+
+
+def _distances(points: Points, start: Vector, end: Vector) -> Vector:
+    """The distance of each point, shape (m, d), from a segment, shape (m,) [units]."""
+    along = end - start
+    share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)
+    return np.linalg.norm(points - (start + share[:, None] * along), axis=1)
+
+
+def _lengths(roadmap: Roadmap | None, starts: Points, goal: Point) -> Vector:
+    """Lengths of the ways from each of some points, shape (m, d), to a goal, shape (m,) [units]."""
+    if roadmap is None:
+        return np.linalg.norm(starts - np.array(goal), axis=1)
+    return np.array([roadmap.length(tuple(start), goal) for start in starts.tolist()])
