@@ -30,7 +30,6 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.pilot import Observation, Pilot
-from llm_flock.protocol.motion.progress import PATIENCE
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import clip_waypoint
@@ -179,15 +178,15 @@ def test_no_step_is_flown_unverified_or_unshielded(
         here = step.waypoint
 
 
-def test_the_shield_measures_progress_by_the_spacing_of_the_mission_in_force() -> None:
-    """A robot that stays at 0.8 units from its goal is near enough for a spacing of 20 units, and blocked for 10."""
+def test_the_shield_measures_arrival_by_the_spacing_of_the_mission_in_force() -> None:
+    """Kept 0.8 units from its goal by a body, a robot has arrived for a spacing of 20 units, and is blocked for 10."""
     goal = PLAN.points[0]
-    scene = Observation(round=1, position=(goal[0] - 0.8, *goal[1:]), sensed={}, observed=())
+    here, body = (goal[0] - 0.8, *goal[1:]), (goal[0] - 0.8 + MISSION.safe_distance, *goal[1:])
+    scene = Observation(round=1, position=here, sensed={1: body}, observed=(body,))
     for mission, blocked in ((MISSION, True), (MISSION.change(spacing=20.0), False)):
         validator = Validator(verify=False, shield_on=True)
         pilot = Pilot(0, MISSION, validator, shield_on=True, noise_bound=0.0, on_event=False, fallback="hold")
-        effects: list[Effect] = []
-        for _ in range(PATIENCE + 2):
-            pilot.decide(scene, mission, PLAN, 0, None)
-            effects += pilot.take(StepAnswer(waypoint=goal))
+        pilot.decide(scene, mission, PLAN, 0, None)
+        effects = pilot.take(StepAnswer(waypoint=goal))
         assert any(isinstance(effect, Note) and effect.kind == "deadlock" for effect in effects) is blocked
+        assert (pilot.course is not None) is blocked

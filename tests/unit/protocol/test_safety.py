@@ -9,7 +9,7 @@ from safe_team import SAFE, SafeTeam
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.events import Note, Origin
-from llm_flock.protocol.motion.progress import PATIENCE, SIDE_ROUNDS, GoalProgress, Leg, detour, update_progress
+from llm_flock.protocol.motion.leg import Leg
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.motion.shield import spread_coincident
 
@@ -41,7 +41,7 @@ def test_through_a_ring_that_stands_around_the_goal() -> None:
     stands = ring(6, 10.0)
     team = SafeTeam([[80.0, 50.0], *stands], [[50.0, 50.0], *stands])
     assert team.fly(40) is not None
-    assert team.kinds["deadlock"] == 1 and team.smallest >= SAFE - 1e-6
+    assert team.kinds["deadlock"] >= 1 and team.smallest >= SAFE - 1e-6
 
 
 def test_three_bodies_in_contact_change_places() -> None:
@@ -87,17 +87,13 @@ def test_between_two_discs_a_robot_keeps_to_its_way() -> None:
     assert team.kinds["deadlock"] == 0 and team.clearance >= SAFE / 2 - 1e-6
 
 
-def test_a_robot_that_obstacles_alone_slow_down_makes_no_detour() -> None:
-    """It has waited for long behind others that are gone now."""
+def test_a_robot_that_obstacles_alone_slow_down_asks_for_nothing() -> None:
     disc = Obstacle(center=(50.0, 50.0), radius=6.0)
     mission = Mission(shape="text:any", n_robots=2, obstacles=(disc,))
     leg = Leg(goal=(60.0, 57.6), stop=(60.0, 57.6), left=20.0)
     safety = Safety(0, mission, 0.0)
-    steps = [safety.step((40.0, 57.6), {}, (45.7, 57.6), leg, 0.5) for _ in range(PATIENCE + 2)]
-    step = steps[-1]
-    assert step.origin is not Origin.DETOUR and step.waypoint[0] > 41.0
-    steps = [safety.step((40.0, 57.6), {}, (34.0, 57.6), leg, 0.5) for _ in range(PATIENCE + 2)]
-    assert steps[-1].origin is Origin.DETOUR, "away from where it has to go"
+    step = safety.step((40.0, 57.6), {}, (45.7, 57.6), leg, 0.5)
+    assert safety.course is None and step.waypoint[0] > 41.0
     aside, ahead = (42.0, 50.0), ((43.0, 57.6),)
     kept = safety._on_its_way((40.0, 57.6), leg.stop, (45.7, 57.6), aside, ahead)
     assert kept == aside, "no step leads on, however short"
@@ -106,7 +102,7 @@ def test_a_robot_that_obstacles_alone_slow_down_makes_no_detour() -> None:
 @pytest.mark.parametrize("spacing", [SAFE, 1.05 * SAFE])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_line_as_tight_as_the_safe_distance_fills_up(spacing: float, seed: int) -> None:
-    """Beside another robot, a place is approached by halves; nobody takes that for being blocked."""
+    """Beside another robot, a place is approached by halves."""
     starts = np.array([[30.0 + 6.0 * k, 20.0] for k in range(7)])
     starts += np.random.default_rng(seed).uniform(-1.4, 1.4, starts.shape)
     team = SafeTeam(starts, [[40.0 + spacing * k, 60.0] for k in range(7)])
@@ -114,10 +110,10 @@ def test_a_line_as_tight_as_the_safe_distance_fills_up(spacing: float, seed: int
     assert team.smallest >= SAFE - 1e-6
 
 
-def test_a_goal_that_cannot_be_reached_is_noted_once_and_circled() -> None:
+def test_a_goal_inside_an_obstacle_is_not_reached() -> None:
     team = SafeTeam([[30.0, 50.0]], [[50.0, 50.0]], Obstacle(center=(50.0, 50.0), radius=6.0))
     assert team.fly(80) is None
-    assert team.kinds["deadlock"] <= 3 and team.clearance >= SAFE / 2 - 1e-6
+    assert team.kinds["deadlock"] == 0 and team.clearance >= SAFE / 2 - 1e-6
 
 
 def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
@@ -158,42 +154,8 @@ def test_noise_that_could_explain_it_is_no_crowd() -> None:
     assert safety.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 
 
-def test_progress_is_counted_for_each_goal() -> None:
-    def seen(last: GoalProgress | None, x: float, goal: tuple[float, ...] = (10.0, 0.0)) -> GoalProgress:
-        leg = Leg(goal=goal, stop=goal, left=math.dist((x, 0.0), goal))
-        return update_progress(last, leg, gain=0.3, within=0.5, side_rounds=SIDE_ROUNDS)
-
-    state = seen(None, 0.0)
-    for _ in range(PATIENCE - 1):
-        state = seen(state, 0.2)
-        assert not state.blocked
-    state = seen(state, 0.2)
-    assert state.blocked and state.nearest == 10.0
-    assert not seen(state, 0.4).blocked
-    assert not seen(state, 0.2, (10.0, 1.0)).blocked
-    at_goal = seen(None, 9.8)
-    for _ in range(5):
-        at_goal = seen(at_goal, 9.7)
-    assert not at_goal.blocked
-
-
-def test_a_side_without_success_is_changed_and_the_next_gets_longer() -> None:
-    state = GoalProgress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE, side_rounds=2)
-    sides: list[int] = []
-    for _ in range(7):
-        _, state = detour(state, (0.0, 0.0), (10.0, 0.0), lambda _: (0.0, 0.0), length=6.0)
-        sides.append(state.side)
-    assert sides == [-1, -1, 1, 1, 1, 1, -1]
-
-
-def test_a_detour_turns_no_more_than_it_must() -> None:
-    state = GoalProgress(goal=(10.0, 0.0), nearest=10.0, idle=PATIENCE)
-    to, _ = detour(state, (0.0, 0.0), (10.0, 0.0), lambda target: target, length=6.0)
-    assert to == pytest.approx((6.0, 0.0))
-
-
 def test_paper_and_baseline_know_nothing_of_it() -> None:
-    """Obstacles and detours belong to the shield, which both presets leave off."""
+    """Obstacles and right of way belong to the shield, which both presets leave off."""
     from llm_flock.runtime.rules import PRESETS
 
     assert [PRESETS[name]["shield"] for name in ("flock", "paper", "baseline")] == [True, False, False]

@@ -53,13 +53,13 @@ HEADINGS = {2: 24, 3: 40}
 CROWDED = 2.0
 """Cost of a refuge for each unit that it is too near another body [1]."""
 
-PATIENCE = 16
-"""Rounds for which a robot gives way to one that does not move; then it heeds no more of its courses for as long."""
+PATIENCE = 32
+"""Rounds for which a robot gives way to one that does not move; for as long it then heeds no course of that robot."""
 
 MOVED = 0.02
 """A body moves if it is this far from where it was, in steps."""
 
-SHARES = (1.0, 0.75, 0.5, 0.25)
+SHARES = (0.75, 0.5, 0.25, 0.125)
 """Shares of a step that are tried where the whole one leads into a way that another has."""
 
 Rank: TypeAlias = tuple[int, int, bool, int]
@@ -126,8 +126,8 @@ class RightOfWay:
     def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
         """The ways that this robot has to give, to robots in sight, the highest rank first.
 
-        Those of a robot that has not moved for `PATIENCE` rounds are not heeded for as long, then for twice as long: a
-        robot that asks and stays where it is hinders no more than a body there.
+        Those of a robot that has not moved for `PATIENCE` rounds are not heeded for as long, the next time for twice as
+        long: a robot that asks and stays where it is hinders no more than a body there.
         """
         own, found = rank(self._robot, self._level, self._robot), list[Way]()
         for j, course in courses.items():
@@ -142,15 +142,12 @@ class RightOfWay:
         return sorted(heeded, key=lambda way: way.rank, reverse=True)
 
     def _seen(self, robot: int, here: Point) -> tuple[Point, int, int]:
-        """Where a robot that asks was last seen to move to, for how long it has stood there, and for how long to wait.
-
-        The second number counts down after that from the third, which doubles.
-        """
+        """Where a robot that asks has come to, rounds for which it has stood there, and how long not to heed it."""
         there, stood, pause = self._stood.get(robot, (here, 0, PATIENCE))
         if math.dist(there, here) > MOVED * self._limits.max_step:
             return here, 0, pause
-        if stood > PATIENCE + pause:
-            return here, 0, 2 * pause
+        if stood >= PATIENCE + pause:
+            return here, 1, 2 * pause
         return there, stood + 1, pause
 
     def ask(self, path: Sequence[Point]) -> None:

@@ -128,7 +128,7 @@ class Safety:
     def _wait(self, position: Point, wish: Point, others: tuple[Point, ...], ways: Sequence[Way]) -> SafeStep:
         """As much of a step as leads into no way that another has."""
         to = position
-        for share in SHARES[1:]:
+        for share in SHARES:
             shorter = tuple(x + share * (w - x) for x, w in zip(position, wish, strict=True))
             safe = self._project(position, shorter, others)
             if outside(ways, position, safe):
