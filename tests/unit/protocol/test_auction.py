@@ -108,6 +108,17 @@ def test_a_slot_with_a_raised_version_cannot_be_outbid() -> None:
     assert claim.slot == 2
 
 
+def test_a_robot_that_witnesses_took_for_dead_stays_at_its_place() -> None:
+    """Its bid for slot 1 was better, but others may return to the places that were freed with its own."""
+    claim = Claim(slot=2, table=((0, -9.0, 3), (0, -5.0, 4), (1, -11.0, 0)), bids=(-9.0, -1.0, -11.0))
+    freed: BidTable = ((0, -9.0, 3), (1, 0.0, -1), (2, 0.0, -1))
+    back = RULE.update(claim, replace(at(0, 20.0), granted=freed))
+    assert back.slot == 2 and back.table == ((0, -9.0, 3), (1, 0.0, -1), (2, -11.0, 0))
+    taken: BidTable = ((0, -9.0, 3), (1, 0.0, -1), (2, -12.0, 4))
+    away = RULE.update(claim, replace(at(0, 20.0), granted=taken))
+    assert away.slot == 1 and away.table == ((0, -9.0, 3), (1, -1.0, 0), (2, -12.0, 4))
+
+
 def test_gain_is_the_fall_of_the_sum_of_squares() -> None:
     assert gain(at(0, 12.0), (1.0, 0.0), 0, 1) == pytest.approx(144 + 81 - 4 - 1)
 

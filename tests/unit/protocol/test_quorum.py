@@ -79,6 +79,24 @@ def test_a_release_needs_one_witness_more_than_may_lie() -> None:
     assert evidence._fit(slot, entry, release(team, slot, (2, 5, 6)), len(table))
 
 
+def test_robots_that_were_taken_for_dead_stay_where_they_are() -> None:
+    """Two liars and one honest robot that has not heard of the others for too long are enough witnesses."""
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+    gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
+    team.fly(12)
+    team.begin()
+    for payload in team.comm_round():
+        gang.hear(payload)
+    before = team.slots
+    table = team.agents[0].claim.table or ()
+    places = [slot for slot in before if slot is not None]
+    freed = {slot: ((table[slot][0] + 1, 0.0, NO_OWNER), release(team, slot, (2, 5, 6))) for slot in places}
+    team.comm_round(said_by=[gang.message(5, freed)])
+    team.fly(1)
+    assert team.slots == before and team.settled()
+    assert all(team.owners(0)[slot] == (table[slot][0] + 1, robot) for robot, slot in enumerate(places))
+
+
 def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> None:
     """In a row, the neighbours of a dead robot are too few; with passed-on words all others agree that it is gone."""
     row = Mission(shape="line", n_robots=N, comm_range=15)

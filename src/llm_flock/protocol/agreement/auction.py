@@ -126,7 +126,7 @@ class AuctionAssignment:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = keep_one(now.robot, table, among, now.precedence)
             if slot is None and offer is None:
-                table, slot = best_won(now.robot, bids, table)
+                table, slot = best_won(now.robot, bids, table, before=claim.slot)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not self.swaps:
             return claim
@@ -178,8 +178,16 @@ def keep_one(
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def best_won(robot: int, bids: tuple[float, ...], table: BidTable) -> tuple[BidTable, int | None]:
-    """Claim the best slot that can be won, or none."""
+def best_won(
+    robot: int, bids: tuple[float, ...], table: BidTable, *, before: int | None = None
+) -> tuple[BidTable, int | None]:
+    """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
+
+    Witnesses who have not heard of a robot for too long free its slot. It stays there, instead of taking another that
+    its owner may return to.
+    """
+    if before is not None and table[before][2] == NO_OWNER:
+        return changed(table, {before: (table[before][0], bids[before], robot)}), before
     for a in _preferred(bids):
         version, bid, owner = table[a]
         # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
