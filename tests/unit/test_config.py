@@ -137,7 +137,7 @@ ODD_FILES = {
     "endless exchange": "[protocol]\ncomm_rounds = 100000000",
     "a huge change": f"[[trial.changes]]\nround = 1\nrobot = {HUGE}\nset = {{}}",
     "a section with a line break": '["x\\nerror: forged"]\na = 1',
-    "a long text": '[mission]\nshape = "' + "x" * 100_000 + '"',
+    "a long text": '[mission]\nshape = "' + "x" * 1_000_000 + '"',
     "NUL in the name of a file": '[mission]\nshape = "points:\\u0000"',
     "NUL in a model": '[model]\nmodel = "local:\\u0000.gguf"',
     "a field called self": "[[trial.changes]]\nround = 1\nrobot = 0\nset = {self = 1}",

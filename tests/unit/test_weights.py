@@ -203,7 +203,7 @@ def test_smollm2_comes_with_the_adapter_of_its_package(tmp_path, monkeypatch):
 
 def test_a_pipe_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "m.gguf")
-    with pytest.raises(InputError, match="a file$"):
+    with pytest.raises(InputError, match=r"a file$"):
         read_header(tmp_path / "m.gguf")
 
 

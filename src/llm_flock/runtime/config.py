@@ -41,7 +41,7 @@ _NO_NAME = re.compile("[\0\ud800-\udfff]")
 DEEPEST = 32
 """Deepest nesting of values in a configuration file; fields need a third of it."""
 
-_DEEP_KEY = re.compile(rf"""(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+_DEEP_KEY = re.compile(rf"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
 """A dotted key so deep that `tomllib` would take memory with the square of its depth."""
 
 RECORD_NAME = "run.mcap"
