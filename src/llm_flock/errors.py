@@ -16,6 +16,11 @@ service, a robot, or a file on disk.
 
 from __future__ import annotations
 
+from llm_flock.printable import one_line
+
+MOST_SHOWN = 300
+"""Longest value that an error shows [characters]."""
+
 
 class FlockError(Exception):
     """Base of all errors raised on purpose by this package."""
@@ -34,11 +39,19 @@ class InputError(FlockError):
         self.field = field
         self.value = value
         self.allowed = allowed
-        super().__init__(f"{field} = {value!r} is not allowed: {allowed}")
+        super().__init__(f"{one_line(field)} = {_shown(value)} is not allowed: {one_line(allowed)}")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
         # Lets a worker process hand it to its parent.
         return type(self), (self.field, self.value, self.allowed)
+
+
+def _shown(value: object) -> str:
+    """The value in one line, whatever it is."""
+    try:
+        return one_line(repr(value), MOST_SHOWN)
+    except (ValueError, RecursionError):  # thousands of digits, or endless nesting
+        return f"a value of type {type(value).__name__}, too large to show,"
 
 
 class MessageError(FlockError):
@@ -88,4 +101,7 @@ class ReplayDrift(FlockError):
 
 
 class RecordError(FlockError):
-    """A record cannot be read or written."""
+    """A record cannot be read or written; the message is one line."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))

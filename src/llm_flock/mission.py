@@ -327,7 +327,7 @@ class Mission(BaseModel):
         """
         return self if places == self.n_places else _resized(self, places)
 
-    def change(self, **fields: Any) -> Mission:
+    def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
 
         Raises:

@@ -27,6 +27,12 @@ def printable(text: str) -> str:
     return _HIDDEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
+def one_line(text: str, most: int = 1_000) -> str:
+    """As `printable`, in one line of at most `most` characters: text from outside must not begin a line."""
+    text = printable(text[: most + 1]).replace("\n", "\\n").replace("\t", "\\t")
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 class CleanFormatter(logging.Formatter):
     """Formats log records, and cleans what they quote."""
 
@@ -40,3 +46,4 @@ def log_to_stderr() -> None:
     handler = logging.StreamHandler()
     handler.setFormatter(CleanFormatter("%(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.captureWarnings(True)  # libraries quote names and labels in theirs

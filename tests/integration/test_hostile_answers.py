@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import random
+from collections.abc import AsyncIterator
 
 import httpx2
 import pytest
@@ -49,3 +50,25 @@ def test_whatever_a_provider_sends_is_an_answer_or_a_failed_call(seed: int, prov
 
 
 RETRY = ("1", "-5", "1e999", "nan", "Thu, 01 Jan 1970 00:00:00 GMT", "x", "999999999999999999999999")
+
+
+@pytest.mark.parametrize("charset", ["punycode", "hex", "rot13", "undefined"])
+def test_a_server_does_not_choose_how_its_words_are_read(charset: str) -> None:
+    """Python's punycode takes minutes for a megabyte, in which no robot of the run is served."""
+    headers = {"content-type": f"text/plain; charset={charset}"}
+    body = b"a-" + b"z" * 100_000
+
+    async def ask() -> None:
+        http = new_http_client(5.0)
+        http._mounts = {}
+        http._transport = httpx2.MockTransport(lambda request: httpx2.Response(500, stream=Stream(), headers=headers))
+        async with http:
+            model = build_model("openai-compatible", "m", base_url="http://127.0.0.1:9/v1", key="k", http=http)
+            await PydanticModel(model, name="x:y").ask(CALL)
+
+    class Stream(httpx2.AsyncByteStream):
+        async def __aiter__(self) -> AsyncIterator[bytes]:
+            yield body
+
+    with pytest.raises(ModelError, match=r"server: .*zzz"):
+        asyncio.run(ask())

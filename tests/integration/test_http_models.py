@@ -92,7 +92,7 @@ def test_a_body_without_end_is_not_read_to_its_end() -> None:
     """1.2 GB in one response: memory for a few megabytes of it is all that is spent."""
     with answering(b" " * (1 << 20), repeat=1200) as (url, requests):
         error = asyncio.run(ask_once(url))
-    assert isinstance(error, ModelError) and error.kind == "garbage" and "larger than 8 MiB" in error.detail
+    assert isinstance(error, ModelError) and error.kind == "garbage" and "larger than 2 MiB" in error.detail
     assert requests[-1]["sent"] < 64
 
 

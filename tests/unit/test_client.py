@@ -266,3 +266,13 @@ def test_no_key_leaves_as_the_name_of_the_model() -> None:
     echo = FunctionModel(answer, model_name=f"authorization=Bearer {KEY} " + "x" * 1000)
     reply = ask(PydanticModel(echo, name="openai:o3-mini", secrets=(KEY,)))
     assert KEY not in reply.model and len(reply.model) < 150
+
+
+def test_whatever_an_sdk_raises_is_a_failed_call() -> None:
+    """pydantic-ai raises RuntimeError at custom tool calls."""
+
+    def trip(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
+        raise RuntimeError("Custom tool calls are not supported")
+
+    with pytest.raises(ModelError, match="garbage: RuntimeError while reading the response"):
+        asyncio.run(model(trip).ask(call()))

@@ -124,3 +124,40 @@ def test_rules_are_found_by_name_or_by_address() -> None:
     for name in ("best", "no.such.module:Rule", "llm_flock.protocol.agreement.consensus:NoSuchRule", "os:getcwd"):
         with pytest.raises(InputError, match="consensus"):
             consensus_rule(name)
+
+
+HUGE = "0x" + "f" * 20_000
+ODD_FILES = {
+    "nested lists": "a = " + "[" * 5_000 + "]" * 5_000,
+    "deep keys": ".".join(["a"] * 5_000) + " = 1",
+    "digits": "a = " + "9" * 5_000,
+    "a huge number": f"[mission]\nspacing = {HUGE}",
+    "a huge number of robots": f"[mission]\nn_robots = {HUGE}",
+    "a huge time-out": f"[protocol]\ntime_out = {HUGE}",
+    "endless exchange": "[protocol]\ncomm_rounds = 100000000",
+    "a huge change": f"[[trial.changes]]\nround = 1\nrobot = {HUGE}\nset = {{}}",
+    "a section with a line break": '["x\\nerror: forged"]\na = 1',
+    "a long text": '[mission]\nshape = "' + "x" * 1_000_000 + '"',
+    "NUL in the name of a file": '[mission]\nshape = "points:\\u0000"',
+    "NUL in a model": '[model]\nmodel = "local:\\u0000.gguf"',
+    "a field called self": "[[trial.changes]]\nround = 1\nrobot = 0\nset = {self = 1}",
+    "no module": '[protocol]\nassignment = ":"',
+}
+
+
+@pytest.mark.parametrize("text", ODD_FILES.values(), ids=ODD_FILES.keys())
+def test_a_file_that_holds_anything_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        load_config(path).protocol.rules()
+    said = str(refused.value)
+    assert "\n" not in said and len(said) < 2_000 and " is not allowed: " in said
+
+
+def test_text_that_neither_files_nor_records_can_hold_is_refused() -> None:
+    for out in ("a\0b", "a\udcff"):
+        with pytest.raises(InputError, match="out"):
+            build_config(out=out)
+    with pytest.raises(InputError, match="base"):
+        build_config({"base": {}})

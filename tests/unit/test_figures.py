@@ -274,3 +274,16 @@ def test_walls_and_obstacles_are_drawn(record: RunRecord) -> None:
     without = {key: value for key, value in mission.mission.items() if key != "obstacles"}
     older = record.mission.model_copy(update={"mission": without})
     assert len(figures.snapshots(replace(record, missions=(older,)), [0]).axes[0].patches) == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_names_from_anywhere_are_shown_in_a_figure(tmp_path: Path) -> None:
+    """Letters that a font lacks are warned of by their raw form; a name of a megabyte takes minutes to set."""
+    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=1))
+    name = "$x_{$\x1b[2J\u202e\nerror: forged" + "x" * 1_000_000
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": name}})
+    config = {**record.run.config, "protocol": {"consensus": name, "assignment": name}, "model": {"model": name}}
+    hostile = replace(record, missions=(mission,), run=record.run.model_copy(update={"config": config}), llm=())
+    for number, drawn in enumerate([figures.snapshots(hostile), figures.error_over_time([hostile], [name])]):
+        figures.save(drawn, tmp_path / f"{number}.svg")
+        assert "\x1b" not in (tmp_path / f"{number}.svg").read_text(encoding="utf-8")

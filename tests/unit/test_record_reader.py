@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.writer import IndexType, Writer
+from pydantic import ValidationError
 from sample_records import FakeRun, llm_entry, make_record, run_info
 
 from llm_flock.errors import RecordError
+from llm_flock.mission import Mission
 from llm_flock.record.reader import iter_messages, read_record
-from llm_flock.record.schema import RunInfo, SummaryMessage
+from llm_flock.record.schema import MissionInfo, PlanInfo, RunInfo, SummaryMessage
 from llm_flock.record.writer import RecordWriter
 
 
@@ -156,3 +158,23 @@ def test_a_message_on_a_channel_that_was_never_announced_is_damage(tmp_path: Pat
 
 def test_the_format_version_that_is_written_is_the_one_that_is_read() -> None:
     assert RunInfo.model_fields["format_version"].default == run_info().format_version
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        {"polygon": []},
+        {"polygon": [[0, 0], [1, 1]]},
+        {"center": [0, 0], "radius": 1e300},
+        {"center": [0, 0], "radius": -1},
+    ],
+    ids=str,
+)
+def test_obstacles_that_cannot_be_drawn_are_refused(obstacle: dict[str, object], tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match="obstacles"):
+        MissionInfo(version=0, round=0, mission=Mission().model_dump() | {"obstacles": [obstacle]})
+
+
+def test_positions_too_far_for_arithmetic_are_refused() -> None:
+    with pytest.raises(ValidationError, match="points"):
+        PlanInfo(round=0, plan_id="x", proposer=0, points=[[1e300, 0.0]])

@@ -12,9 +12,10 @@ import pytest
 from sample_records import FakeRun
 from sample_results import SEEDS, trial, write_results
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments import tables
 from llm_flock.experiments.store import Store
+from llm_flock.printable import printable
 from llm_flock.record.reader import read_record
 from llm_flock.record.writer import RecordWriter
 from llm_flock.report.diagnosis import find_causes
@@ -251,3 +252,77 @@ def test_a_run_without_a_plan_and_a_model_that_is_not_asked_are_explained(tmp_pa
     llm_flock.run(mission, model=model, seed=1, rounds=4, out=str(tmp_path / "short"))
     *_, last = find_causes(read_record(tmp_path / "short" / "run.mcap"))
     assert last.sentence.startswith("At the end the models of robot 0 were no longer asked; robot 0's because")
+
+
+def _one(folder: Path, **changes: object) -> Path:
+    """A directory with one failed simulated trial, changed, and no tables."""
+    store = Store(folder)
+    store.save(trial("circle", 10, "paper", 1, simulated=True, **changes))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "section",
+    [{"model": "openai:o3-mini"}, {"record_llm": "TALK"}, {"prompts": "/somewhere"}],
+    ids=lambda s: next(iter(s)),
+)
+def test_a_stored_trial_asks_nobody_and_writes_nothing(section: dict[str, str], tmp_path: Path) -> None:
+    """A directory of results may come from anywhere; that a trial is simulated is only what it says."""
+    fields = {"model": "simulated:ideal"} | {k: v.replace("TALK", str(tmp_path / "talk")) for k, v in section.items()}
+    config = {"mission": {"shape": "circle", "n_robots": 10}, "model": fields, "protocol": {}, "trial": {"seed": 1}}
+    config = trial("circle", 10, "paper", 1).config | {"model": config["model"]}
+    (failure,) = gallery(Results.read(_one(tmp_path / "results", config=config)), 1)
+    assert "was not flown again: its configuration names" in failure.source and not (tmp_path / "talk").exists()
+
+
+def test_a_stored_trial_runs_no_rule_of_another_package(tmp_path: Path) -> None:
+    config = trial("circle", 10, "paper", 1).config
+    config = config | {"model": {"model": "simulated:ideal"}, "protocol": config["protocol"] | {"consensus": "this:x"}}
+    (failure,) = gallery(Results.read(_one(tmp_path, config=config)), 1)
+    assert "names rules of other packages" in failure.source
+
+
+def test_a_page_neither_turns_text_around_nor_hides_it(tmp_path: Path) -> None:
+    folder = _one(tmp_path, axes={"kind": "\u202egnp\x1b[2J"}, error="\u2066x\u200b")
+    write_report(folder, tmp_path / "out", formats=["svg"], fly_again=False)
+    for name in ("report.html", "report.md"):
+        text = (tmp_path / "out" / name).read_text(encoding="utf-8")
+        assert printable(text) == text and "202egnp" in text
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"config": {}},
+        {"config": {"mission": {"shape": "circle", "n_robots": 0}, "trial": {"seed": 1}}},
+        {"config": {"mission": {"shape": None, "n_robots": 3}, "trial": {"seed": 1}}},
+        {"rounds": {}},
+        {"rounds": {"round": [0]}},
+        {"summary": {"waypoints": 5}},
+    ],
+    ids=str,
+)
+def test_trials_that_are_none_are_refused_in_one_line(change: dict[str, object], tmp_path: Path) -> None:
+    with pytest.raises(RecordError) as refused:
+        Results.read(_one(tmp_path, **change))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_trial_has_the_name_of_its_file(tmp_path: Path) -> None:
+    """Files of figures are named by it."""
+    store = Store(tmp_path)
+    store.save(trial("circle", 10, "paper", 1))
+    path = store.trial_path("circle10paper1")
+    path.write_bytes(path.read_bytes().replace(b'"id":"circle10paper1"', b'"id":"../../elsewhere"'))
+    with pytest.raises(RecordError, match="another file"):
+        Results.read(tmp_path)
+
+
+def test_a_table_that_is_none_is_built_again(tmp_path: Path) -> None:
+    good = write_results(tmp_path)
+    frame = tables.read_trials(good)
+    for name in (tables.TRIALS_NAME, tables.ROUNDS_NAME):
+        (good / name).write_bytes(b"PAR1")
+    assert tables.read_trials(good).equals(frame) and not tables.read_rounds(good).is_empty()
+    frame.with_columns(trial=pl.lit("../elsewhere")).write_parquet(good / tables.TRIALS_NAME)
+    assert tables.read_trials(good).equals(frame)

@@ -177,3 +177,11 @@ def test_many_may_write_one_file_at_once(tmp_path: Path) -> None:
         list(pool.map(lambda each: [write_whole(path, each, dated_ns=10**18) for _ in range(5)], data))
     assert path.read_bytes() in data and path.stat().st_mtime_ns == 10**18
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_damaged_spending_is_named(tmp_path: Path) -> None:
+    log = SpendingLog(Store(tmp_path))
+    for data in (b'{"calls":"x"}', b"[" * 100_000, b"\xff"):
+        (tmp_path / "spent" / "x.json").write_bytes(data)
+        with pytest.raises(RecordError, match=r"x\.json"):
+            log.others()

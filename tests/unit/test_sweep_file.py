@@ -129,3 +129,29 @@ def test_the_arena_fits_every_team_of_the_scale_experiment() -> None:
     }
     assert arenas["circle", 5] == ((0.0, 0.0), (100.0, 100.0))
     assert arenas["line", 100][1][0] > 500
+
+
+HEAD = '[sweep]\nname = "x"\nseeds = 1\n'
+ODD_SWEEPS = {
+    "nested": "a = " + "[" * 5_000 + "]" * 5_000,
+    "digits": "a = " + "9" * 5_000,
+    "budget is no table": f'budget = 5\n{HEAD}[grid]\nteam = ["circle/4"]',
+    "a long name": f'[sweep]\nname = "{"x" * 5_000}"\nseeds = 1\n[grid]\nteam = ["circle/4"]',
+    "too many seeds": '[sweep]\nname = "x"\nseeds = 1000000000\n[grid]\nteam = ["circle/4"]',
+    "too many cells": f"{HEAD}[grid]\nloss = {(rates := [k / 1000 for k in range(400)])}\nnoise = {rates}",
+    "an axis of a reserved name": f'{HEAD}[grid]\nteam = ["circle/4"]\nbase = [1]',
+    "an axis with a line break": f'{HEAD}[grid]\n"x\\nerror: forged" = [1]',
+    "a shape that is a number": f"{HEAD}fit_arena = true\n[grid]\nshape = [5]",
+    "robots in words": f'{HEAD}fit_arena = true\n[grid]\nn_robots = ["x"]',
+    "more robots than fit into memory": f'{HEAD}fit_arena = true\n[grid]\nteam = ["circle/999999999"]',
+    "more places than fit into memory": f'{HEAD}fit_arena = true\n[grid]\nteam = ["circle/4"]\nplaces = [999999999]',
+}
+
+
+@pytest.mark.parametrize("text", ODD_SWEEPS.values(), ids=ODD_SWEEPS.keys())
+def test_a_file_that_holds_anything_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        load_sweep(path)
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 2_000

@@ -15,7 +15,7 @@ from llm_flock.cli import terminal
 from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import live_line, show_conversation, show_overview
 from llm_flock.cli.terminal import Screen, say
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, RecordError
 from llm_flock.mission import Mission
 from llm_flock.printable import CleanFormatter, printable
 from llm_flock.record.reader import RunRecord, read_record
@@ -140,3 +140,27 @@ def test_a_shape_in_words_holds_no_hidden_letters(letter: str) -> None:
         Mission(shape=f"text:a heart{letter}", n_robots=4)
     assert caught.value.field == "shape"
     assert Mission(shape="text:ein Herz für João", n_robots=4).shape.endswith("João")
+
+
+FORGED = "x\nerror: forged"
+
+
+def test_nothing_in_a_record_begins_a_line(
+    record: RunRecord, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": FORGED}})
+    calls = (llm_entry(1, 0, rejected=FORGED, faults=[FORGED]), llm_entry(1, 0, error=FORGED))
+    forged = replace(record, missions=(mission,), llm=calls, result={"plan_robot": 1, "plan_by": FORGED})
+    show_overview(forged)
+    show_conversation(forged, 0, None)
+    for error in (InputError(FORGED, "x", FORGED), RecordError(FORGED)):
+        say(error)
+    out = capsys.readouterr().out
+    assert "\\nerror: forged" in out and "\nerror: forged" not in out
+
+
+def test_a_huge_message_is_cut(record: RunRecord, capsys: pytest.CaptureFixture[str]) -> None:
+    show_conversation(replace(record, llm=(llm_entry(1, 0, text="[" * 2_000_000),)), 0, None)
+    out = capsys.readouterr().out
+    assert "and 1,900,000 more characters" in out and len(out) < 1_000_000

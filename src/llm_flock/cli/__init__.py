@@ -220,7 +220,9 @@ def _rounds(text: str) -> list[int]:
 
 def _labels(runs: list[Any]) -> list[str]:
     """Labels of runs: their rules."""
-    return [f"{r.run.config['protocol']['consensus']} + {r.run.config['protocol']['assignment']}" for r in runs]
+    from llm_flock.viz.style import rules
+
+    return [rules(r.run.config) or "unknown rules" for r in runs]
 
 
 def main() -> None:

@@ -13,13 +13,20 @@ from rich.text import Text
 
 from llm_flock.cli.terminal import Screen
 from llm_flock.errors import InputError
-from llm_flock.printable import printable
+from llm_flock.printable import one_line, printable
 from llm_flock.record.words import verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record.reader import RunRecord
     from llm_flock.runtime.result import Summary
     from llm_flock.runtime.trial import TrialProgress
+
+
+MOST_MESSAGE = 100_000
+"""Longest message that is shown of a conversation [characters]; the record has all of it."""
+
+MOST_VERDICT = 20_000
+"""Longest account of an answer in a conversation [characters]; a plan of a large team has some thousands."""
 
 
 def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialProgress], None]]:
@@ -127,10 +134,10 @@ def show_overview(record: RunRecord) -> None:
     state = "complete" if record.complete else "ends early (the run was stopped)"
     # Text(...) keeps brackets in names, answers and templates from being read as markup.
     console.print(
-        Text(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
+        Text(f"{one_line(mission['shape'])}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
     )
     if record.result is not None and (work := work_text(record.result)):
-        console.print(Text(work))
+        console.print(Text(one_line(work)))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
     for row in record.metrics:
         table.add_row(
@@ -144,6 +151,12 @@ def show_overview(record: RunRecord) -> None:
             str(row.tokens),
         )
     console.print(table)
+
+
+def _start(text: str) -> str:
+    """A message of a conversation, cut where nobody reads on."""
+    more = len(text) - MOST_MESSAGE
+    return printable(text[:MOST_MESSAGE]) + (f"\n... and {more:,} more characters" if more > 0 else "")
 
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
@@ -164,11 +177,11 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
         for message in entry.messages:
             console.print(
-                Panel(Text(printable(message.text)), title=Text(f"{title} · {message.role}"), title_align="left")
+                Panel(Text(_start(message.text)), title=Text(f"{title} · {message.role}"), title_align="left")
             )
         if entry.text is not None:
             answer = Text(f"{title} · answer")
-            console.print(Panel(Text(printable(entry.text)), title=answer, title_align="left", border_style="green"))
-        faults = f" · faults: {', '.join(entry.faults)}" if entry.faults else ""
+            console.print(Panel(Text(_start(entry.text)), title=answer, title_align="left", border_style="green"))
+        faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
-        console.print(Text(f"{verdict(entry)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
+        console.print(Text(f"{one_line(verdict(entry), MOST_VERDICT)} · {tokens} · {entry.latency_s:.3f} s{faults}"))

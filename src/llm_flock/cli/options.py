@@ -165,7 +165,7 @@ def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     try:
         found = json.loads(text if text.lstrip().startswith("[") else Path(text).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(field, text, f"a JSON list, or a file with one ({error})") from None
     if not isinstance(found, list):
         raise InputError(field, text, f"a JSON list of {field}")

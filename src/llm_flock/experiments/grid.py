@@ -20,7 +20,7 @@ from llm_flock.llm.models import parse_models
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.simulated.profiles import parse_profile
-from llm_flock.mission import Mission, start_volume
+from llm_flock.mission import MAX_ROBOTS, Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 
 PLACES = {"trial": {"out"}, "model": {"record_llm"}}
@@ -147,9 +147,12 @@ def trial_id(config: RunConfig) -> str:
 def _digest(path: Path) -> str:
     """Hash of a file, or of all files in a folder. Missing files are reported when they are used, not here."""
     digest = hashlib.sha256()
-    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.is_file():
-            digest.update(f"{file.relative_to(path)}\0".encode() + file.read_bytes() + b"\0")
+    try:
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.is_file():
+                digest.update(f"{file.relative_to(path)}\0".encode() + file.read_bytes() + b"\0")
+    except OSError as error:
+        raise InputError("model", str(path), f"a cassette, or a folder of prompts ({error.strerror})") from None
     return digest.hexdigest()
 
 
@@ -177,6 +180,11 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
         InputError: a value is not allowed.
     """
     shape, n_robots = fields["shape"], fields["n_robots"]
+    if not isinstance(shape, str) or type(n_robots) is not int or not 1 <= n_robots <= MAX_ROBOTS:
+        raise InputError("team", f"{shape}/{n_robots}", f"a shape, and a number of robots from 1 to {MAX_ROBOTS}")
+    places = fields.get("places")
+    if places is not None and (type(places) is not int or not 1 <= places <= MAX_ROBOTS):
+        raise InputError("places", places, f"a number from 1 to {MAX_ROBOTS}")
     # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
     team = load(**{**fields, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
     points = formations.load_points(Path(shape.partition(":")[2])) if shape.startswith("points:") else None

@@ -141,7 +141,16 @@ class SpendingLog:
     def others(self) -> Spent:
         """Sum over all other processes, earlier sessions included."""
         paths = [path for path in self._folder.glob("[!.]*.json") if path != self._own]
-        return sum((msgspec.json.decode(path.read_bytes(), type=Spent) for path in paths), Spent())
+        return sum(map(_read_spent, paths), Spent())
+
+
+def _read_spent(path: Path) -> Spent:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Spent)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise RecordError(f"{path}: not what a process has spent ({error})") from None
 
 
 def trial_files(folder: Path) -> Iterator[Path]:
@@ -161,8 +170,10 @@ def read_trial(path: Path) -> TrialResult:
         found = msgspec.json.decode(path.read_bytes(), type=TrialResult)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise RecordError(f"{path}: not a trial ({error})") from None
+    if found.id != path.stem:  # names of figures and records are made of it
+        raise RecordError(f"{path}: the trial of another file, {found.id}")
     if found.format != FORMAT:
         raise RecordError(f"{path}: format {found.format}; this release reads format {FORMAT}")
     return msgspec.structs.replace(

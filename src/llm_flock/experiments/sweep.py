@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments import tables
 from llm_flock.experiments.executors import Display, Session, fly_here, fly_in_pool
 from llm_flock.experiments.executors_ray import fly_on_cluster
@@ -139,7 +139,10 @@ def _register(sweep: Sweep, store: Store) -> None:
     path = store.folder / PLAN_NAME
     with store.wait_for("plan"):
         if path.exists():
-            known = msgspec.json.decode(path.read_bytes(), type=dict[str, list[str]])
+            try:
+                known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
+            except (msgspec.MsgspecError, RecursionError) as error:
+                raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
             gone = [
                 f"{cell}, seed {seed}"
                 for trial, (cell, seed) in known.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import tomllib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +19,10 @@ from llm_flock.experiments.trial import KeepRecords
 from llm_flock.llm.providers import PROVIDERS
 from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, input_error
-from llm_flock.runtime.config import build_config
+from llm_flock.runtime.config import RunConfig, build_config, read_toml
+
+MOST_TRIALS = 100_000
+"""Most trials of a sweep; all of them are in memory."""
 
 Positive = Annotated[int, Field(ge=1)]
 
@@ -36,7 +39,7 @@ class _Table(BaseModel):
 class SweepTable(_Table):
     """`[sweep]`: the sweep as a whole."""
 
-    name: str = Field(pattern=r"^[\w.-]+$", description="Name; results go to runs/NAME by default")
+    name: str = Field(pattern=r"^[\w.-]+$", max_length=100, description="Name; results go to runs/NAME by default")
     about: str = Field(default="", description="One sentence about the sweep; reports open with it")
     seeds: Positive | tuple[Annotated[int, Field(ge=0)], ...] = Field(
         description="Number of seeds for each cell, or a list of them; the same for all cells"
@@ -113,15 +116,12 @@ def load_sweep(
         InputError: naming the first fault.
     """
     try:
+        data = read_toml("sweep", path)
         text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
         given = {name: value for name, value in (budget or {}).items() if value is not None}
-        data["budget"] = {**data.get("budget", {}), **given}
+        if isinstance(table := data.get("budget", {}), dict):
+            data["budget"] = {**cast("dict[str, Any]", table), **given}
         file = SweepFile.model_validate(data)
-    except OSError as error:
-        raise InputError("sweep", str(path), f"a readable file ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("sweep", str(path), f"TOML ({error})") from None
     except ValidationError as error:
         raise input_error(error) from None
     for name in file.providers:
@@ -141,6 +141,9 @@ def _trials(
     grid = renamed.current(file.grid)
     axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in grid.items()}
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
+    seeds = file.sweep.seeds if isinstance(file.sweep.seeds, int) else len(file.sweep.seeds)
+    if (number := seeds * math.prod(map(len, axes.values()))) > MOST_TRIALS:
+        raise InputError("grid", f"{number} trials", f"a grid of at most {MOST_TRIALS:,} trials")
     cells = [_cell(file, given, dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values())]
     count, first = file.sweep.seeds, file.sweep.first_seed
     seeds = range(first, first + count) if isinstance(count, int) else count
@@ -196,6 +199,8 @@ def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Po
     fields: dict[str, Any] = dict(overrides)
     for value in point.values():
         fields.update(value.fields)
+    for name in fields:
+        RunConfig.section_of(name)  # refuses an unknown one
     for refused in ("seed", "out", "record_llm"):
         if refused in fields or any(refused in table for table in file.run.values()):
             raise InputError(refused, "...", "not given: seeds are in [sweep], and results have their own directory")

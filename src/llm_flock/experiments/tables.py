@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import polars as pl
+from pydantic import BaseModel, Field, ValidationError
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock.experiments.store import read_trial, trial_files, write_whole
 from llm_flock.experiments.trial import TrialResult
@@ -145,7 +146,7 @@ def read_trials(folder: Path) -> pl.DataFrame:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, TRIALS_NAME, _trials_frame)
+    return _read(folder, TRIALS_NAME, TRIALS, _trials_frame)
 
 
 def read_rounds(folder: Path) -> pl.DataFrame:
@@ -155,7 +156,7 @@ def read_rounds(folder: Path) -> pl.DataFrame:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, ROUNDS_NAME, _rounds_frame)
+    return _read(folder, ROUNDS_NAME, ROUNDS, _rounds_frame)
 
 
 def build_tables(folder: Path) -> None:
@@ -194,15 +195,37 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
     return [out / name for name in frames]
 
 
+class _TeamFields(BaseModel):
+    shape: str
+    n_robots: Annotated[int, Field(ge=1, le=10**6)]
+
+
+class _SeedFields(BaseModel):
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _TrialFields(BaseModel):
+    """Settings of a finished trial on which tables and reports rely; it may come from anywhere."""
+
+    mission: _TeamFields
+    trial: _SeedFields
+
+
 def load_all(folder: Path) -> list[TrialResult]:
     """Read every finished trial, sorted by cell and seed.
 
     Raises:
         RecordError: a trial is damaged.
     """
-    return sorted(
-        map(read_trial, trial_files(folder)), key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id)
-    )
+    trials = [read_trial(path) for path in list(trial_files(folder))]
+    for trial in trials:
+        try:
+            _TrialFields.model_validate(trial.config)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(map(str, first["loc"]))
+            raise RecordError(f"{folder}: trial {trial.id} is not valid (config.{where}: {first['msg']})") from None
+    return sorted(trials, key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id))
 
 
 def _trials_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
@@ -221,12 +244,36 @@ def _rounds_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
     return pl.DataFrame(columns, schema={column.name: column.dtype for column in ROUNDS})
 
 
-def _read(folder: Path, name: str, build: Callable[[Sequence[TrialResult]], pl.DataFrame]) -> pl.DataFrame:
+def _read(
+    folder: Path, name: str, columns: Sequence[Column], build: Callable[[Sequence[TrialResult]], pl.DataFrame]
+) -> pl.DataFrame:
     path = folder / name
     dated = _dated(folder)
     if path.exists() and path.stat().st_mtime_ns >= dated:
-        return pl.read_parquet(path)
-    return build(load_all(folder))
+        stored = _stored(path, columns)
+        if stored is not None:
+            return stored
+    trials = load_all(folder)
+    try:
+        return build(trials)
+    except (pl.exceptions.PolarsError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise RecordError(
+            f"{folder}: not all trials have the fields of one ({type(error).__name__}: {error})"
+        ) from None
+
+
+def _stored(path: Path, columns: Sequence[Column]) -> pl.DataFrame | None:
+    """The table in a file; None where it is not one of this version, so that it has to be built."""
+    try:
+        found = pl.read_parquet(path)
+    except (pl.exceptions.PolarsError, OSError):
+        return None
+    wanted = {column.name: column.dtype for column in columns}
+    schema = {name: kind for name, kind in found.schema.items() if not name.startswith(AXIS)}
+    if schema != wanted or any(found.schema[name] != pl.String for name in found.schema.keys() - wanted):
+        return None
+    # Names of figures are made of it.
+    return found if found["trial"].str.contains(r"^[\w-]+$").all() else None
 
 
 def _dated(folder: Path) -> int:
@@ -271,4 +318,7 @@ def _words(words: Iterable[str] | None) -> str | None:
 
 def _natural(text: str) -> list[tuple[int, int | str]]:
     """A key that sorts triangle/6 before triangle/10."""
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", text)]
+    return [
+        (0, int(part)) if part.isascii() and part.isdigit() and len(part) < 1_000 else (1, part)
+        for part in re.split(r"(\d+)", text)
+    ]

@@ -30,7 +30,7 @@ from pydantic_ai.models import Model, ModelRequestParameters
 from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
-from llm_flock.errors import ModelError
+from llm_flock.errors import FlockError, ModelError
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.thoughts import spoken
@@ -128,12 +128,12 @@ class PydanticModel:
                 model_settings=self._settings,
                 model_request_parameters=self._parameters(call.schema),
             )
-        except ModelError:
+        except FlockError:
             raise  # from a simulated model
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
             retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
             raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
-        except (ValueError, TypeError, AttributeError, LookupError, AssertionError, RecursionError) as error:
+        except Exception as error:  # noqa: BLE001 - nobody knows all that SDKs raise; it is logged, recorded and counted
             # A malformed body that the SDK's parser trips over must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"

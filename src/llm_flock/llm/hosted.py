@@ -27,8 +27,9 @@ CONNECT_TIMEOUT_S = 10.0
 PER_POOL = 8
 """Requests that one connection pool serves at once."""
 
-MOST_ANSWER_BYTES = 8 << 20
-"""Largest body of a response that is read [bytes]; the longest answers of today's models have about one tenth of it."""
+MOST_ANSWER_BYTES = 2 << 20
+"""Largest body of a response that is read [bytes]: more than twice the longest answers of today's models. Read as JSON,
+it can take sixty times as much memory."""
 
 NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
@@ -105,6 +106,8 @@ async def _bound(response: httpx2.Response) -> None:
         raise httpx2.DecodingError(f"the response is compressed ({packed[:20]}), which was not asked for")
     assert isinstance(response.stream, httpx2.AsyncByteStream)
     response.stream = _Bounded(response.stream)
+    # All these protocols are UTF-8. Python has codecs that take hours for a megabyte (punycode), or give no text.
+    response.encoding = "utf-8"
 
 
 def new_http_client(timeout_s: float) -> httpx2.AsyncClient:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
 
-_RANGE = r"\s*\d+(?:\s*-\s*\d+)?\s*="
+_RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="
 _STARTS_WITH_RANGE = re.compile(_RANGE)
 _NEXT_RANGE = re.compile(rf",(?={_RANGE})")
 

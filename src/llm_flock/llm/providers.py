@@ -9,6 +9,10 @@ from typing import Literal, TypeAlias, cast
 from urllib.parse import urlsplit
 
 from llm_flock.errors import InputError
+from llm_flock.printable import hidden
+
+LONGEST_URL = 2_000
+"""Longest address of a provider [characters]."""
 
 ModelKind: TypeAlias = Literal["provider", "local", "simulated", "replay", "geometry"]
 
@@ -152,6 +156,8 @@ def check_url(url: str) -> str:
         host, secret, port = parts.hostname, parts.username or parts.password, parts.port
     except ValueError:
         raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...") from None
+    if len(url) > LONGEST_URL or hidden(url) is not None:
+        raise InputError("base_url", url, f"at most {LONGEST_URL} letters that everybody sees")
     if secret:
         raise InputError("base_url", f"{parts.scheme}://...@{host}", "an address without a user name or password")
     if parts.query or parts.fragment:

@@ -219,7 +219,7 @@ class ReplayModel(_Cassette):
     def _check_header(self, raw: bytes) -> None:
         try:
             version = json.loads(raw)[HEADER]
-        except (ValueError, TypeError, LookupError):
+        except (ValueError, TypeError, LookupError, RecursionError):
             raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
         if version != VERSION:
             raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")

@@ -13,7 +13,10 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 from llm_flock.renamed import current_config
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Row = Annotated[list[Finite], Field(min_length=2, max_length=3)]
+Coordinate = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]
+"""A thousand times what missions accept, and no trouble for the arithmetic of drawings."""
+
+Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
 """One position, d coordinates [units; world frame]."""
 
 Whole = Annotated[int, Field(ge=-(2**53), le=2**53)]
@@ -53,8 +56,8 @@ Free = Annotated[dict[str, Any], AfterValidator(_free)]
 
 class _Obstacle(BaseModel):
     center: Row | None = None
-    radius: Finite | None = None
-    polygon: list[Row] | None = None
+    radius: Annotated[Coordinate, Field(ge=0)] | None = None
+    polygon: Annotated[list[Row], Field(min_length=3)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -68,9 +71,9 @@ class _MissionFields(BaseModel):
 
     shape: str
     n_robots: Annotated[int, Field(ge=1, le=10**6)]
-    spacing: Finite
-    safe_distance: Finite
-    comm_range: Finite
+    spacing: Coordinate
+    safe_distance: Coordinate
+    comm_range: Coordinate
     arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
     places: Whole | None = None
     obstacles: list[_Obstacle] = []

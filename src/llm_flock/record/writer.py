@@ -7,6 +7,7 @@ round is handed to the operating system, so a killed process loses no complete r
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from pathlib import Path
 from types import TracebackType
@@ -81,7 +82,7 @@ class RecordWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=BUFFER_BYTES)
         except OSError as error:
-            if path.exists():
+            if os.path.lexists(path):  # says no where the system does not take the name at all
                 raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
             raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
         self._mcap = Writer(

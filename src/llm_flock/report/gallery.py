@@ -12,12 +12,16 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from llm_flock.errors import FlockError, InputError
+from llm_flock.experiments.grid import models_of
 from llm_flock.experiments.store import TRIALS, read_trial
+from llm_flock.llm.prompting import PACKAGED
+from llm_flock.llm.providers import parse_model
 from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.report.diagnosis import Cause, find_causes
 from llm_flock.report.results import OUTCOMES, Results, TrialRow
 from llm_flock.runtime.api import RECORD_NAME, run
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.rules import ASSIGNMENT, CONSENSUS
 from llm_flock.viz.figures import snapshots
 
 MOST_FLOWN_AGAIN = 100
@@ -91,6 +95,17 @@ def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
         return Failure(trial=trial, reason=reason, source=source, stories=causes, figure=figure)
 
 
+def _foreign(config: RunConfig) -> str | None:
+    """What a stored configuration, which may come from anywhere, would do besides simulating; None if nothing."""
+    rules = {config.protocol.consensus, config.protocol.assignment}
+    if any(parse_model(name).kind not in ("simulated", "geometry") for name in models_of(config)):
+        return "its configuration names models that are not simulated"
+    if not rules <= {*CONSENSUS, *ASSIGNMENT}:
+        return "its configuration names rules of other packages"
+    own_prompts = config.model.prompts in (None, *PACKAGED)
+    return None if own_prompts and config.model.record_llm is None else "its configuration names other files"
+
+
 def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[RunRecord | None, str]:
     """The kept record, or one of the trial flown again in `folder`; and a sentence about where it is from."""
     kept = trial.figures["record"]
@@ -100,7 +115,9 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         return None, "No record was kept (see --keep-records of llm-flock sweep), so there are no pictures."
     if folder is None or trial.cell.team.n_robots > MOST_FLOWN_AGAIN:
         return None, "No record was kept, and the trial was not flown again."
-    config = RunConfig.model_validate(read_trial(results.folder / TRIALS / f"{trial.id}.json").config)
+    config = RunConfig.build(read_trial(results.folder / TRIALS / f"{trial.id}.json").config)
+    if (foreign := _foreign(config)) is not None:
+        return None, f"No record was kept, and the trial was not flown again: {foreign}."
     config = config.model_copy(update={"trial": config.trial.model_copy(update={"out": str(folder)})})
     try:
         summary: Mapping[str, Any] = run(config=config).summary.to_dict()

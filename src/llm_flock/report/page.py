@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import METHODS, Method
+from llm_flock.printable import printable
 from llm_flock.report import sheets
 from llm_flock.report.drawings import Drawing, draw_all
 from llm_flock.report.findings import cell_lines, pair_lines, usual_reference
@@ -241,10 +242,17 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("llm_flock.report"),
         autoescape=lambda name: name is not None and name.endswith(".html.j2"),
         undefined=jinja2.StrictUndefined,
+        finalize=_clean,
     )
     filters = cast("dict[str, Any]", environment.filters)
     filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced, "svg": _svg, "data": _data_address}
     return environment
+
+
+def _clean(value: object) -> str:
+    """A value of a page, without characters that turn text around or that nobody sees."""
+    text = printable(str(value))
+    return Markup(text) if isinstance(value, Markup) else text
 
 
 def _breakable(text: str) -> Markup:

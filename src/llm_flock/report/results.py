@@ -274,7 +274,7 @@ def _title(folder: Path) -> tuple[str, str]:
     """Name of the sweep, and what it is about, from its file; the folder's name where there is no such file."""
     try:
         found = cast("dict[str, Any]", tomllib.loads((folder / SWEEP_NAME).read_text(encoding="utf-8"))["sweep"])
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         found = {}
     return str(found.get("name") or folder.resolve().name), str(found.get("about") or "")
 
@@ -283,7 +283,7 @@ def _planned(folder: Path) -> list[str] | None:
     """Ids of all trials of the sweep, in the order of its grid; None where that is not known."""
     try:
         return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, msgspec.MsgspecError, RecursionError):
         return None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
@@ -27,9 +28,21 @@ from llm_flock.transport.memory import LinkFaults
 
 logger = logging.getLogger(__name__)
 
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=2**53)]
 PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
 """One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are accepted too."""
+
+MOST_COMM_ROUNDS = 1_000
+"""Most communication rounds within a motion round."""
+
+_NO_NAME = re.compile("[\0\ud800-\udfff]")
+"""What neither the names of files nor the texts of a record can hold."""
+
+DEEPEST = 32
+"""Deepest nesting of values in a configuration file; fields need a third of it."""
+
+_DEEP_KEY = re.compile(rf"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+"""A dotted key so deep that `tomllib` would take memory with the square of its depth."""
 
 RECORD_NAME = "run.mcap"
 """Name of a record in its folder."""
@@ -66,12 +79,16 @@ class ProtocolConfig(ConfigSection):
         description="If answers stay unusable: breaker (the model is asked rarely; geometry flies, but makes no plan), "
         "geometry (computes plan and steps), or hold (no help, and no limit to asking) [preset's; hold without verify]",
     )
-    comm_rounds: Count | None = Field(default=None, description="Communication rounds per motion round [preset's]")
+    comm_rounds: Annotated[int, Field(ge=1, le=MOST_COMM_ROUNDS)] | None = Field(
+        default=None, description="Communication rounds per motion round [preset's]"
+    )
     gaps: Literal["report", "replan"] = Field(
         default="report", description="If fewer robots are alive than the plan has places: report the gaps, or replan"
     )
-    time_out: Count = Field(
+    time_out: int = Field(
         default=TIME_OUT,
+        ge=1,
+        le=MOST_ROUNDS,
         description="Rounds without a heartbeat, direct or relayed, after which a robot counts as dead",
     )
 
@@ -233,7 +250,7 @@ class RunConfig(ConfigSection):
         raise InputError(field, "...", "a field of the configuration; `llm-flock run --help` lists them")
 
     @classmethod
-    def build(cls, base: Mapping[str, Any] | None = None, **overrides: Any) -> Self:
+    def build(cls, base: Mapping[str, Any] | None = None, /, **overrides: Any) -> Self:
         """A configuration from nested sections, with overrides by field name (None means: not given).
 
         `shape = "points:FILE"` is resolved here: the file's points become the mission's.
@@ -242,6 +259,8 @@ class RunConfig(ConfigSection):
             InputError: naming the first offending field, its value, and what is allowed.
         """
         data: dict[str, Any] = {}
+        check_values("config", base or {})
+        check_values("config", overrides)
         for name, section in (base or {}).items():
             if name not in cls.model_fields:
                 raise InputError(name, "...", f"one of the sections {', '.join(cls.model_fields)}")
@@ -270,15 +289,45 @@ class RunConfig(ConfigSection):
         Raises:
             InputError: the file cannot be read or is not TOML, or a value is not allowed.
         """
-        if path is None:
-            return cls.build(**overrides)
-        try:
-            base = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError("config", str(path), f"a readable file ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError("config", str(path), f"TOML ({error})") from None
-        return cls.build(base, **overrides)
+        return cls.build(None if path is None else read_toml("config", path), **overrides)
+
+
+def read_toml(field: str, path: Path) -> dict[str, Any]:
+    """The values of a TOML file.
+
+    Raises:
+        InputError: for `field`: the file cannot be read, or is not TOML; or for a value, see `check_values`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        if _DEEP_KEY.search(text) is not None:
+            raise InputError(field, str(path), f"keys of at most {DEEPEST} parts")
+        found = tomllib.loads(text)
+    except OSError as error:
+        raise InputError(field, str(path), f"a readable file ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(field, str(path), f"TOML ({error})") from None
+    check_values(field, found)
+    return found
+
+
+def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
+    """Check that values of any fields, as a file may nest them, can be shown, compared and handed to the system.
+
+    Raises:
+        InputError: for the field that holds it: a whole number of 2^63 or more, NUL in a text, or endless nesting.
+    """
+    if isinstance(value, Mapping | list | tuple):
+        if depth == 0:
+            raise InputError(field, "...", f"values in at most {DEEPEST} levels")
+        named = isinstance(value, Mapping)
+        items = cast("Mapping[str, object]", value).items() if named else [(field, v) for v in cast("list[Any]", value)]
+        for name, item in items:
+            check_values(str(name), item, depth - 1)
+    elif isinstance(value, int) and abs(value) >= 2**64:
+        raise InputError(field, f"a number of {value.bit_length()} bits", "a number of at most 64 bits")
+    elif isinstance(value, str) and _NO_NAME.search(value) is not None:
+        raise InputError(field, value, "text without the character NUL, and without half characters")
 
 
 ROOM = 1.05

@@ -80,7 +80,7 @@ def _rule(field: str, name: str, known: Mapping[str, Callable[[], Any]], methods
         raise InputError(field, name, allowed)
     try:
         rule = getattr(importlib.import_module(module), attribute)()
-    except (ImportError, AttributeError, TypeError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise InputError(field, name, f"{allowed} ({error})") from None
     if not isinstance(getattr(rule, "name", None), str) or not all(callable(getattr(rule, m, None)) for m in methods):
         raise InputError(field, name, f"a class with a name and {' and '.join(methods)}; see llm_flock.testing")

@@ -19,6 +19,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from llm_flock.printable import one_line
 from llm_flock.viz.style import FAINT, GRID, INK, LINES, MARKERS, SERIES, house_style
 
 MOST_COLUMNS = 4
@@ -331,6 +332,7 @@ def folded(text: str, width: int) -> str:
     """A label on two lines at most, broken after a separator where there is one."""
     if "\n" in text:
         return "\n".join(folded(line, width) for line in text.split("\n"))
+    text = one_line(text)
     if len(text) <= width:
         return text
     cut = max(text.rfind(sign, 0, width) for sign in " ,:/·-") + 1
@@ -340,6 +342,7 @@ def folded(text: str, width: int) -> str:
 
 def shortened(text: str, most: int) -> str:
     """A text, cut to at most this many letters."""
+    text = one_line(text)
     return text if len(text) <= most else text[: most - 1] + "…"
 
 

@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
+from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.charts import DPI, new_figure
@@ -25,6 +26,9 @@ from llm_flock.viz.style import GRID, INK, LINES, MARKERS, fitted, heading, hous
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
+
+MOST_LABEL = 100
+"""Longest label of a curve [characters]."""
 
 UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 """No date goes into a file, so that the same figure is always the same file."""
@@ -167,7 +171,7 @@ def _curves(axes: Axes, groups: dict[str, list[Column]]) -> None:
             markeredgecolor=INK,
             markeredgewidth=0.4,
             linewidth=1.4,
-            label=label + many,
+            label=one_line(label, MOST_LABEL) + many,
         )
         if len(curves) > 1:
             axes.fill_between(rounds, low, high, color=colour, alpha=0.2, linewidth=0)

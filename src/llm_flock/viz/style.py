@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from llm_flock.printable import one_line
 from llm_flock.record.palette import NO_PLAN, PALETTE
 
 if TYPE_CHECKING:
@@ -86,6 +87,9 @@ class PlanLook:
     rim: str
 
 
+MOST_TITLE = 400
+"""Longest title [characters]."""
+
 WITHOUT_PLAN = PlanLook(name="", fill=NO_PLAN, line=FAINT, ink=INK, rim=":")
 
 
@@ -157,7 +161,7 @@ def shapes(record: RunRecord) -> str:
 
 def fitted(text: str, inches: float) -> str:
     """A title broken into lines of a width."""
-    return textwrap.fill(text, max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
+    return textwrap.fill(one_line(text, MOST_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 
 def rules(config: Mapping[str, Any]) -> str:

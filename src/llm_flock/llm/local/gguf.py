@@ -6,6 +6,7 @@ Format: GGUF version 2 and 3 as llama.cpp writes them, little-endian.
 from __future__ import annotations
 
 import mmap
+import stat
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,8 +25,8 @@ _MOST_VALUES = 1 << 16
 _MOST_STRINGS = 1 << 21
 """Most strings in lists; the largest vocabularies, with their merges, have a third of it."""
 
-_LONGEST_TEXT = 1 << 24
-"""Longest name or text [bytes]; chat templates have some ten thousand."""
+_MOST_TEXT = 1 << 24
+"""Names and texts together [bytes]; chat templates have some ten thousand, and names some fifty each."""
 
 _MOST_ALIGNMENT = 1 << 16
 _SIZES = (
@@ -110,11 +111,13 @@ def read_header(path: Path) -> Header:
         InputError: for field `model`: there is no such file, or it is no GGUF file.
     """
     try:
-        changed = path.stat().st_mtime_ns
+        found = path.stat()
     except OSError as error:
         raise InputError("model", str(path), f"a file that is there ({error.strerror})") from None
+    if stat.S_ISFIFO(found.st_mode):  # opening it waits for a writer
+        raise InputError("model", str(path), "a file")
     try:
-        return _header(path, changed)
+        return _header(path, found.st_mtime_ns)
     except OSError as error:
         raise InputError("model", str(path), f"a readable file ({error.strerror})") from None
     except (ValueError, KeyError, OverflowError, struct.error):
@@ -133,7 +136,7 @@ class _Reader:
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
         self._at = 0
-        self._strings = 0
+        self._strings = self._text_bytes = 0
 
     def header(self) -> Header:
         if self._take(4) != b"GGUF" or self._scalar("I") not in (2, 3):
@@ -193,7 +196,8 @@ class _Reader:
 
     def _text(self) -> str:
         length = self._scalar("Q")
-        if length > _LONGEST_TEXT:
+        self._text_bytes += length
+        if self._text_bytes > _MOST_TEXT:
             raise ValueError
         return self._take(length).decode("utf-8", "replace")
 
