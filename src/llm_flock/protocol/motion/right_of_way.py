@@ -32,6 +32,13 @@ AHEAD = 3.0
 SLOWED = 0.5
 """A robot is blocked if bodies leave it less than this share of its step."""
 
+STALLED = 3
+"""Rounds without progress towards the goal after which a robot that bodies block asks for its way."""
+
+GAIN = 0.05
+"""Coming nearer by this share of a step, or of what is left, counts as progress: beside another robot a place is
+approached by halves."""
+
 KEPT = 2
 """Rounds for which a robot that was blocked keeps its course."""
 
@@ -106,7 +113,8 @@ class RightOfWay:
     def __init__(self, robot: int, limits: Mission) -> None:
         self.course: Course | None = None
         self._robot, self._limits = robot, limits
-        self._waited = self._kept = 0
+        self._waited = self._kept = self._idle = 0
+        self._nearest: tuple[Point, float] = (), math.inf
         self._stood: dict[int, tuple[Point, int, int]] = {}
 
     @property
@@ -115,12 +123,24 @@ class RightOfWay:
         return self._waited
 
     @property
+    def stalled(self) -> bool:
+        """Whether the robot has come no nearer to its goal for some rounds."""
+        return self._idle >= STALLED
+
+    @property
     def _level(self) -> int:
         return min((self._waited // RISES).bit_length(), HIGHEST)
 
-    def count(self, *, at_goal: bool) -> None:
-        """Begin a round."""
+    def count(self, goal: Point, left: float, within: float) -> None:
+        """Begin a round, with the length of the way to a goal that counts as reached within a distance [units]."""
+        at_goal = left <= within
         self._waited = 0 if at_goal else self._waited + 1
+        before, nearest = self._nearest
+        nearer = left <= nearest - GAIN * min(self._limits.max_step, left)
+        if at_goal or goal != before or nearer:
+            self._nearest, self._idle = (goal, left), 0
+        else:
+            self._idle += 1
         self.course = None
 
     def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:

@@ -56,7 +56,7 @@ class Safety:
 
     def stay(self, position: Point, sensed: Mapping[int, Point], courses: Mapping[int, Course] = NOTHING) -> SafeStep:
         """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
-        self._right.count(at_goal=True)
+        self._right.count(position, 0.0, 0.0)
         separating = self._separate(position, sensed)
         if separating is not None:
             return separating
@@ -80,8 +80,8 @@ class Safety:
         The mission's frame is displaced by `drift` (empty if the mission stands still), and the goal of the leg counts
         as reached within `tolerance` [units].
         """
-        right, at_goal = self._right, leg.left <= tolerance + self._noise_bound
-        right.count(at_goal=at_goal)
+        right, within = self._right, tolerance + self._noise_bound
+        right.count(leg.goal, leg.left, within)
         separating = self._separate(position, sensed)
         if separating is not None:
             return separating
@@ -96,7 +96,7 @@ class Safety:
             return self._wait(position, wish, others, ways)
         self._gave_way = None
         notes: tuple[Note, ...] = ()
-        if not at_goal and self._is_blocked(position, stop, safe, others):
+        if right.stalled and self._is_blocked(position, stop, safe, others):
             right.ask(self._path(position, stop, goal, still))
             if not self._asked:
                 distance = math.dist(moved(position, drift, -1.0), leg.goal)
@@ -104,7 +104,7 @@ class Safety:
             self._asked = True
         else:
             self._asked = False
-            right.go_on_asking(() if at_goal else self._path(position, stop, goal, still))
+            right.go_on_asking(() if leg.left <= within else self._path(position, stop, goal, still))
         if safe == wish:
             return SafeStep(waypoint=wish, origin=Origin.MODEL, notes=notes)
         note = Note("shielded", {"proposed": wish, "flown": safe})

@@ -1,0 +1,198 @@
+"""Right of way: who asks, who steps aside and where to, and that courses move nobody too near another."""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby
+
+import numpy as np
+import pytest
+from safe_team import SAFE, SafeTeam
+
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.protocol.events import Note, Origin
+from llm_flock.protocol.messages.message import HIGHEST, Course
+from llm_flock.protocol.motion.leg import Leg, leg_to
+from llm_flock.protocol.motion.right_of_way import KEPT, PATIENCE, RISES, RightOfWay, outside, rank
+from llm_flock.protocol.motion.safety import Safety
+
+MISSION = Mission(shape="text:any", n_robots=4)
+
+
+def box(left: float, low: float, right: float, high: float) -> Obstacle:
+    return Obstacle(polygon=((left, low), (right, low), (right, high), (left, high)))
+
+
+NARROW = box(30, -5, 70, 48), box(30, 52, 70, 105)
+BAY = box(30, -5, 70, 48), box(30, 52, 46, 105), box(54, 52, 70, 105), box(46, 57, 54, 105)
+
+
+def course(*path: tuple[float, ...], level: int = 0, of: int = 0) -> Course:
+    return Course(level=level, of=of, path=path)
+
+
+def test_ranks_rise_with_the_level_then_with_lower_ids() -> None:
+    assert rank(5, 1, 5) > rank(0, 0, 0) > rank(1, 0, 1)
+    assert rank(1, 2, 1) > rank(0, 2, 1) > rank(3, 2, 1), (
+        "its owner before those that pass it on, of these the lower id"
+    )
+
+
+def test_the_level_rises_ever_more_slowly_and_falls_at_the_goal() -> None:
+    right, levels = RightOfWay(0, MISSION), list[int]()
+    for _ in range(8 * RISES):
+        right.count(at_goal=False)
+        right.ask([(1.0, 1.0)])
+        assert right.course is not None
+        levels.append(right.course.level)
+    assert [levels.index(level) + 1 for level in range(1, 5)] == [RISES, 2 * RISES, 4 * RISES, 8 * RISES]
+    for _ in range(RISES * 2**HIGHEST):
+        right.count(at_goal=False)
+    right.ask([(1.0, 1.0)])
+    assert right.course is not None and right.course.level == HIGHEST
+    right.count(at_goal=True)
+    right.ask([(1.0, 1.0)])
+    assert right.course is not None and right.course.level == 0 and right.waited == 0
+
+
+def test_a_course_is_kept_for_a_while_after_the_way_is_free() -> None:
+    right = RightOfWay(0, MISSION)
+    right.ask([(1.0, 1.0)])
+    kept = 0
+    for _ in range(5):
+        right.count(at_goal=False)
+        right.go_on_asking([(1.0, 1.0)])
+        kept += right.course is not None
+    assert kept == KEPT - 1
+    right.ask([])
+    assert right.course is None, "a robot without a way asks for none"
+
+
+def test_only_ways_of_higher_rank_of_robots_in_sight_count() -> None:
+    right = RightOfWay(1, MISSION)
+    right.count(at_goal=False)
+    sensed = {0: (40.0, 50.0), 2: (60.0, 50.0), 3: (50.0, 40.0)}
+    east = (70.0, 50.0)
+    asked = {0: course(east), 2: course(east, of=2), 3: course(east, level=1, of=3), 9: course(east, level=9, of=9)}
+    assert [way.robot for way in right.ways(sensed, asked)] == [3, 0]
+    above, beside = right.ways(sensed, asked)
+    assert above.width > beside.width and beside.covers((50.0, 51.0)) and not beside.covers((50.0, 53.0))
+    assert outside([beside], (50.0, 51.0), (50.0, 52.0)) and not outside([beside], (50.0, 53.0), (50.0, 51.0))
+
+
+def test_a_robot_in_the_way_steps_aside_and_passes_the_right_on() -> None:
+    safety, here = Safety(1, MISSION, 0.0), (50.0, 50.0)
+    sensed = {0: (46.0, 50.0)}
+    leg = Leg(goal=(20.0, 50.0), stop=(20.0, 50.0), left=30.0)
+    step = safety.step(here, sensed, (44.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
+    assert step.origin is Origin.YIELD and step.notes == (Note("gives_way", {"to": 0}),)
+    assert abs(step.waypoint[1] - 50.0) > 2.0
+    assert safety.course is not None and safety.course.of == 0
+    step = safety.step(here, sensed, (44.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
+    assert step.notes == (), "noted once"
+
+
+def test_a_robot_at_its_place_steps_aside_too_and_one_beside_the_way_waits() -> None:
+    here, sensed = (50.0, 50.0), {0: (46.0, 50.0)}
+    held = Safety(1, MISSION, 0.0).stay(here, sensed, {0: course((64.0, 50.0))})
+    assert held.origin is Origin.YIELD and math.dist(held.waypoint, here) > 1.0
+    beside, across = (50.0, 54.0), Leg(goal=(50.0, 40.0), stop=(50.0, 40.0), left=14.0)
+    step = Safety(1, MISSION, 0.0).step(beside, sensed, (50.0, 48.0), across, 0.5, courses={0: course((64.0, 50.0))})
+    assert step.origin is Origin.YIELD and 52.8 <= step.waypoint[1] < 54.0
+
+
+def test_nowhere_to_go() -> None:
+    """Walls all round: the robot flies on as its shield lets it."""
+    cell = box(40, 40, 60, 48.4), box(40, 51.6, 60, 60), box(40, 48, 47, 52), box(53, 48, 60, 52)
+    mission = Mission(shape="text:any", n_robots=2, obstacles=cell)
+    safety = Safety(1, mission, 0.0)
+    step = safety.stay((50.0, 50.0), {0: (46.0, 50.0)}, {0: course((64.0, 50.0))})
+    assert step.origin is Origin.HOLD and safety.course is None
+
+
+def test_a_refuge_leads_past_nobody_who_comes() -> None:
+    right = RightOfWay(1, MISSION)
+    sensed = {0: (46.0, 50.0)}
+    (way,) = right.ways(sensed, {0: course((64.0, 50.0))})
+    for goal in ((20.0, 50.0), (20.0, 60.0), (80.0, 50.0)):
+        refuge = right.refuge((50.0, 50.0), goal, [way], sensed.values())
+        assert refuge is not None and not way.covers(refuge) and refuge[0] > 46.0
+
+
+def test_who_asks_and_stays_is_heeded_for_a_while_only() -> None:
+    right, sensed = RightOfWay(1, MISSION), {0: (46.0, 50.0)}
+    heeded = [bool(right.ways(sensed, {0: course((64.0, 50.0))})) for _ in range(6 * PATIENCE)]
+    periods = [(on, len([*group])) for on, group in groupby(heeded)]
+    assert periods == [(True, PATIENCE), (False, PATIENCE), (True, PATIENCE), (False, 2 * PATIENCE), (True, PATIENCE)]
+    assert not right.ways(sensed, {0: course((64.0, 50.0))})
+    assert right.ways({0: (47.0, 50.0)}, {0: course((64.0, 50.0))}), "it moves again"
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_dead_bodies_are_on_the_map(dim: int) -> None:
+    rest = (50.0,) * (dim - 1)
+    mission = Mission(shape="text:any", n_robots=4, center=(50.0,) * dim, arena=((0.0,) * dim, (100.0,) * dim))
+    here, goal, body = (40.0, *rest), (70.0, *rest), (50.0, *rest)
+    leg = leg_to(mission, here, goal, still=(body,))
+    assert leg.stop != goal and leg.left > 30.0
+    assert (
+        min(math.dist(body, [a + k / 50 * (b - a) for a, b in zip(here, leg.stop, strict=True)]) for k in range(51))
+        >= SAFE
+    )
+    assert leg_to(mission, here, goal).stop == goal
+
+
+@pytest.mark.parametrize(("obstacles", "most"), [(BAY, 45), (NARROW, 80)], ids=["bay", "no bay"])
+def test_head_on_in_a_corridor_one_robot_wide(obstacles: tuple[Obstacle, ...], most: int) -> None:
+    """With fixed goals one of them has to go back, into the bay or all the way."""
+    ends = [[20.0, 50.0], [80.0, 50.0]]
+    team = SafeTeam(ends, ends[::-1], *obstacles)
+    assert team.fly(most) is not None
+    assert team.smallest >= SAFE - 1e-6 and team.clearance >= SAFE / 2 - 1e-6
+
+
+class Lossy(SafeTeam):
+    """A team of which each loses three courses in ten."""
+
+    rng = np.random.default_rng(0)
+
+    def heard(self, receiver: int, sender: int) -> bool:
+        return bool(self.rng.random() < 0.7)
+
+
+@pytest.mark.parametrize("kind", [SafeTeam, Lossy])
+@pytest.mark.parametrize(("spacing", "most"), [(6.0, 100), (8.0, 80)])
+def test_a_full_grid_changes_all_its_places(kind: type[SafeTeam], spacing: float, most: int) -> None:
+    grid = 50 + spacing * (np.array([[i, j] for i in range(4) for j in range(4)]) - 1.5)
+    team = kind(grid, grid[np.random.default_rng(1).permutation(16)])
+    assert team.fly(most) is not None
+    assert team.smallest >= SAFE - 1e-6
+
+
+def test_two_layers_change_places() -> None:
+    layer = [[44.0 + 6 * i, 44.0 + 6 * j] for i in range(3) for j in range(3)]
+    low, high = [[*x, 40.0] for x in layer], [[*x, 46.0] for x in layer]
+    team = SafeTeam([*low, *high], [*high, *low])
+    assert team.fly(20) is not None
+    assert team.smallest >= SAFE - 1e-6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_is_claimed_the_cells_keep_the_distance(seed: int) -> None:
+    """Members that lie ask for anything, in anybody's name."""
+    rng = np.random.default_rng(seed)
+    grid = 50 + 5.0 * (np.array([[i, j] for i in range(3) for j in range(3)]) - 1.0)
+    team = SafeTeam(grid, grid[rng.permutation(9)])
+    for _ in range(20):
+        lies = {
+            int(j): course(
+                *(tuple(rng.uniform(0, 100, 2).tolist()) for _ in range(rng.integers(1, 4))),
+                level=int(rng.integers(0, HIGHEST + 1)),
+                of=int(rng.integers(0, 9)),
+            )
+            for j in rng.choice(9, 4, replace=False)
+        }
+        team.courses.update(lies)
+        team.round()
+    assert team.smallest >= SAFE - 1e-6
