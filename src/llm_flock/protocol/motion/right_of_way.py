@@ -188,6 +188,12 @@ class RightOfWay:
     def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
         self.course = Course(level=level, of=of, path=tuple(path)) if path else None
 
+    def leads_out(self, here: Point, path: Sequence[Point], ways: Sequence[Way]) -> bool:
+        """Whether a robot gets out of ways by following its own path [units; world frame], and past nobody who comes."""
+        return bool(path) and not any(way.covers(path[-1]) for way in ways) and bool(
+            self._leads_away(here, np.array([path[0]]), ways)[0]
+        )
+
     def refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Iterable[Point]) -> Point | None:
         """Where to wait until those that come have passed [units; world frame]; None if there is no such place.
 

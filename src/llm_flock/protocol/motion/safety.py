@@ -88,15 +88,20 @@ class Safety:
         goal, stop = moved(leg.goal, drift), moved(leg.stop, drift)
         others = tuple(sensed.values())
         ways = right.ways(sensed, courses)
-        aside = self._aside(position, sensed, goal, ways, still)
-        if aside is not None:
-            return aside
+        pressing = [way for way in ways if way.covers(position)]
+        if pressing and not right.leads_out(position, self._path(position, stop, goal, still), pressing):
+            aside = self._aside(position, sensed, goal, ways, still)
+            if aside is not None:
+                return aside
         safe = self._on_its_way(position, stop, wish, self._project(position, wish, others), others)
-        if not outside(ways, position, safe):
-            return self._wait(position, wish, others, ways)
+        free = [way for way in ways if way not in pressing]
+        if not outside(free, position, safe):
+            return self._wait(position, wish, others, free)
         self._gave_way = None
         notes: tuple[Note, ...] = ()
-        if right.stalled and self._is_blocked(position, stop, safe, others):
+        if pressing:
+            right.pass_on(self._path(position, stop, goal, still), pressing[0])
+        elif right.stalled and self._is_blocked(position, stop, safe, others):
             right.ask(self._path(position, stop, goal, still))
             if not self._asked:
                 distance = math.dist(moved(position, drift, -1.0), leg.goal)
