@@ -1,12 +1,13 @@
 """What the framework itself costs, apart from the models: `make bench`.
 
-    python -m benchmarks [overhead] [trials] [http] [late] [thousand] [sweep] [twenty]
+    python -m benchmarks [overhead] [trials] [http] [late] [sweep] [twenty]
 
 `overhead`  an instant simulated model, record on, one core: milliseconds per robot and round at N = 10 and N = 100
 `trials`    whole trials, circle of ten, record off, one core: processor time of one
 `http`      a zero-latency OpenAI-compatible server in a process of its own: milliseconds per robot and round
 `late`      50 robots and a server that takes 1 s to answer: seconds per round, the first (plan and step) left out
-`thousand`  a whole mission of a grid of 1,000 robots, record off: time and memory (only when named, it takes minutes)
+`scale`     whole missions of grids of 30, 300 and 1,000 robots, record off: time, memory and bytes; see
+            benchmarks/scale.py (only when named, it takes minutes)
 `sweep`     experiments/simulated.toml from scratch, two processes: time and memory (only when named)
 `twenty`    twenty trials of a circle of ten in one process on a server that takes 1 s, beside the longest of them alone
             (only when named)
@@ -29,7 +30,6 @@ from __future__ import annotations
 
 import os
 import random
-import resource
 import statistics
 import sys
 import tempfile
@@ -39,7 +39,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import containment, flight, lies, links, local, physics, same, swarm, sweeps
+from benchmarks import containment, flight, lies, links, local, physics, same, scale, swarm, sweeps
 
 import llm_flock
 
@@ -121,19 +121,6 @@ def trials() -> None:
     report("a trial, circle of 10, record off", 1 / 8, "s", trial_s, 5)
 
 
-def thousand() -> None:
-    """A whole mission of a thousand robots: a grid 6 apart, starts drawn in all of the arena, never nearer than 3."""
-    mission = llm_flock.Mission(shape="grid", n_robots=1000, spacing=6, center=(140, 140), arena=((0, 0), (280, 280)))
-    began, cpu = time.perf_counter(), time.process_time()
-    summary = llm_flock.run(mission, rounds=60, seed=0).summary
-    took, busy = time.perf_counter() - began, time.process_time() - cpu
-    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"grid of 1,000 on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} (other processes included)")
-    print(f"  formed {summary.formed} in round {summary.rounds_to_formed}, {summary.rounds} rounds flown")
-    print(f"  {summary.distinct_goals} distinct goals, smallest separation {summary.min_separation:.6f}")
-    print(f"  {took:.0f} s (processor {busy:.0f} s)   bar 300;   {peak_mib:.0f} MiB   bar 2048", flush=True)
-
-
 def http() -> None:
     """Over HTTP to a server without latency."""
     from integration.fault_server import running
@@ -169,7 +156,7 @@ def late() -> None:
 
 
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
-LONG = {"thousand": thousand, "sweep": sweeps.whole, "twenty": sweeps.twenty}
+LONG = {"sweep": sweeps.whole, "twenty": sweeps.twenty}
 LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
 LONG |= {"containment-http": containment.over_http}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
@@ -179,6 +166,7 @@ LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swa
 if __name__ == "__main__":
     commands = {
         "same": same.main,
+        "scale": scale.main,
         "containment": containment.main,
         "lies": lies.main,
         "lies-curve": lies.curve,

@@ -59,13 +59,17 @@ class _Corner:
     z: complex
 
 
-def longest(products: Complex, symmetry: int = 1) -> Correspondence:
-    """The correspondence pi whose z_pi = sum_i products[i, pi(i)] is longest.
+def longest(x: Complex, y: Complex, symmetry: int = 1) -> Correspondence:
+    """The correspondence pi whose z_pi = sum_i conj(x_i) y_pi(i) is longest.
 
     Args:
-        products: shape (n, n), conj(x_i) y_j for centred x and y [units^2].
+        x: centred positions, shape (n,) [units].
+        y: centred targets, shape (n,) [units].
         symmetry: a rotation by 360/symmetry degrees maps the set of all z_pi to itself.
     """
+    products = np.conj(x)[:, None] * y
+    # Squared distances have the same best correspondence as products, and show a solver early which targets are near.
+    squares = np.abs(x)[:, None] ** 2 + np.abs(y) ** 2
     real, imag = np.ascontiguousarray(products.real), np.ascontiguousarray(products.imag)
     index = np.arange(len(products))
     gap = ROUNDING * len(products)
@@ -75,7 +79,7 @@ def longest(products: Complex, symmetry: int = 1) -> Correspondence:
     def corner(angle: float) -> _Corner:
         nonlocal best
         direction = cmath.rect(1.0, angle)
-        _, columns = linear_sum_assignment(direction.real * real + direction.imag * imag, maximize=True)
+        _, columns = linear_sum_assignment(squares - 2 * (direction.real * real + direction.imag * imag))
         z = complex(products[index, columns].sum())
         if abs(z) > abs(best.z):
             best = Correspondence(z=z, columns=columns)

@@ -86,7 +86,7 @@ class ShapeTarget:
     def _best_in_plane(self, rows: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         best = proven_match(rows, self._target, self._symmetry) if len(rows) > LARGE else None
         if best is None:
-            best = longest(np.conj(as_complex(rows))[:, None] * as_complex(self._target), self._symmetry)
+            best = longest(as_complex(rows), as_complex(self._target), self._symmetry)
         angle = cmath.phase(best.z)
         cos, sin = math.cos(angle), math.sin(angle)
         return best.columns, np.array([[cos, -sin], [sin, cos]])

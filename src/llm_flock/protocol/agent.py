@@ -317,7 +317,7 @@ class Agent:
         agreement.begin_round(event.neighbors)
         silent = self._liveness.silent
         self._seeking.count(near - silent, silent, self.mission.n_robots)
-        self._messaging.begin_round(near)
+        self._messaging.begin_round()
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
         )

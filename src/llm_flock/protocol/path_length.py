@@ -47,12 +47,20 @@ def ways(here: Point, places: Points, roadmap: Roadmap | None) -> Vector:
     return np.minimum(roadmap.lengths(here, places), NO_WAY)
 
 
+def ways_to(here: Point, plan: Plan, slots: Iterable[int], roadmap: Roadmap | None) -> list[float]:
+    """As `ways`, to the places of a few slots: for these arrays would cost more than the sums."""
+    if roadmap is not None:
+        return ways(here, plan.array[list(slots)], roadmap).tolist()
+    apart = ([x - y for x, y in zip(plan.points[a], here, strict=True)] for a in slots)
+    return [math.sqrt(sum([x * x for x in offset])) for offset in apart]
+
+
 def path_lengths(
     here: Point, plan: Plan, slots: Iterable[int], spacing: float, roadmap: Roadmap | None = None
 ) -> list[float]:
     """Lengths of the cheapest paths from `here` to the places of some slots [units; frame of the plan]."""
     if len(plan.points) > LARGEST:
-        return ways(here, plan.array[list(slots)], roadmap).tolist()
+        return ways_to(here, plan, slots, roadmap)
     every = _by_places(here, plan, spacing, roadmap)
     return [every[a] for a in slots]
 

@@ -84,7 +84,8 @@ class Journal:
 
     def attempt(self, attempt: Attempt) -> None:
         """Count one model call. A call that the budget refused was never made, and is only recorded."""
-        self._attempts.append(attempt)
+        if self._recording:
+            self._attempts.append(attempt)
         if attempt.error is not None:
             self.last_failure = ": ".join(attempt.error)
             if attempt.error[0] == "budget":
@@ -102,9 +103,8 @@ class Journal:
 
     def flush_attempts(self) -> None:
         """Write the model calls made since the last flush, by robot and attempt."""
-        if self._recording:
-            for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
-                self.writer.write(llm_entry(attempt))
+        for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
+            self.writer.write(llm_entry(attempt))
         self._attempts.clear()
 
     def note(self, round_number: int, comm_round: int | None, robot: int, note: Note) -> None:

@@ -12,7 +12,7 @@ from still_team import StillTeam, connected_places
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.dissemination import SMALL, Dissemination
+from llm_flock.protocol.messages.dissemination import RESTLESS_ROUNDS, SMALL, Dissemination
 from llm_flock.protocol.messages.message import (
     UNSAID,
     BidEntry,
@@ -28,7 +28,6 @@ from llm_flock.protocol.plan import Plan
 WIDE = ((-5000.0, -5000.0), (5000.0, 5000.0))
 MISSION = Mission(shape="circle", n_robots=3, arena=WIDE)
 LARGE = Mission(shape="circle", n_robots=SMALL + 2, arena=WIDE)
-NOBODY = frozenset[int]()
 
 
 def plan_of(mission: Mission, turn: float = 0.0) -> Plan:
@@ -70,15 +69,13 @@ def standing(
 class Sender:
     """One robot's dissemination, and the messages that its neighbours decode."""
 
-    def __init__(self, mission: Mission = MISSION, around: frozenset[int] = NOBODY) -> None:
+    def __init__(self, mission: Mission = MISSION) -> None:
         self.mission, self.dissemination = mission, Dissemination()
         self.liveness = Liveness(0, mission.n_robots, 10)
-        self.around = around
         self.begin()
 
-    def begin(self, around: frozenset[int] | None = None, neighbors: int | None = None) -> None:
-        self.around = self.around if around is None else around
-        self.dissemination.begin_round(self.around, len(self.around) if neighbors is None else neighbors)
+    def begin(self) -> None:
+        self.dissemination.begin_round()
 
     def send(self, whole: Message) -> Message:
         beats = self.liveness.beats if self.dissemination.greets else None
@@ -92,7 +89,7 @@ def slots_of(message: Message) -> set[int]:
 
 
 def test_a_greeting_spells_out_everything_and_later_messages_name_it() -> None:
-    sender = Sender(around=frozenset({1}))
+    sender = Sender()
     table = table_of(MISSION, s1=(0, -2.0, 0))
     first = sender.send(standing(table=table, slot=1))
     assert first.plan == plan_of(MISSION) and first.table == table and first.beats is not None
@@ -103,24 +100,24 @@ def test_a_greeting_spells_out_everything_and_later_messages_name_it() -> None:
     assert second.slot == 1 and slots_of(second) == {1}, "the own claim is always spelled out"
 
 
-def test_in_a_large_team_a_greeting_spells_out_everything_to_newcomers_only() -> None:
-    sender = Sender(LARGE, frozenset({1}))
-    sender.send(standing(LARGE))
-    sender.dissemination.hear(standing(LARGE, sender=1))
+def test_in_a_large_team_newcomers_are_told_only_what_they_turn_out_to_lack() -> None:
+    sender, table = Sender(LARGE), table_of(LARGE, s1=(0, -2.0, 0))
+    whole = standing(LARGE, table=table)
+    for _ in range(3):
+        sender.send(whole)
     sender.begin()
-    greeting = sender.send(standing(LARGE))
+    greeting = sender.send(whole)
     assert greeting.plan is None and slots_of(greeting) == set() and greeting.beats is not None
-    sender.dissemination.hear(standing(LARGE, sender=1))
-    sender.begin(frozenset({1, 2}))
-    assert sender.send(standing(LARGE)).plan is not None, "robot 2 is near and was not heard"
-    sender.dissemination.hear(standing(LARGE, sender=1))
-    sender.begin(frozenset({1}), neighbors=2)
-    assert sender.send(standing(LARGE)).plan is not None, "the radio counts a robot that no sensor sees"
+    sender.dissemination.hear(standing(LARGE, sender=1, table=table))
+    assert sender.send(whole).plan is None, "it knows as much"
+    sender.dissemination.hear(standing(LARGE, sender=2, plan=plan_of(LARGE, 1.0), table=table))
+    answers = [sender.send(whole).plan is not None for _ in range(4)]
+    assert answers == [True, False, True, False], "its answer is heard before the next broadcast but one"
 
 
 def test_the_last_payload_is_repeated_only_while_nothing_is_new() -> None:
     """After each change the payload is composed again, until it repeats itself."""
-    sender = Sender(LARGE, frozenset({1}))
+    sender = Sender(LARGE)
     claims, changed = table_of(LARGE), table_of(LARGE, s3=(0, -1.0, 0))
 
     def settle(whole: Message, claim: object) -> int:
@@ -143,7 +140,9 @@ def test_the_last_payload_is_repeated_only_while_nothing_is_new() -> None:
     sender.dissemination.hear(standing(LARGE, sender=1, table=changed, slot=2))
     assert settle(whole, changed) == 0, "a neighbour that knows no more and no less than before"
     sender.dissemination.hear(standing(LARGE, sender=1, plan=plan_of(LARGE, 1.0), table=changed))
-    assert settle(whole, changed) == 1, "a neighbour on another plan"
+    for _ in range(3):
+        assert sender.dissemination.unchanged(changed) is None, "a neighbour on another plan"
+        sender.send(whole)
     assert sender.dissemination.unchanged(claims) is None, "another claim"
 
 
@@ -157,20 +156,23 @@ def test_positions_are_sent_once() -> None:
 
 
 def test_in_a_small_team_every_round_begins_with_a_greeting() -> None:
-    sender = Sender(around=frozenset({1}))
+    sender = Sender()
     sender.send(standing())
     sender.dissemination.hear(standing(sender=1))
     sender.begin()
     assert sender.send(standing()).plan is not None
 
 
-def test_a_neighbour_that_was_silent_for_a_round_is_greeted_again() -> None:
-    sender = Sender(LARGE, frozenset({1}))
-    sender.dissemination.hear(standing(LARGE, sender=1))
+def test_a_neighbour_that_was_silent_for_a_round_is_forgotten() -> None:
+    sender = Sender(LARGE)
+    for _ in range(2):
+        sender.send(standing(LARGE))
+    sender.dissemination.hear(standing(LARGE, sender=1, plan=plan_of(LARGE, 1.0)))
     sender.begin()
+    assert sender.send(standing(LARGE)).plan is not None, "it may still be there"
     sender.send(standing(LARGE))
     sender.begin()
-    assert sender.send(standing(LARGE)).plan is not None
+    assert sender.send(standing(LARGE)).plan is None
 
 
 def test_a_plan_is_spelled_out_when_it_is_new_and_to_neighbours_that_follow_another() -> None:
@@ -223,10 +225,13 @@ def test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a
     for _ in range(3):  # changed slots are sent twice
         sender.send(standing(mission, table=table, slot=2))
     sender.dissemination.hear(standing(mission, sender=1))
-    expected = {0, 2} if whole else {2}
-    assert slots_of(sender.send(standing(mission, table=table, slot=2))) == expected
+    assert slots_of(sender.send(standing(mission, table=table, slot=2))) == {0, 2}
+    again = slots_of(sender.send(standing(mission, table=table, slot=2)))
+    assert again == ({0, 2} if whole else {2}), "a large one once a round"
     sender.begin()
     assert slots_of(sender.send(standing(mission, table=table, slot=2))) == {0, 2}
+    sender.begin()
+    sender.send(standing(mission, table=table, slot=2))
     other = standing(mission, sender=1, plan=plan_of(mission, 1.0))
     sender.dissemination.hear(other)
     assert slots_of(sender.send(standing(mission, table=table, slot=2))) == {2}, "tables of other plans do not count"
@@ -242,6 +247,18 @@ def test_a_change_in_a_large_table_is_sent_in_two_broadcasts() -> None:
             entries[f"s{slot}"] = (1, -3.0, 2)
         said.append(slots_of(sender.send(standing(LARGE, table=table_of(LARGE, **entries)))))
     assert said == [{5}, {5, 7}, {7}, set()]
+
+
+def test_a_large_table_that_never_rests_is_spelled_out_at_the_start_of_every_fourth_round() -> None:
+    sender, entries, full = Sender(LARGE), {"s0": (0, -1.0, 1)}, list[int]()
+    for number in range(2 * RESTLESS_ROUNDS + 1):
+        sender.begin()
+        for comm_round in range(2):
+            sender.dissemination.hear(standing(LARGE, sender=1))
+            entries["s5"] = (2 * number + comm_round, -1.0, 2)
+            if 0 in slots_of(sender.send(standing(LARGE, table=table_of(LARGE, **entries)))):
+                full.append(2 * number + comm_round)
+    assert full == [0, 2 * RESTLESS_ROUNDS, 4 * RESTLESS_ROUNDS]
 
 
 def test_a_robot_without_plan_and_table_sends_neither() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths
+from llm_flock.protocol.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths, ways, ways_to
 from llm_flock.protocol.plan import Plan
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
@@ -46,6 +46,14 @@ def test_path_lengths_are_the_shortest_of_all_orders_of_places() -> None:
         stops = ([here, *(plan.points[a] for a in order), plan.points[slot]] for order in orders)
         cheapest = min(sum(map(hop, way, way[1:])) for way in stops)
         assert path_lengths(here, plan, [slot], 10.0) == pytest.approx([cheapest])
+
+
+@pytest.mark.parametrize("obstacles", [(), (Obstacle(center=(5.0, 5.0), radius=2.0),)])
+def test_lengths_to_a_few_places_are_those_to_all_to_the_last_bit(obstacles: tuple[Obstacle, ...]) -> None:
+    plan = Plan.of([[10.0 + 10.0 / (k + 3), 9.0 + k / 7.0] for k in range(30)])
+    here = (1 / 3, 2 / 7)
+    roadmap = Mission(shape="line", n_robots=4, obstacles=obstacles).roadmap
+    assert ways_to(here, plan, range(30), roadmap) == ways(here, plan.array, roadmap).tolist()
 
 
 def test_in_very_large_plans_the_way_is_straight() -> None:

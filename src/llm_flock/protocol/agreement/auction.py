@@ -23,7 +23,7 @@ from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
-from llm_flock.protocol.path_length import path_lengths, ways
+from llm_flock.protocol.path_length import path_lengths, ways, ways_to
 
 BID_DECIMALS = 9
 
@@ -196,7 +196,7 @@ def best_won(
     return table, None
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
     """Slots by falling bid, those of equal bids by index."""
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
@@ -210,7 +210,7 @@ def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight
 
     def left(here: Point) -> list[float]:
         if straight:
-            return ways(here, now.plan.array[[mine, theirs]], now.roadmap).tolist()
+            return ways_to(here, now.plan, (mine, theirs), now.roadmap)
         return path_lengths(here, now.plan, (mine, theirs), now.spacing, now.roadmap)
 
     (keep, take), (their_take, their_keep) = left(now.position), left(there)

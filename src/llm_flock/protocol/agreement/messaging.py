@@ -60,9 +60,9 @@ class Messaging:
         """The operator's signature on the mission in force; empty for the first one, and without keys."""
         return self._channel.order
 
-    def begin_round(self, near: frozenset[int]) -> None:
-        """Begin a round with these robots sensed within radio range. Call after the agreement's `begin_round`."""
-        self._dissemination.begin_round(near, self._agreement.neighbors)
+    def begin_round(self) -> None:
+        """Begin a round: neighbours have come and gone."""
+        self._dissemination.begin_round()
         self._bad_plans.clear()
         self._repeated.clear()
         self._heard_ago = {j: ago + 1 for j, ago in self._heard_ago.items()}

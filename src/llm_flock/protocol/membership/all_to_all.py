@@ -107,7 +107,7 @@ class AllToAll:
         if not self.collecting:
             return
         known, second = self.known, self._second
-        if not second and reports.keys() <= known.keys():
+        if not second and (len(known) == self._n or reports.keys() <= known.keys()):
             return  # the first collection takes one report of each robot
         new = {
             robot: report
@@ -139,8 +139,9 @@ class AllToAll:
     ) -> dict[int, PositionReport] | None:
         """The reports to broadcast: all that are known in the `greeting`, which is the first broadcast of a round.
 
-        Then only new ones. Call while collecting, with the own position [units; frame of the mission]. A robot is
-        `settled` if its slot is from a joint assignment; it needs no second collection.
+        Then only new ones; also in greetings once the first collection was complete, because neighbours that lack some
+        get the table that follows from it. Call while collecting, with the own position [units; frame of the mission].
+        A robot is `settled` if its slot is from a joint assignment; it needs no second collection.
         """
         if not self._second:
             self.hear({self._robot: (0, _rounded(position), ())})
@@ -149,7 +150,8 @@ class AllToAll:
             if point is None or settled:
                 return None
             self._report_waiting(_rounded(point), MOVED * mission.spacing)
-        reports, self._news = dict(self.known if greeting else self._news), {}
+        repeated = greeting and (self._second or self._taken is None)
+        reports, self._news = dict(self.known if repeated else self._news), {}
         return reports or None
 
     def _report_waiting(self, here: Point, moved: float) -> None:

@@ -85,8 +85,11 @@ class Channel:
         return payload
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def _decoded(payload: bytes, n_robots: int, dim: int) -> Inbound:
-    """A broadcast has many receivers: in a simulation its bytes are decoded once for all of them."""
+    """A broadcast has many receivers: in a simulation its bytes are decoded once for all of them.
+
+    They receive it one after the other, and a message to a large team is large, so few are kept.
+    """
     message = decode(payload, n_robots, dim)
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

@@ -3,9 +3,13 @@
 Receivers may merge parts of a message in any order, so leaving something out costs time and never correctness. A robot
 that hears a digest other than its own spells out its side until it hears its own digest back. Lost messages are thus
 repeated for as long as they matter, and robots that agree exchange a few dozen bytes. Neighbours come and go between
-rounds, so the first message of a round greets every neighbour that is not known to agree. Large bid tables are spelled
-out at most once a round, and otherwise by their changes (delta states: Almeida, Shoker, Baquero: Delta state replicated
-data types, 2018).
+rounds, so in small teams the first message of a round greets them with everything.
+
+In large teams that would be most of the traffic, so newcomers are told only what they turn out to lack. A large plan
+is repeated in every other broadcast at most: an answer to one broadcast is heard before the next but one. Of a large
+bid table the changes are said (delta states: Almeida, Shoker, Baquero: Delta state replicated data types, 2018). While
+changes are under way tables differ everywhere; a difference that is left when they have come to rest is a loss, and
+only then the whole table is said.
 """
 
 from __future__ import annotations
@@ -22,8 +26,11 @@ from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 
 SMALL = 64
-"""Plans and tables of at most this many slots are spelled out once a round to all neighbours; such tables also in every
+"""Plans and tables of at most this many slots are spelled out once a round to all neighbours, and in every
 communication round in which a digest differs."""
+
+RESTLESS_ROUNDS = 4
+"""Rounds after which a large table is said in full to neighbours that differ even if it never comes to rest."""
 
 REMEMBERED_PLANS = 1024
 """Most plans that are known by their digest, so that a flood of plans costs bounded memory."""
@@ -38,13 +45,13 @@ class Dissemination:
     def __init__(self) -> None:
         self._peers: dict[int, Message] = {}
         self._heard: set[int] = set()
-        self._around: frozenset[int] = frozenset()
-        self._neighbors = 0
         self._greeting = True
         self._table: BidTable | None = None
         self._digested: tuple[BidTable | None, str | None] = (None, None)
         self._changed: tuple[frozenset[int], ...] = ()  # slots, since each of the last two broadcasts
         self._plan_sent: str | None = None
+        self._plan_said = False  # in the last broadcast
+        self._table_said = RESTLESS_ROUNDS  # rounds since then
         self._sent: Message | None = None
         self._sequence = 0
         self._payload = b""
@@ -52,15 +59,12 @@ class Dissemination:
         self._standing: tuple[object, ...] = ()
         self._news = True
 
-    def begin_round(self, around: frozenset[int], neighbors: int) -> None:
-        """Forget neighbours that were silent in the last round.
-
-        Robots `around` are sensed within radio range, where the radio counts `neighbors`.
-        """
+    def begin_round(self) -> None:
+        """Forget neighbours that were silent in the last round."""
         self._peers = {j: self._peers[j] for j in self._heard}
         self._heard = set()
-        self._around, self._neighbors = around, neighbors
         self._greeting = True
+        self._table_said += 1
 
     def hear(self, message: Message) -> None:
         """Remember what a neighbour knows."""
@@ -109,13 +113,12 @@ class Dissemination:
         digest = None if plan is None else plan.digest
         mine = whole.mission, digest, whole.table_digest
         others = [heard for heard in self._peers.values() if _KNOWLEDGE(heard) != mine]
-        agreeing = self._peers.keys() - {heard.sender for heard in others} if others else self._peers.keys()
         greeting, self._greeting = self._greeting, False
-        all_agree = self._around <= agreeing and len(agreeing) >= self._neighbors
-        meets = greeting and (not all_agree or plan is None or len(plan) <= SMALL)
-        spell_plan = meets or self._plan_sent != digest or any(m.plan_digest != digest for m in others)
-        before, self._plan_sent = self._plan_sent, digest
-        part, slots = self._part(whole, others, meets=meets, greeting=greeting)
+        small = plan is None or len(plan) <= SMALL
+        differs = any(m.plan_digest != digest for m in others)
+        spell_plan = self._plan_sent != digest or (greeting or differs if small else differs and not self._plan_said)
+        self._plan_sent, self._plan_said = digest, spell_plan
+        part, slots = self._part(whole, others, greeting=greeting)
         message = replace(
             whole,
             sequence=0,
@@ -131,8 +134,9 @@ class Dissemination:
             self._sent = message
             self._payload = encode(message, self._sequence)
             self._sequence += 1
-        # Greetings, positions and changes are not repeated, so the next payload differs from this one.
-        self._news = greeting or whole.positions is not None or any(self._changed) or before != digest
+        # Greetings, positions, changes and what is long are not repeated, so the next payload differs from this one.
+        said = spell_plan or differs or (part is not None and slots is None)
+        self._news = greeting or whole.positions is not None or any(self._changed) or said
         return self._payload
 
     def digest(self, table: BidTable | None) -> str | None:
@@ -151,7 +155,7 @@ class Dissemination:
         self._changed = (*self._changed[-1:], changed)
 
     def _part(
-        self, whole: Message, others: list[Message], *, meets: bool, greeting: bool
+        self, whole: Message, others: list[Message], *, greeting: bool
     ) -> tuple[BidTable | None, tuple[int, ...] | None]:
         """The table, or the part of it to spell out, and the slots of that part; `others` know something else."""
         table = whole.table
@@ -159,7 +163,10 @@ class Dissemination:
             return None, None
         differs = any(m.plan_digest == self._plan_sent and m.table_digest != whole.table_digest for m in others)
         small = len(table) <= SMALL
-        if meets or (differs and (small or greeting)):
+        at_rest = self._table_said > 0 and not any(self._changed)
+        overdue = self._table_said >= RESTLESS_ROUNDS and greeting
+        if (small and greeting) or (differs and (small or at_rest or overdue)):
+            self._table_said = 0
             return table, None
         said = frozenset[int]() if small else frozenset[int]().union(*self._changed)
         slots = sorted(said if whole.slot is None else said | {whole.slot})

@@ -66,8 +66,7 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     and, if the ideal is known, close to it after the best rotation and correspondence. A formation that travels passes
     obstacles: where they are does not matter for its plan.
     """
-    # Plans of another size are not worth remembering, however many come.
-    return _fault_of_form(mission, plan) or _verdict(mission, plan)[1]
+    return _fault_of_size(mission, plan) or _verdict(mission, plan)[1]
 
 
 def blocked_within(mission: Mission) -> float:
@@ -97,18 +96,19 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
     """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
-    return PlanClass.REFUSED if _fault_of_form(mission, plan) else _verdict(mission, plan)[0]
+    return PlanClass.REFUSED if _fault_of_size(mission, plan) else _verdict(mission, plan)[0]
 
 
 @lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
-    """Class and reason of a plan of the right form.
+    """Class and reason of a plan of the right size.
 
     Cached, so that a plan is checked once even if many robots of a process receive it.
     """
-    reason = _fault_of_place(mission, plan) or _fault_of_world(mission, plan) or _fault_of_spacing(mission, plan)
-    if reason is not None:
-        return PlanClass.REFUSED, reason
+    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
+        reason = fault(mission, plan)
+        if reason is not None:
+            return PlanClass.REFUSED, reason
     residual = _residual(mission, plan)
     if residual is None:
         return PlanClass.ACCEPTABLE, None
@@ -146,9 +146,14 @@ def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     return distance[:, 1], other
 
 
-def _fault_of_form(mission: Mission, plan: Plan) -> str | None:
+def _fault_of_size(mission: Mission, plan: Plan) -> str | None:
+    """Plans of another size are not worth remembering, however many come."""
     if len(plan) != mission.n_places:
         return f"the plan holds {len(plan)} points, {mission.n_places} are required."
+    return None
+
+
+def _fault_of_form(mission: Mission, plan: Plan) -> str | None:
     for i, point in enumerate(plan.points):
         if len(point) != mission.dim:
             return f"point {i} has {len(point)} numbers, {mission.dim} are required."
