@@ -138,13 +138,14 @@ def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **chan
     """The whole protocol with simulated models, or its motion alone where goals are fixed.
 
     To leave a mechanism out, give fields of the configuration that switch it off, or a context in which it is off, such
-    as `lambda: unittest.mock.patch.object(module, "NAME", value)`. The protocol and its motion alone are flown in it.
+    as `lambda: unittest.mock.patch.object(module, "NAME", value)`. The context holds for the motion alone too. That has
+    no configuration, so with other fields it is not flown.
     """
 
-    def method(scene: Scene) -> Flight:
+    def method(scene: Scene) -> Flight | None:
         with switch():
             if scene.fixed:
-                return motion_alone(scene)
+                return None if changes else motion_alone(scene)
             same = switch is nullcontext and not changes and scene.result is not None
             result = scene.result if same else llm_flock.run(**scene.options, **changes)
             assert result is not None

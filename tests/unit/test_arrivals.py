@@ -143,8 +143,10 @@ def test_a_variant_of_ours_flies_without_what_its_switch_turns_off():
     without = arrivals.ours(lambda: mock.patch.object(progress, "PATIENCE", 10**9))
     assert figures_of(without, meeting).arrived is None
     again = arrivals.scene_of("line 7", 1)
-    cut_short = flown(arrivals.ours(rounds=3), again)
+    short = arrivals.ours(rounds=3)
+    cut_short = flown(short, again)
     assert len(cut_short.track) == 4 and arrivals.measure(again, cut_short).arrived is None
+    assert short(meeting) is None  # the motion alone has no number of rounds
 
 
 def test_a_row_counts_arrivals_among_those_flown():
