@@ -18,6 +18,7 @@
 `local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
+`arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
 `flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
             benchmarks/flight.py (only when named)
@@ -39,7 +40,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import containment, flight, lies, links, local, physics, same, scale, swarm, sweeps
+from benchmarks import arrivals, containment, flight, lies, links, local, physics, same, scale, swarm, sweeps
 
 import llm_flock
 
@@ -167,6 +168,7 @@ if __name__ == "__main__":
     commands = {
         "same": same.main,
         "scale": scale.main,
+        "arrivals": arrivals.main,
         "containment": containment.main,
         "lies": lies.main,
         "lies-curve": lies.curve,

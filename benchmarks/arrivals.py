@@ -1,0 +1,397 @@
+"""The same starts and bodies flown with several methods: who arrives, how soon, how far, and how near to each other.
+
+    python -m benchmarks arrivals [--seeds N] [--case NAME] [--jobs J]     20 seeds of each case, one process
+
+The whole protocol flies first, with *simulated* language models. The other methods fly from the same starts to the
+places that its robots agreed on, and know all positions at all times. All have the same limits, tolerance and number of
+rounds. docs/explanation/comparison.md has the conditions and the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import statistics
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from benchmarks.orca import orca_velocities, to_complex
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+import llm_flock
+from llm_flock import metrics
+from llm_flock.arrays import Point, Points
+from llm_flock.experiments.statistics import wilson
+from llm_flock.metrics.separation import ROUNDING
+from llm_flock.mission import Mission
+from llm_flock.protocol.motion import shield
+from llm_flock.protocol.motion.progress import leg_to
+from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.surroundings import static_half_spaces
+from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.verification.steps import shortened
+from llm_flock.runtime.result import RunResult
+
+HARD = Path(__file__).parents[1] / "experiments" / "hard.toml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One trial: the mission, starts and places, both of shape (n, 2) [units].
+
+    With `fixed` goals, robot i has place i, and there was nothing to agree on. Otherwise the places are those of the
+    protocol's flight, `result`, which had these `options`.
+    """
+
+    mission: Mission
+    start: Points
+    places: Points
+    fixed: bool = False
+    result: RunResult | None = None
+    options: dict[str, Any]
+
+    @property
+    def goals(self) -> Points:
+        """The goal of each robot by the central assignment."""
+        if self.fixed:
+            return self.places
+        ways = self.mission.shortest_ways(self.start, self.places)
+        return self.places[bottleneck_assignment(ways)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """Positions of shape (k * rounds + 1, n, 2) [units], k for each round; the goals reached; the places to choose."""
+
+    track: Points
+    goals: Points
+    places: Points
+    per_round: int = 1
+
+
+Method: TypeAlias = Callable[[Scene], Flight | None]
+"""Flies a scene; None where its conditions do not hold."""
+
+Advance: TypeAlias = Callable[[Points], Sequence[Points]]
+"""Positions during a round, the last ones at its end, from those before it."""
+
+
+def bottleneck_assignment(distances: Points) -> list[int]:
+    """The place of each robot: the longest way is as short as possible, then the sum of squares is the smallest."""
+    longest = metrics.bottleneck_distance(distances, distances, lambda ways, _: ways)
+    too_long = 1.0 + len(distances) * longest**2
+    return linear_sum_assignment(np.where(distances <= longest, distances**2, too_long))[1].tolist()
+
+
+def bound_rounds(mission: Mission, start: Points, places: Points, fixed: bool) -> int:
+    """Smallest number of rounds, at least 1, with nobody in the way."""
+    within = metrics.AT_GOAL * mission.spacing
+    if fixed:
+        return max(1, math.ceil((float(np.linalg.norm(start - places, axis=1).max()) - within) / mission.max_step))
+    ways = mission.shortest_ways
+    return max(1, metrics.lower_bound_rounds(start, places, mission.max_step, within=within, ways=ways))
+
+
+def arrival(flight: Flight, within: float) -> int | None:
+    """First of three rounds in a row in which every robot is this near to its goal [units]; None if there is none."""
+    ends = flight.track[:: flight.per_round]
+    there = (np.linalg.norm(ends - flight.goals, axis=2) <= within).all(axis=1)
+    held = range(len(ends) - metrics.HELD_ROUNDS + 1)
+    return next((k for k in held if there[k : k + metrics.HELD_ROUNDS].all()), None)
+
+
+def fly(scene: Scene, goals: Points, advance: Advance, per_round: int = 1) -> Flight:
+    """Fly until all robots have arrived, or as long as the protocol would."""
+    mission, track, held = scene.mission, [scene.start], 0
+    bound = bound_rounds(mission, scene.start, scene.places, scene.fixed)
+    for _ in range(metrics.deadline(bound) + metrics.HELD_ROUNDS - 1):
+        track.extend(advance(track[-1]))
+        apart = float(np.linalg.norm(track[-1] - goals, axis=1).max())
+        held = held + 1 if apart <= metrics.AT_GOAL * mission.spacing else 0
+        if held == metrics.HELD_ROUNDS:
+            break
+    return Flight(track=np.array(track), goals=goals, places=scene.places, per_round=per_round)
+
+
+def _rows(positions: Points) -> list[Point]:
+    return [tuple(row) for row in positions.tolist()]
+
+
+def _wish(mission: Mission, position: Point, stop: Point) -> Point:
+    """One step straight to a point."""
+    longest = mission.max_step
+    return stop if math.dist(position, stop) <= longest else shortened(position, stop, longest)
+
+
+def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **changes: Any) -> Method:
+    """The whole protocol with simulated models, or its motion alone where goals are fixed.
+
+    To leave a mechanism out, give fields of the configuration that switch it off, or a context in which it is off, such
+    as `lambda: unittest.mock.patch.object(module, "NAME", value)`. The context holds for the motion alone too. That has
+    no configuration, so with other fields it is not flown.
+    """
+
+    def method(scene: Scene) -> Flight | None:
+        with switch():
+            if scene.fixed:
+                return None if changes else motion_alone(scene)
+            same = switch is nullcontext and not changes and scene.result is not None
+            result = scene.result if same else llm_flock.run(**scene.options, **changes)
+            assert result is not None
+            places = _places(result)
+            # A robot without a place has not arrived: its goal is nowhere.
+            goals = [
+                (math.inf, math.inf) if plan is None or slot is None else plan.points[slot]
+                for plan, slot in zip(result.plans, result.slots, strict=True)
+            ]
+            return Flight(track=result.positions, goals=np.array(goals), places=places)
+
+    return method
+
+
+def _places(result: RunResult) -> Points:
+    """The places of the plan that most robots follow; those of the reference shape if none does."""
+    plans: Counter[Plan] = Counter(plan for plan in result.plans if plan is not None)
+    return plans.most_common(1)[0][0].array if plans else next(result.mission.placements())
+
+
+def motion_alone(scene: Scene) -> Flight:
+    """Safe steps and detours in lockstep; each robot heads straight for its own goal, and sees as far as it senses."""
+    mission, goals = scene.mission, _rows(scene.goals)
+    team = [Safety(robot, mission, 0.0) for robot in range(mission.n_robots)]
+
+    def advance(positions: Points) -> list[Points]:
+        here = _rows(positions)
+        moves: list[Point] = []
+        for robot, safety in enumerate(team):
+            x = here[robot]
+            seen = {j: y for j, y in enumerate(here) if j != robot and math.dist(x, y) <= mission.sensing}
+            leg = leg_to(mission, x, goals[robot])
+            wish = _wish(mission, x, leg.stop)
+            moves.append(safety.step(x, seen, wish, leg, metrics.AT_GOAL * mission.spacing).waypoint)
+        return [np.array(moves)]
+
+    return fly(scene, scene.goals, advance)
+
+
+def straight(scene: Scene) -> Flight:
+    """Straight to the centrally assigned goals, or to the next corner of the way round obstacles, under the shield."""
+    mission, goals = scene.mission, scene.goals
+    aims = _rows(goals)
+
+    def advance(positions: Points) -> list[Points]:
+        here = _rows(positions)
+        return [np.array([_shielded(mission, here, robot, aims[robot]) for robot in range(len(here))])]
+
+    return fly(scene, goals, advance)
+
+
+def _shielded(mission: Mission, here: Sequence[Point], robot: int, goal: Point) -> Point:
+    x = here[robot]
+    return shield.project(
+        x,
+        _wish(mission, x, leg_to(mission, x, goal).stop),
+        [y for j, y in enumerate(here) if j != robot],
+        safe_distance=mission.safe_distance,
+        max_step=mission.max_step,
+        also=lambda longest: static_half_spaces(x, mission, max_step=longest),
+    )
+
+
+def capt(scene: Scene) -> Flight | None:
+    """Synchronised straight trajectories to goals that minimise the sum of squared distances.
+
+    Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for multiple robots (IJRR 2014).
+    None without its conditions: goals may be interchanged, no obstacles, and starts and goals are each at least
+    2 sqrt(2) R apart; R is half the safe distance.
+    """
+    mission, start, places = scene.mission, scene.start, scene.places
+    apart = min(metrics.min_separation(start), metrics.min_separation(places))
+    if scene.fixed or mission.obstacles or apart < math.sqrt(2.0) * mission.safe_distance:
+        return None
+    distances = cdist(start, places)
+    goals = places[linear_sum_assignment(distances**2)[1]]
+    rounds = float(np.linalg.norm(goals - start, axis=1).max()) / mission.max_step
+    shares = np.minimum(1.0, np.arange(math.ceil(rounds) + metrics.HELD_ROUNDS) / rounds)
+    return Flight(track=start + shares[:, None, None] * (goals - start), goals=goals, places=places)
+
+
+SUBSTEPS = 10
+"""Velocities that an ORCA robot chooses in a round."""
+
+STRAY_RAD = 0.1
+"""Standard deviation by which wanted directions are off: robots on perfectly symmetric ways would wait for ever."""
+
+
+def orca(scene: Scene, horizon: float) -> Flight | None:
+    """ORCA with centrally assigned goals, velocities that are safe for a `horizon` [rounds]; None with obstacles.
+
+    Every robot knows the positions and velocities of all, and chooses a velocity `SUBSTEPS` times a round.
+    """
+    if scene.mission.obstacles:
+        return None
+    mission, goals, rng = scene.mission, scene.goals, random.Random(0)
+    aims, period, speeds = to_complex(goals), 1.0 / SUBSTEPS, [0j] * len(goals)
+
+    def advance(positions: Points) -> list[Points]:
+        track, here = [], to_complex(positions)
+        for _ in range(SUBSTEPS):
+            stray = (complex(1.0, rng.gauss(0.0, STRAY_RAD)) for _ in here)
+            wishes = [(aim - x) / period * turn for aim, x, turn in zip(aims, here, stray, strict=True)]
+            limits = {"diameter": mission.safe_distance, "longest": mission.max_step}
+            speeds[:] = orca_velocities(here, speeds, wishes, **limits, horizon=horizon, period=period)
+            here = [x + period * v for x, v in zip(here, speeds, strict=True)]
+            track.append(np.array([(x.real, x.imag) for x in here]))
+        return track
+
+    return fly(scene, goals, advance, SUBSTEPS)
+
+
+METHODS: dict[str, Method] = {
+    "ours": ours(),
+    "ORCA, horizon 2": partial(orca, horizon=2.0),
+    "ORCA, horizon 0.5": partial(orca, horizon=0.5),
+    "central, straight": straight,
+    "CAPT": capt,
+}
+"""What is compared, in the order of the table. A variant of ours is one line: `"ours without X": ours(...)`."""
+
+
+def _hard(name: str) -> dict[str, Any]:
+    """A case of the sweep of hard cases."""
+    cases: list[dict[str, Any]] = tomllib.loads(HARD.read_text())["grid"]["case"]
+    return next({k: v for k, v in case.items() if k != "name"} for case in cases if case["name"] == name)
+
+
+CASES: dict[str, Callable[[], dict[str, Any]]] = {
+    "circle 10": lambda: {"shape": "circle", "n_robots": 10},
+    "square 8": lambda: {"shape": "square", "n_robots": 8},
+    "line 7": lambda: {"shape": "line", "n_robots": 7},
+    "spacing 1.05, grid 16": partial(_hard, "spacing 1.05, grid 16"),
+    "circle 20": lambda: {"shape": "circle", "n_robots": 20},
+    "grid 25 from a clump": partial(_hard, "grid 25 from a clump"),
+    "gap": partial(_hard, "gap"),
+    "40 discs 0": partial(_hard, "40 discs 0"),
+    "mirrored 20": dict,
+}
+"""Fields of the configuration by the name of the case; mirrored robots have fixed goals."""
+
+RADIUS = 40.0
+"""Radius of the circle of mirrored robots [units]."""
+
+
+def scene_of(case: str, seed: int) -> Scene:
+    """The trial of a case with this seed."""
+    if case.startswith("mirrored"):
+        return mirrored(int(case.split()[1]), seed)
+    options = {**CASES[case](), "protocol": "flock", "model": "simulated:ideal", "seed": seed}
+    result = llm_flock.run(**options)
+    start, places = result.positions[0], _places(result)
+    return Scene(mission=result.mission, start=start, places=places, result=result, options=options)
+
+
+def mirrored(n: int, seed: int) -> Scene:
+    """Robots evenly on a circle, in random order and turned at random, each with its goal opposite."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(0.0, 2.0 * math.pi) + 2.0 * math.pi * rng.permutation(n) / n
+    offsets = RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    mission = Mission(n_robots=n)
+    center = np.array(mission.center)
+    return Scene(mission=mission, start=center + offsets, places=center - offsets, fixed=True, options={})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """One flight: round of arrival, None without one; the same over the lower bound; distance over the optimum."""
+
+    arrived: int | None
+    ratio: float
+    detour: float
+    separation: float
+    violated: bool
+
+
+def measure(scene: Scene, flight: Flight) -> Figures:
+    """The figures of a flight; ratio and detour are meaningless where not all robots arrived."""
+    mission, track = scene.mission, flight.track
+    arrived = arrival(flight, metrics.AT_GOAL * mission.spacing)
+    bound = bound_rounds(mission, scene.start, flight.places, scene.fixed)
+    flown = track[: (arrived or 0) * flight.per_round + 1]
+    distance = float(np.linalg.norm(np.diff(flown, axis=0), axis=2).sum())
+    if scene.fixed:
+        shortest = float(np.linalg.norm(scene.start - scene.places, axis=1).sum())
+    else:
+        ways = mission.shortest_ways(scene.start, flight.places)
+        shortest = float(ways[linear_sum_assignment(ways)].sum())
+    separation = min(metrics.segment_separation(before, after) for before, after in pairwise(track))
+    return Figures(
+        arrived=arrived,
+        ratio=(arrived or 0) / bound,
+        detour=distance / shortest,
+        separation=separation,
+        violated=separation < mission.safe_distance - ROUNDING,
+    )
+
+
+def trial(case: str, seed: int) -> dict[str, Figures | None]:
+    """The figures of each method in one trial; None where its conditions do not hold."""
+    scene = scene_of(case, seed)
+    flights = {name: method(scene) for name, method in METHODS.items()}
+    return {name: None if flight is None else measure(scene, flight) for name, flight in flights.items()}
+
+
+def row(case: str, method: str, trials: Sequence[Figures | None]) -> str:
+    """A row of the table; medians are those of the trials in which all robots arrived."""
+    flown = [figures for figures in trials if figures is not None]
+    if not flown:
+        return f"| {case} | {method} |{' - |' * 6}"
+    good = [figures for figures in flown if figures.arrived is not None]
+    share = wilson(len(good), len(flown))
+    cells = [case, method, f"{len(good)} of {len(flown)} [{100 * (share.low or 0):.0f}, {100 * (share.high or 0):.0f}]"]
+    if good:
+        ratios = [figures.ratio for figures in good]
+        cells.append(f"{statistics.median(figures.arrived or 0 for figures in good):g}")
+        cells.append(f"{statistics.median(ratios):.2f}, {max(ratios):.2f}")
+        cells.append(f"{statistics.median(figures.detour for figures in good):.2f}")
+    else:
+        cells.extend("---")
+    cells.append(f"{min(figures.separation for figures in flown):.6f}")
+    cells.append(str(sum(figures.violated for figures in flown)))
+    return f"| {' | '.join(cells)} |"
+
+
+HEAD = (
+    "\n| Case | Method | Arrivals [95 %] | Rounds | Over the bound: median, largest | Distance over the optimum "
+    "| Smallest separation | Violations |\n|---|---|---|---|---|---|---|---|"
+)
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """The table, a few rows at a time."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks arrivals")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--case", choices=tuple(CASES), action="append", help="this case only; may be repeated")
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args(arguments)
+    print(f"{options.seeds} seeds each, simulated language models", flush=True)
+    print(HEAD)
+    with ProcessPoolExecutor(options.jobs) if options.jobs > 1 else nullcontext() as pool:
+        for case in options.case or CASES:
+            seeds, fly_one = range(options.seeds), partial(trial, case)
+            trials = list(map(fly_one, seeds) if pool is None else pool.map(fly_one, seeds))
+            for method in METHODS:
+                name = (
+                    f"{method} (motion alone)" if case.startswith("mirrored") and method.startswith("ours") else method
+                )
+                print(row(case, name, [figures[method] for figures in trials]), flush=True)
