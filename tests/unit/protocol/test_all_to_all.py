@@ -194,6 +194,11 @@ def test_the_largest_teams_have_the_first_collection_only() -> None:
     assert report(later(LARGEST + 1, ROUNDS), (0.0, 1.0)) == {0: (0, (0.0, 1.0), ())}
 
 
+def test_a_robot_at_its_place_bids_zero_without_a_sign() -> None:
+    table = optimal_assignment(ROW, (VERSION, tuple((10.0 * k, 0.0) for k in range(N))))
+    assert [math.copysign(1.0, bid) for _, bid, _ in table] == [1.0] * N
+
+
 @given(st.permutations(range(N)))
 def test_each_of_robots_above_the_places_of_a_row_gets_the_place_below_it(order: list[int]) -> None:
     places = tuple((10.0 * k, 3.0) for k in order)

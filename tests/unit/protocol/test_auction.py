@@ -70,6 +70,12 @@ def test_an_outbid_robot_takes_the_best_slot_still_winnable() -> None:
     assert (near.slot, far.slot) == (1, 2)
 
 
+def test_a_bid_of_zero_has_no_sign() -> None:
+    """Minus zero equals zero, but is signed as another number."""
+    bids = RULE.take(at(0, 10.0)).bids
+    assert bids is not None and math.copysign(1.0, bids[1]) == 1.0
+
+
 def test_bids_stay_as_they_were_when_the_plan_was_taken_up() -> None:
     """Outbid on its way, a robot that has come to slot 2 still bids for it from where it began."""
     claim = RULE.take(at(0, 9.0))

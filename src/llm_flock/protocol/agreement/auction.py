@@ -101,7 +101,7 @@ class AuctionAssignment:
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
         distances = ways(now.position, now.plan.array, now.roadmap)
-        bids = tuple((-distances).round(BID_DECIMALS).tolist())
+        bids = tuple((0.0 - distances.round(BID_DECIMALS)).tolist())  # never -0.0, which is signed as another number
         empty: BidTable = (UNSAID,) * len(now.plan)
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
 

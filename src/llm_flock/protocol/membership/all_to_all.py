@@ -177,7 +177,7 @@ def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | 
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)
     for robot, slot in zip(*linear_sum_assignment(distances**2), strict=True):
-        table[slot] = (version, float(-distances[robot, slot].round(DECIMALS)), int(robot))
+        table[slot] = (version, float(0.0 - distances[robot, slot].round(DECIMALS)), int(robot))
     return tuple(table)
 
 

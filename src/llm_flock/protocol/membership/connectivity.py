@@ -10,6 +10,7 @@ from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
+from llm_flock.protocol.membership.gathering import Gathering
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
 from llm_flock.protocol.membership.search import MANY, Search, advance
@@ -23,6 +24,7 @@ class ConnectivityRecovery:
 
     def __init__(self, liveness: Liveness, all_to_all: AllToAll) -> None:
         self._liveness, self._all_to_all, self._search = liveness, all_to_all, Search()
+        self._gathering = Gathering()
 
     @property
     def given_up(self) -> bool:
@@ -57,6 +59,11 @@ class ConnectivityRecovery:
         places = plan
         if table is not None and not self.given_up and len(live.strangers) + len(live.silent) > MANY:
             places = meeting_places(mission, plan, table)
+        if table is not None and places is plan and not self.given_up:
+            strangers, alone = len(live.strangers), not bodies
+            point = self._gathering.target(mission, plan, slot, here, strangers=strangers, alone=alone)
+            if point is not None:
+                return point, (), []
         notes = [] if table is None else self._look_for_others(mission, places, slot, table, here, bodies)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing

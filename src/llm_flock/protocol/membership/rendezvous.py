@@ -49,7 +49,7 @@ PLANE = 2
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
     """The places to fly to for now: on the circle of the mean radius while most slots are vacant."""
-    places = _on_circle(plan, mission.center)
+    places = on_circle(plan, mission.center)
     if places is None or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
         return plan
     return places if _clear(mission, places) else plan
@@ -60,7 +60,7 @@ def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
 
     Positions are in the frame of the mission [units].
     """
-    places = _on_circle(plan, mission.center)
+    places = on_circle(plan, mission.center)
     if mission.dim != PLANE or places is None or not _clear(mission, places):
         return None
     radius = WITHIN * _polar(places.points[0], mission.center)[0]
@@ -128,7 +128,7 @@ def _clear(mission: Mission, places: Plan) -> bool:
 
 
 @lru_cache(maxsize=256)
-def _on_circle(plan: Plan, center: Point) -> Plan | None:
+def on_circle(plan: Plan, center: Point) -> Plan | None:
     """The places of a hollow plan, each moved to or from the centre onto the circle of their mean radius."""
     offsets = plan.array - np.array(center)
     radii = np.linalg.norm(offsets, axis=1, keepdims=True)
