@@ -13,19 +13,18 @@ import argparse
 import math
 import random
 import statistics
-import tomllib
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, TypeAlias
+from unittest import mock
 
 import numpy as np
 from benchmarks.orca import orca_velocities, to_complex
+from benchmarks.scenes import CASES, FIXED, Scene, places_of, scene_of
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
@@ -35,39 +34,13 @@ from llm_flock.arrays import Point, Points
 from llm_flock.experiments.statistics import wilson
 from llm_flock.metrics.separation import ROUNDING
 from llm_flock.mission import Mission
+from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion import shield
-from llm_flock.protocol.motion.progress import leg_to
+from llm_flock.protocol.motion.leg import leg_to
+from llm_flock.protocol.motion.right_of_way import RightOfWay
 from llm_flock.protocol.motion.safety import Safety
 from llm_flock.protocol.motion.surroundings import static_half_spaces
-from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.steps import shortened
-from llm_flock.runtime.result import RunResult
-
-HARD = Path(__file__).parents[1] / "experiments" / "hard.toml"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """One trial: the mission, starts and places, both of shape (n, 2) [units].
-
-    With `fixed` goals, robot i has place i, and there was nothing to agree on. Otherwise the places are those of the
-    protocol's flight, `result`, which had these `options`.
-    """
-
-    mission: Mission
-    start: Points
-    places: Points
-    fixed: bool = False
-    result: RunResult | None = None
-    options: dict[str, Any]
-
-    @property
-    def goals(self) -> Points:
-        """The goal of each robot by the central assignment."""
-        if self.fixed:
-            return self.places
-        ways = self.mission.shortest_ways(self.start, self.places)
-        return self.places[bottleneck_assignment(ways)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,18 +60,16 @@ Advance: TypeAlias = Callable[[Points], Sequence[Points]]
 """Positions during a round, the last ones at its end, from those before it."""
 
 
-def bottleneck_assignment(distances: Points) -> list[int]:
-    """The place of each robot: the longest way is as short as possible, then the sum of squares is the smallest."""
-    longest = metrics.bottleneck_distance(distances, distances, lambda ways, _: ways)
-    too_long = 1.0 + len(distances) * longest**2
-    return linear_sum_assignment(np.where(distances <= longest, distances**2, too_long))[1].tolist()
+LONG = 20
+"""Rounds over the bound after which a flight to fixed goals counts as failed."""
 
 
 def bound_rounds(mission: Mission, start: Points, places: Points, fixed: bool) -> int:
     """Smallest number of rounds, at least 1, with nobody in the way."""
     within = metrics.AT_GOAL * mission.spacing
     if fixed:
-        return max(1, math.ceil((float(np.linalg.norm(start - places, axis=1).max()) - within) / mission.max_step))
+        own = np.diagonal(mission.shortest_ways(start, places))
+        return max(1, math.ceil((float(own.max()) - within) / mission.max_step))
     ways = mission.shortest_ways
     return max(1, metrics.lower_bound_rounds(start, places, mission.max_step, within=within, ways=ways))
 
@@ -112,10 +83,11 @@ def arrival(flight: Flight, within: float) -> int | None:
 
 
 def fly(scene: Scene, goals: Points, advance: Advance, per_round: int = 1) -> Flight:
-    """Fly until all robots have arrived, or as long as the protocol would."""
+    """Fly until all robots have arrived, or as long as the protocol would; with fixed goals for longer."""
     mission, track, held = scene.mission, [scene.start], 0
     bound = bound_rounds(mission, scene.start, scene.places, scene.fixed)
-    for _ in range(metrics.deadline(bound) + metrics.HELD_ROUNDS - 1):
+    rounds = LONG * bound if scene.fixed else metrics.deadline(bound)
+    for _ in range(rounds + metrics.HELD_ROUNDS - 1):
         track.extend(advance(track[-1]))
         apart = float(np.linalg.norm(track[-1] - goals, axis=1).max())
         held = held + 1 if apart <= metrics.AT_GOAL * mission.spacing else 0
@@ -149,7 +121,7 @@ def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **chan
             same = switch is nullcontext and not changes and scene.result is not None
             result = scene.result if same else llm_flock.run(**scene.options, **changes)
             assert result is not None
-            places = _places(result)
+            places = places_of(result)
             # A robot without a place has not arrived: its goal is nowhere.
             goals = [
                 (math.inf, math.inf) if plan is None or slot is None else plan.points[slot]
@@ -160,26 +132,25 @@ def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **chan
     return method
 
 
-def _places(result: RunResult) -> Points:
-    """The places of the plan that most robots follow; those of the reference shape if none does."""
-    plans: Counter[Plan] = Counter(plan for plan in result.plans if plan is not None)
-    return plans.most_common(1)[0][0].array if plans else next(result.mission.placements())
-
-
 def motion_alone(scene: Scene) -> Flight:
-    """Safe steps and detours in lockstep; each robot heads straight for its own goal, and sees as far as it senses."""
+    """Safe steps in lockstep; each robot heads straight for its own goal, and hears those within radio range."""
     mission, goals = scene.mission, _rows(scene.goals)
     team = [Safety(robot, mission, 0.0) for robot in range(mission.n_robots)]
 
     def advance(positions: Points) -> list[Points]:
         here = _rows(positions)
+        said: dict[int, Course] = {j: one.course for j, one in enumerate(team) if one.course is not None}
         moves: list[Point] = []
         for robot, safety in enumerate(team):
             x = here[robot]
             seen = {j: y for j, y in enumerate(here) if j != robot and math.dist(x, y) <= mission.sensing}
             leg = leg_to(mission, x, goals[robot])
             wish = _wish(mission, x, leg.stop)
-            moves.append(safety.step(x, seen, wish, leg, metrics.AT_GOAL * mission.spacing).waypoint)
+            heard = {
+                j: course for j, course in said.items() if j in seen and math.dist(x, here[j]) <= mission.comm_range
+            }
+            step = safety.step(x, seen, wish, leg, metrics.AT_GOAL * mission.spacing, courses=heard)
+            moves.append(step.waypoint)
         return [np.array(moves)]
 
     return fly(scene, scene.goals, advance)
@@ -235,11 +206,13 @@ STRAY_RAD = 0.1
 
 
 def orca(scene: Scene, horizon: float) -> Flight | None:
-    """ORCA with centrally assigned goals, velocities that are safe for a `horizon` [rounds]; None with obstacles.
+    """ORCA with centrally assigned goals, and velocities that are safe for a `horizon` [rounds].
+
+    None with obstacles, and in space.
 
     Every robot knows the positions and velocities of all, and chooses a velocity `SUBSTEPS` times a round.
     """
-    if scene.mission.obstacles:
+    if scene.mission.obstacles or scene.mission.dim != 2:
         return None
     mission, goals, rng = scene.mission, scene.goals, random.Random(0)
     aims, period, speeds = to_complex(goals), 1.0 / SUBSTEPS, [0j] * len(goals)
@@ -260,55 +233,13 @@ def orca(scene: Scene, horizon: float) -> Flight | None:
 
 METHODS: dict[str, Method] = {
     "ours": ours(),
+    "ours without right of way": ours(lambda: mock.patch.object(RightOfWay, "ways", return_value=[])),
     "ORCA, horizon 2": partial(orca, horizon=2.0),
     "ORCA, horizon 0.5": partial(orca, horizon=0.5),
     "central, straight": straight,
     "CAPT": capt,
 }
 """What is compared, in the order of the table. A variant of ours is one line: `"ours without X": ours(...)`."""
-
-
-def _hard(name: str) -> dict[str, Any]:
-    """A case of the sweep of hard cases."""
-    cases: list[dict[str, Any]] = tomllib.loads(HARD.read_text())["grid"]["case"]
-    return next({k: v for k, v in case.items() if k != "name"} for case in cases if case["name"] == name)
-
-
-CASES: dict[str, Callable[[], dict[str, Any]]] = {
-    "circle 10": lambda: {"shape": "circle", "n_robots": 10},
-    "square 8": lambda: {"shape": "square", "n_robots": 8},
-    "line 7": lambda: {"shape": "line", "n_robots": 7},
-    "spacing 1.05, grid 16": partial(_hard, "spacing 1.05, grid 16"),
-    "circle 20": lambda: {"shape": "circle", "n_robots": 20},
-    "grid 25 from a clump": partial(_hard, "grid 25 from a clump"),
-    "gap": partial(_hard, "gap"),
-    "40 discs 0": partial(_hard, "40 discs 0"),
-    "mirrored 20": dict,
-}
-"""Fields of the configuration by the name of the case; mirrored robots have fixed goals."""
-
-RADIUS = 40.0
-"""Radius of the circle of mirrored robots [units]."""
-
-
-def scene_of(case: str, seed: int) -> Scene:
-    """The trial of a case with this seed."""
-    if case.startswith("mirrored"):
-        return mirrored(int(case.split()[1]), seed)
-    options = {**CASES[case](), "protocol": "flock", "model": "simulated:ideal", "seed": seed}
-    result = llm_flock.run(**options)
-    start, places = result.positions[0], _places(result)
-    return Scene(mission=result.mission, start=start, places=places, result=result, options=options)
-
-
-def mirrored(n: int, seed: int) -> Scene:
-    """Robots evenly on a circle, in random order and turned at random, each with its goal opposite."""
-    rng = np.random.default_rng(seed)
-    angles = rng.uniform(0.0, 2.0 * math.pi) + 2.0 * math.pi * rng.permutation(n) / n
-    offsets = RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    mission = Mission(n_robots=n)
-    center = np.array(mission.center)
-    return Scene(mission=mission, start=center + offsets, places=center - offsets, fixed=True, options={})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,7 +261,7 @@ def measure(scene: Scene, flight: Flight) -> Figures:
     flown = track[: (arrived or 0) * flight.per_round + 1]
     distance = float(np.linalg.norm(np.diff(flown, axis=0), axis=2).sum())
     if scene.fixed:
-        shortest = float(np.linalg.norm(scene.start - scene.places, axis=1).sum())
+        shortest = float(np.diagonal(mission.shortest_ways(scene.start, scene.places)).sum())
     else:
         ways = mission.shortest_ways(scene.start, flight.places)
         shortest = float(ways[linear_sum_assignment(ways)].sum())
@@ -381,17 +312,15 @@ def main(arguments: Sequence[str] = ()) -> None:
     """The table, a few rows at a time."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks arrivals")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--case", choices=tuple(CASES), action="append", help="this case only; may be repeated")
+    parser.add_argument("--case", choices=(*CASES, *FIXED), action="append", help="this case only; may be repeated")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args(arguments)
     print(f"{options.seeds} seeds each, simulated language models", flush=True)
     print(HEAD)
     with ProcessPoolExecutor(options.jobs) if options.jobs > 1 else nullcontext() as pool:
-        for case in options.case or CASES:
+        for case in options.case or (*CASES, *FIXED):
             seeds, fly_one = range(options.seeds), partial(trial, case)
             trials = list(map(fly_one, seeds) if pool is None else pool.map(fly_one, seeds))
             for method in METHODS:
-                name = (
-                    f"{method} (motion alone)" if case.startswith("mirrored") and method.startswith("ours") else method
-                )
+                name = f"{method} (motion alone)" if case in FIXED and method.startswith("ours") else method
                 print(row(case, name, [figures[method] for figures in trials]), flush=True)

@@ -7,11 +7,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from benchmarks import arrivals
+from benchmarks import arrivals, scenes
 from benchmarks.orca import orca_line, orca_velocities, orca_velocity
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.motion import progress
+from llm_flock.protocol.motion.right_of_way import RightOfWay
 
 LIMITS = {"diameter": 3.0, "longest": 6.0, "horizon": 2.0, "period": 0.1}
 
@@ -47,7 +47,7 @@ def test_orca_robots_that_meet_head_on_pass_each_other():
 
 
 def test_twenty_orca_robots_exchange_places_across_a_circle():
-    figures = figures_of(ORCA, arrivals.mirrored(20, 0))
+    figures = figures_of(ORCA, arrivals.scene_of("mirrored 20", 0))
     assert figures.arrived is not None
     assert figures.ratio < 2.0 and figures.detour < 1.2
 
@@ -101,8 +101,8 @@ def test_orca_takes_the_nearest_velocity_of_a_grid_and_else_the_least_bad():
 def test_the_bottleneck_comes_before_the_sum_of_squares():
     # The sum of squares alone would send one robot 10 far and the other not at all.
     distances = np.array([[0.0, 7.9], [7.9, 10.0]])
-    assert arrivals.bottleneck_assignment(distances) == [1, 0]
-    assert arrivals.bottleneck_assignment(np.array([[0.0, 2.0], [2.0, 1.0]])) == [0, 1]
+    assert scenes.bottleneck_assignment(distances) == [1, 0]
+    assert scenes.bottleneck_assignment(np.array([[0.0, 2.0], [2.0, 1.0]])) == [0, 1]
 
 
 def test_capt_flies_only_where_its_conditions_hold_and_then_never_collides():
@@ -134,13 +134,13 @@ def test_ours_arrives_when_its_summary_says_so():
 def test_motion_alone_and_straight_steps_keep_the_safe_distance():
     meeting = scene([(40.0, 50.0), (60.0, 50.0)], [(60.0, 50.0), (40.0, 50.0)])
     alone, faced = figures_of(OURS, meeting), figures_of(arrivals.straight, meeting)
-    assert alone.arrived is not None and faced.arrived is None  # without detours they face each other for ever
+    assert alone.arrived is not None and faced.arrived is None  # without right of way they face each other for ever
     assert not alone.violated and not faced.violated
 
 
 def test_a_variant_of_ours_flies_without_what_its_switch_turns_off():
     meeting = scene([(40.0, 50.0), (60.0, 50.0)], [(60.0, 50.0), (40.0, 50.0)])
-    without = arrivals.ours(lambda: mock.patch.object(progress, "PATIENCE", 10**9))
+    without = arrivals.ours(lambda: mock.patch.object(RightOfWay, "ways", return_value=[]))
     assert figures_of(without, meeting).arrived is None
     again = arrivals.scene_of("line 7", 1)
     short = arrivals.ours(rounds=3)

@@ -124,7 +124,7 @@ class Roadmap:
     def _connected(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
         """Pairs of corners that see each other, and their distances."""
         count = len(self._nodes)
-        touching = np.array([self._touching(node) for node in self._nodes]).reshape(count, count)
+        touching = np.array([self._touching(node) for node in self._nodes], dtype=np.bool_).reshape(count, count)
         first, second = np.nonzero(np.triu(touching & touching.T, 1))
         clear = self._clear(self._nodes[first], self._nodes[second], self._radius)
         first, second = first[clear], second[clear]

@@ -57,7 +57,7 @@ RINGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 HEADINGS = {2: 24, 3: 40}
 """Number of directions in which a refuge is looked for, by dimension."""
 
-CROWDED = 2.0
+CROWDED = 6.0
 """Cost of a refuge for each unit that it is too near another body [1]."""
 
 PATIENCE = 32
@@ -134,13 +134,13 @@ class RightOfWay:
     def count(self, goal: Point, left: float, within: float) -> None:
         """Begin a round, with the length of the way to a goal that counts as reached within a distance [units]."""
         at_goal = left <= within
-        self._waited = 0 if at_goal else self._waited + 1
         before, nearest = self._nearest
         nearer = left <= nearest - GAIN * min(self._limits.max_step, left)
         if at_goal or goal != before or nearer:
             self._nearest, self._idle = (goal, left), 0
         else:
             self._idle += 1
+        self._waited = 0 if at_goal else self._waited + (self._idle > 0)
         self.course = None
 
     def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
@@ -188,11 +188,13 @@ class RightOfWay:
     def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
         self.course = Course(level=level, of=of, path=tuple(path)) if path else None
 
-    def leads_out(self, here: Point, path: Sequence[Point], ways: Sequence[Way]) -> bool:
-        """Whether a robot gets out of ways by following its own path [units; world frame], and past nobody who comes."""
-        return bool(path) and not any(way.covers(path[-1]) for way in ways) and bool(
-            self._leads_away(here, np.array([path[0]]), ways)[0]
-        )
+    def leads_out(self, here: Point, stop: Point, goal: Point, ways: Sequence[Way]) -> bool:
+        """Whether flying on leads a robot out of these ways, and past nobody who comes.
+
+        Its goal, and the next stop there, are in the world frame [units].
+        """
+        away = self._leads_away(here, np.array([stop]), ways)
+        return bool(away[0]) and not any(way.covers(goal) for way in ways)
 
     def refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Iterable[Point]) -> Point | None:
         """Where to wait until those that come have passed [units; world frame]; None if there is no such place.

@@ -89,7 +89,7 @@ class Safety:
         others = tuple(sensed.values())
         ways = right.ways(sensed, courses)
         pressing = [way for way in ways if way.covers(position)]
-        if pressing and not right.leads_out(position, self._path(position, stop, goal, still), pressing):
+        if pressing and not right.leads_out(position, stop, goal, pressing):
             aside = self._aside(position, sensed, goal, ways, still)
             if aside is not None:
                 return aside
