@@ -111,7 +111,7 @@ def corridor(each: int, rng: np.random.Generator) -> Scene:
     rows = 50.0 + 6.0 * (np.arange(each) - (each - 1) / 2)
     left = np.column_stack([20.0 + rng.uniform(-3.0, 3.0, each), rows])
     right = np.column_stack([80.0 + rng.uniform(-3.0, 3.0, each), rows])
-    start = np.concatenate([left, right])
+    start = np.array([*left, *right])
     return Scene(mission=mission, start=start, places=start[::-1].copy(), fixed=True, options={})
 
 
@@ -122,13 +122,13 @@ def layers(rng: np.random.Generator) -> Scene:
     high = np.column_stack([flat, np.full(9, 46.0)]) + rng.uniform(-0.5, 0.5, (9, 3))
     block = ((0.0, 0.0, 0.0), (100.0, 100.0, 100.0))
     mission = Mission(shape="text:two layers", n_robots=18, center=(50.0, 50.0, 50.0), arena=block)
-    start, places = np.concatenate([low, high]), np.concatenate([high, low])
+    start, places = np.array([*low, *high]), np.array([*high, *low])
     return Scene(mission=mission, start=start, places=places, fixed=True, options={})
 
 
 def permuted(rng: np.random.Generator) -> Scene:
     """A grid of 25, two safe distances apart, in which every robot goes to the place of another."""
-    grid = 50.0 + 6.0 * (np.array([[i, j] for i in range(5) for j in range(5)]) - 2.0)
+    grid = np.array([[38.0 + 6.0 * i, 38.0 + 6.0 * j] for i in range(5) for j in range(5)])
     mission = Mission(shape="text:a grid", n_robots=25)
     return Scene(mission=mission, start=grid, places=grid[rng.permutation(25)], fixed=True, options={})
 

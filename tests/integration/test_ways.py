@@ -50,7 +50,7 @@ def test_a_team_flies_round_what_is_in_between(case: str, model: str) -> None:
     assert figures.formed and figures.lower_bound_rounds is not None
     assert figures.min_separation is not None and figures.min_separation >= SAFE - 1e-6
     assert figures.min_clearance is not None and figures.min_clearance >= SAFE / 2 - 1e-6
-    assert figures.waypoints["detour"] <= 0.1 * sum(figures.waypoints.values())
+    assert figures.waypoints["yield"] <= 0.1 * sum(figures.waypoints.values())
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_a_team_flies_round_what_is_in_between(case: str, model: str) -> None:
     [("line", 7, 1.05, 1), ("circle", 10, 1.05, 3), ("grid", 16, 1.05, 2), ("line", 7, 1.0, 12), ("line", 7, 1.0, 13)],
 )
 def test_a_formation_as_tight_as_the_safe_distance_fills_up(shape: str, n: int, room: float, seed: int) -> None:
-    """Beside another robot, a place is approached by halves; that is progress, and no reason for a detour."""
+    """Beside another robot, a place is approached by halves; that is progress, and nobody has to step aside."""
     mission = llm_flock.Mission(shape=shape, n_robots=n, spacing=room * SAFE)
     figures = llm_flock.run(mission, model="simulated:ideal", seed=seed).summary
     assert figures.formed

@@ -15,6 +15,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import SWAP_GAIN, merge, rank
 from llm_flock.protocol.agreement.consensus import PlanKey, plan_key
 from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, BidTable
+from llm_flock.protocol.motion.shield import project
 from llm_flock.protocol.path_length import path_lengths
 
 SEEDS = st.integers(0, 2**32)
@@ -187,3 +188,27 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     for _ in range(20):
         team.comm_round()
     assert team.slots == settled
+
+
+@given(SEEDS)
+def test_theorem_15_a_free_way_is_flown(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    dim, safe, longest = int(rng.integers(2, 4)), 3.0, 6.0
+    margin, left = float(rng.uniform(0.01, 2.0)), float(rng.uniform(0.1, 20.0))
+    direction = rng.normal(size=dim)
+    here, stop = np.zeros(dim), left * direction / np.linalg.norm(direction)
+    bodies = [
+        body
+        for body in rng.uniform(-15, 15, (12, dim))
+        if np.linalg.norm(body - np.clip(body @ stop / (stop @ stop), 0.0, 1.0) * stop) >= (1.0 + margin) * safe
+    ]
+    wish = stop * min(1.0, longest / left)
+    to = project(
+        tuple(here.tolist()),
+        tuple(wish.tolist()),
+        [tuple(body.tolist()) for body in bodies],
+        safe_distance=safe,
+        max_step=longest,
+    )
+    gained = left - float(np.linalg.norm(stop - np.array(to)))
+    assert gained >= min(longest, margin * safe / 2.0, left) - 1e-6

@@ -16,7 +16,7 @@ from llm_flock.viewer.recording import Recording
 from llm_flock.viz.style import plan_look
 
 DECIMALS = 3
-BENT = frozenset({"clipped", "shield", "yield", "geometry"})
+BENT = frozenset({"clipped", "shield", "yield", "detour", "geometry"})
 """Origins of waypoints that differ from what the model asked for."""
 
 MOST_FRAMES = 256

@@ -17,6 +17,7 @@ _TRACKS = {
     "shielded": "shield",
     "separating": "shield",
     "deadlock": "shield",
+    "gives_way": "shield",
     "held": "shield",
     "killed": "faults",
     "joined": "faults",
@@ -83,6 +84,10 @@ def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> st
             return "joined"
         case "shielded":
             return "was led round others by the shield"
+        case "deadlock":
+            return "asks for the right of way: others have kept it from its goal for some rounds"
+        case "gives_way":
+            return f"gives way to robot {detail.get('to')}"
         case "mission":
             return f"heard of another mission: {detail.get('shape')}"
         case _:

@@ -30,6 +30,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.pilot import Observation, Pilot
+from llm_flock.protocol.motion.right_of_way import STALLED
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import clip_waypoint
@@ -186,7 +187,9 @@ def test_the_shield_measures_arrival_by_the_spacing_of_the_mission_in_force() ->
     for mission, blocked in ((MISSION, True), (MISSION.change(spacing=20.0), False)):
         validator = Validator(verify=False, shield_on=True)
         pilot = Pilot(0, MISSION, validator, shield_on=True, noise_bound=0.0, on_event=False, fallback="hold")
-        pilot.decide(scene, mission, PLAN, 0, None)
-        effects = pilot.take(StepAnswer(waypoint=goal))
+        effects: list[Effect] = []
+        for _ in range(STALLED + 1):
+            pilot.decide(scene, mission, PLAN, 0, None)
+            effects += pilot.take(StepAnswer(waypoint=goal))
         assert any(isinstance(effect, Note) and effect.kind == "deadlock" for effect in effects) is blocked
         assert (pilot.course is not None) is blocked

@@ -75,7 +75,7 @@ def test_three_rounds_without_progress_are_a_stall() -> None:
     assert right.stalled
     right.count((20.0, 20.0), 60.0, 0.5)
     assert not right.stalled, "another goal"
-    for left in (0.8, 0.6, 0.57, 0.54):  # beside another robot, by halves or less
+    for left in (0.9, 0.85, 0.8, 0.75, 0.7):  # beside another robot, by halves or less
         right.count(GOAL, left, 0.5)
     assert not right.stalled
 
@@ -144,6 +144,9 @@ def test_nowhere_to_go() -> None:
     safety = Safety(1, mission, 0.0)
     step = safety.stay((50.0, 50.0), {0: (46.0, 50.0)}, {0: course((64.0, 50.0))})
     assert step.origin is Origin.HOLD and safety.course is None
+    leg = Leg(goal=(49.0, 50.0), stop=(49.0, 50.0), left=1.0)
+    step = safety.step((50.0, 50.0), {0: (46.0, 50.0)}, (49.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
+    assert step.origin is Origin.SHIELD and safety.course is not None and safety.course.of == 0
 
 
 def test_a_refuge_leads_past_nobody_who_comes() -> None:

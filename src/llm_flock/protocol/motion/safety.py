@@ -94,7 +94,7 @@ class Safety:
             if aside is not None:
                 return aside
         safe = self._on_its_way(position, stop, wish, self._project(position, wish, others), others)
-        free = [way for way in ways if way not in pressing]
+        free = [way for way in ways if not way.covers(position)]
         if not outside(free, position, safe):
             return self._wait(position, wish, others, free)
         self._gave_way = None
