@@ -74,6 +74,20 @@ def test_through_a_gap_out_of_a_pocket_and_through_a_maze() -> None:
     assert maze.length((5.0, 5.0), (95.0, 5.0)) == pytest.approx(flown(stops) + 2.0 * HOP * RADIUS * (len(stops) - 2))
 
 
+def test_a_corner_that_is_as_good_as_reached_leads_on() -> None:
+    roadmap = Roadmap(PLANE, [DISC], RADIUS)
+    goal = (70.0, 50.5)
+    corner = roadmap.next_stop((30.0, 50.0), goal)
+    beside = corner[0] - 0.015, corner[1] - 0.015
+    assert corner != goal and roadmap.next_stop(beside, goal) == roadmap.next_stop(corner, goal) != corner
+
+
+def test_a_wall_across_the_whole_arena_leaves_no_way() -> None:
+    roadmap = Roadmap(PLANE, [wall(55, -5, 105)], RADIUS)
+    assert roadmap.next_stop((20.0, 50.0), (80.0, 50.0)) == (80.0, 50.0)
+    assert roadmap.length((20.0, 50.0), (80.0, 50.0)) == math.inf
+
+
 def test_a_gap_that_is_too_narrow_is_no_way() -> None:
     narrow = Roadmap(PLANE, [wall(48.0, -1.0, 48.6), wall(48.0, 51.4, 101.0)], RADIUS)
     assert narrow.length((20.0, 50.0), (80.0, 50.0)) == math.inf

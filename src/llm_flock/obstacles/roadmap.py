@@ -167,7 +167,10 @@ class Roadmap:
         if self.straight(here, goal):
             return goal
         corner = self._way(here, goal)[1]
-        return goal if corner is None else corner
+        if corner is None:
+            return goal
+        # A corner that is as good as reached leads on: it lies farther from its obstacle than it has to by this much.
+        return self.next_stop(corner, goal) if math.dist(here, corner) <= MARGIN * self._radius else corner
 
     def _way(self, here: Point, goal: Point) -> tuple[float, Point | None]:
         """Length of the shortest way through at least one corner, and its first corner."""

@@ -13,6 +13,7 @@ from rounds import round_began
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import IndexAssignment
 from llm_flock.protocol.agreement.consensus import NoConsensus
@@ -193,3 +194,20 @@ def test_the_shield_measures_arrival_by_the_spacing_of_the_mission_in_force() ->
             effects += pilot.take(StepAnswer(waypoint=goal))
         assert any(isinstance(effect, Note) and effect.kind == "deadlock" for effect in effects) is blocked
         assert (pilot.course is not None) is blocked
+
+
+def test_a_step_that_ends_beside_a_corner_is_flown_to_the_corner() -> None:
+    """From beside it the way on may not be free, and a model that rounds would answer the same for ever."""
+    disc = Obstacle(center=(50.0, 50.0), radius=6.0)
+    mission = MISSION.change(obstacles=(disc,), shape="text:any")
+    validator = Validator(verify=True, shield_on=True)
+    pilot = Pilot(0, mission, validator, shield_on=True, noise_bound=0.0, on_event=False, fallback="breaker")
+    plan = Plan.of([(58.0, 44.0), *PLAN.points[1:]])
+    scene = Observation(round=1, position=(50.0, 59.5), sensed={}, observed=())
+    (ask,) = pilot.decide(scene, mission, plan, 0, None)
+    assert isinstance(ask, AskStep) and ask.question.corner is not None
+    corner = ask.question.corner
+    beside = (corner[0] + 0.1, corner[1] + 0.1)
+    flown = move(pilot.take(StepAnswer(waypoint=beside)))
+    assert math.dist(beside, corner) < 0.5 and flown.waypoint == pytest.approx(corner)
+    assert flown.origin is Origin.CLIPPED

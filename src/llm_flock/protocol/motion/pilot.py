@@ -220,6 +220,10 @@ class Pilot:
         fit = self._validator.waypoint(question, answer)
         if isinstance(fit, NoAnswer):
             return self.hold(scene, fit.cause, fit.reason, asked)
+        corner = question.corner
+        reaches = corner is not None and math.dist(scene.position, corner) <= question.mission.max_step
+        if corner is not None and reaches and math.dist(fit, corner) <= self._tolerance:
+            fit = corner  # a little beside it, the way on may not be free, and the next question would be the same
         effects = self._fly(fit, scene, asked, Origin.MODEL if fit == asked else Origin.CLIPPED)
         if fit != asked:
             effects.insert(0, Note("clipped", {"proposed": asked, "flown": fit}))
