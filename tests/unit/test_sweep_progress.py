@@ -45,6 +45,18 @@ def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
     assert tally.eta_s == 0 and (tally.over, tally.formed, tally.broken, tally.cut) == (4, 2, 1, 1)
 
 
+@pytest.mark.parametrize("summary", [{"rounds": 7, "formed": True}, {}, None])
+def test_a_sweep_without_a_number_of_rounds_goes_on(tmp_path: Path, summary: dict[str, object] | None) -> None:
+    """By default a run ends by its deadline, and its configuration has no number of rounds."""
+    specs = small(tmp_path, seeds=1).trials
+    config = {"mission": {"n_robots": 3}, "trial": {"rounds": None}}
+    plain = {"id": "other", "cell": "other", "axes": {}, "config": config, "rounds": {}, "code": ""}
+    flown = TrialResult(**plain, summary=summary, error=None if summary else "x", cut=False, simulated=True)
+    tally = Tally(clock=lambda: 0.0)
+    tally.begin([flown], specs)
+    assert tally.trials == 1 + len(specs) and tally.over == 1
+
+
 def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
     now = [0.0]
     specs = small(tmp_path, seeds=1).trials

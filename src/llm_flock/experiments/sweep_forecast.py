@@ -211,7 +211,8 @@ class Tally(Display):
         """See `Display`."""
         again = {spec.id for spec in pending}
         for result in flown:
-            self._size[result.cell] = result.config["mission"]["n_robots"] * result.config["trial"]["rounds"]
+            rounds = result.config["trial"]["rounds"] or (result.summary or {}).get("rounds") or 1
+            self._size[result.cell] = result.config["mission"]["n_robots"] * rounds
             if result.id not in again:
                 self._count_in(result.cell, result)
         for spec in pending:
