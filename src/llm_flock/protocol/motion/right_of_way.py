@@ -230,12 +230,14 @@ class RightOfWay:
         if roadmap is not None:
             spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
         to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
-        stops = spots if roadmap is None else [roadmap.next_stop(here, tuple(spot)) for spot in spots.tolist()]
-        to[~self._leads_away(here, np.array(stops).reshape(spots.shape), ways)] = math.inf
         crowd = np.maximum(0.0, limits.safe_distance - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
         cost = 2.0 * to + on + CROWDED * crowd
-        best = int(cost.argmin()) if len(cost) else 0
-        return tuple(spots[best].tolist()) if len(cost) and math.isfinite(float(cost[best])) else None
+        for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
+            spot = tuple(spots[k].tolist())
+            stop = spot if roadmap is None else roadmap.next_stop(here, spot)
+            if self._leads_away(here, np.array([stop]), ways)[0]:
+                return spot
+        return None
 
     def _leads_away(self, here: Point, stops: Points, ways: Sequence[Way]) -> NDArray[np.bool_]:
         """Whether a straight flight to each stop leads past none of the robots that come."""
@@ -283,4 +285,4 @@ def _lengths(roadmap: Roadmap | None, starts: Points, goal: Point) -> Vector:
     """Lengths of the ways from each of some points, shape (m, d), to a goal, shape (m,) [units]."""
     if roadmap is None:
         return np.linalg.norm(starts - np.array(goal), axis=1)
-    return np.array([roadmap.length(tuple(start), goal) for start in starts.tolist()])
+    return roadmap.lengths_to(starts, goal)
