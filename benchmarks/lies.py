@@ -29,6 +29,8 @@ from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.experiments.statistics import wilson
 from llm_flock.mission import Mission
+from llm_flock.protocol.messages.message import Message
+from llm_flock.protocol.motion.shield import project
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.trust.keys import make_keys
@@ -36,6 +38,8 @@ from llm_flock.trust.keys import make_keys
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 COMM_ROUNDS = 5
+INSIDE = 0.75, 0.35
+"""Where liars that ask for ways are, as shares from the centre to between two places: there they block nobody."""
 CURVE = ((10, (0, 1, 2, 3)), (20, (0, 2, 4, 6)), (40, (0, 4, 8, 13)))
 
 
@@ -55,7 +59,7 @@ def mission_of(n: int) -> Mission:
 
 
 def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Outcome:
-    """A team of n, the last of which lie together, in lockstep; their bodies fly off and stay away.
+    """A team of n, the last of which lie together, in lockstep; their bodies fly off, unless they ask for ways.
 
     The team reckons with as many liars unless it was told another number, and has 60 rounds and 6 for each robot.
     """
@@ -77,7 +81,12 @@ def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Out
                 for payload in said:
                     gang.hear(payload)
                 said = team.comm_round(said_by=gang.says(lie))
-            team.end(moves={j: away(mission, j, team.positions[j]) for j in gang.members})
+            team.end(
+                moves={
+                    j: goes(mission, team.positions, spot_of(lie, gang.known, gang.members.index(j), number), j)
+                    for j in gang.members
+                }
+            )
         except Exception as error:  # noqa: BLE001 - what is counted here
             print(f"{lie}, {n} robots, {liars} liars, seed {seed}: {error!r}", file=sys.stderr)
             return Outcome(None, team.smallest, 1)
@@ -87,12 +96,28 @@ def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Out
     return Outcome(None, team.smallest, 0)
 
 
-def away(mission: Mission, robot: int, here: Point) -> Point:
-    """A step towards the robot's own spot at the wall."""
-    to = (4.0 * (mission.n_robots - robot), 1.0)
+def spot_of(lie: str, known: Message | None, liar: int, number: int) -> Point | None:
+    """Where a liar's body goes in a round: inside the formation if it asks for ways; None if anywhere."""
+    from lies import LIES, asks_for_ways, nearest_first
+
+    if known is None or known.plan is None or LIES.get(lie) is not asks_for_ways:
+        return None
+    share = INSIDE[number % 2 if lie == "asks for ways to and fro" else 0]
+    first, second = nearest_first(known.plan.points, liar)[:2]
+    center = np.mean(known.plan.points, axis=0)
+    return tuple((center + share * (np.add(first, second) / 2.0 - center)).tolist())
+
+
+def goes(mission: Mission, bodies: Sequence[Point], spot: Point | None, robot: int) -> Point:
+    """A step towards a spot, past others as the shield allows; towards the robot's own one at the wall if None."""
+    here, to = bodies[robot], (4.0 * (mission.n_robots - robot), 1.0) if spot is None else spot
     distance = math.dist(here, to)
     share = min(1.0, mission.max_step / distance) if distance else 1.0
-    return tuple(x + share * (y - x) for x, y in zip(here, to, strict=True))
+    step = tuple(x + share * (y - x) for x, y in zip(here, to, strict=True))
+    if spot is None:
+        return step
+    others = [*bodies[:robot], *bodies[robot + 1 :]]
+    return project(here, step, others, safe_distance=mission.safe_distance, max_step=mission.max_step)
 
 
 def in_place(team: object) -> bool:

@@ -5,6 +5,7 @@ A gang hears what the honest send, so its lies are nearly true. It signs only as
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -13,15 +14,19 @@ import msgspec.structs
 from driven_team import turned
 from mangled import mangled
 
+from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.messages.codec import decode, encode
 from llm_flock.protocol.messages.message import (
     BLOCKED,
+    HIGHEST,
+    MOST_STOPS,
     NO_OWNER,
     UNSAID,
     BidEntry,
+    Course,
     Message,
     MissionStamp,
     Offer,
@@ -357,6 +362,21 @@ def equivocates(gang: Gang, member: int) -> list[Said]:
     ]
 
 
+def asks_for_ways(gang: Gang, member: int) -> list[Said]:
+    """The highest right to ways over places, in anybody's name; at times nothing, so as to be forgotten."""
+    assert gang.known is not None and gang.known.plan is not None
+    places = nearest_first(gang.known.plan.points, gang.members.index(member))
+    path = gang.rng.choice((places[::2], places[1::2], gang.rng.sample(places, len(places))))[:MOST_STOPS]
+    course = Course(level=HIGHEST, of=gang.rng.choice((member, *gang.honest)), path=tuple(path))
+    return [gang.message(member, course=None if gang.rounds % 165 >= 150 else course)]
+
+
+def nearest_first(points: Sequence[Point], number: int) -> list[Point]:
+    """All places, one first, another for each liar, then those next to it."""
+    first = points[3 * number % len(points)]
+    return sorted(points, key=lambda place: math.dist(place, first))
+
+
 def silence(gang: Gang, member: int) -> list[Said]:
     """Nothing at all: it counts as dead."""
     return []
@@ -379,6 +399,8 @@ LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
     "noise": noise,
     "far too large": too_large,
     "equivocates": equivocates,
+    "asks for ways and stays": asks_for_ways,
+    "asks for ways to and fro": asks_for_ways,
     "silence": silence,
 }
 EVERYTHING = "everything in turn"

@@ -96,6 +96,15 @@ def test_a_gap_that_is_too_narrow_is_no_way() -> None:
     assert lengths.tolist() == [math.inf, 30.0]
 
 
+def test_lengths_of_ways_from_many_places_to_one() -> None:
+    roadmap = Roadmap(PLANE, [DISC], RADIUS)
+    starts = np.array([[x, y] for x in (5.0, 35.0, 70.0) for y in (5.0, 50.0, 95.0)])
+    for goal in ((80.0, 55.0), (95.0, 5.0)):
+        found = roadmap.lengths_to(starts, goal)
+        assert found.tolist() == pytest.approx([roadmap.length(tuple(start), goal) for start in starts.tolist()])
+    assert roadmap.lengths_to(np.empty((0, 2)), (80.0, 55.0)).shape == (0,)
+
+
 @pytest.mark.parametrize("off", [0.0, 0.01, 1.0])
 def test_a_body_at_a_wall_or_too_near_one_finds_its_way_round(off: float) -> None:
     roadmap = Roadmap(PLANE, [wall(48.0, 20.0, 80.0)], RADIUS)

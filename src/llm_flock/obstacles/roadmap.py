@@ -162,6 +162,15 @@ class Roadmap:
             lengths[k] = self._way(here, tuple(goals[k].tolist()))[0]
         return lengths
 
+    def lengths_to(self, starts: Points, goal: Point) -> Vector:
+        """As `length` from each start, shape (m,), for starts of shape (m, d) that are clear of obstacles."""
+        end = np.array(goal)
+        lengths = np.linalg.norm(starts - end, axis=1)
+        room = min(self._radius, clearance(goal, self._obstacles))
+        for k in np.flatnonzero(~self._clear(starts, np.broadcast_to(end, starts.shape), room)):
+            lengths[k] = self._way(tuple(starts[k].tolist()), goal)[0]
+        return lengths
+
     def next_stop(self, here: Point, goal: Point) -> Point:
         """The next corner of the shortest way; `goal` itself where it can be flown to straight, or not at all."""
         if self.straight(here, goal):

@@ -379,6 +379,7 @@ class Agent:
 
     def _begin_mission(self) -> None:
         self._seeking = Seeking(self.robot)
+        self._pilot.begin_mission()
         for breaker in self._breakers.values():
             breaker.begin_mission()
 

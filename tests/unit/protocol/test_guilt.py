@@ -40,6 +40,8 @@ SHOWN = {
     "noise": {None, "malformed", "impostor", "forged_origin", "uncertified"},
     "far too large": {"oversized"},
     "equivocates": {None, "uncertified"},
+    "asks for ways and stays": {None},
+    "asks for ways to and fro": {None},
     "silence": set[str | None](),
 }
 

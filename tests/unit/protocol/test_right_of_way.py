@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from safe_team import SAFE, SafeTeam
 
+from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol.events import Note, Origin
+from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.messages.message import HIGHEST, Course
 from llm_flock.protocol.motion.leg import Leg, leg_to
-from llm_flock.protocol.motion.right_of_way import KEPT, PATIENCE, RISES, RightOfWay, outside, rank
+from llm_flock.protocol.motion.pilot import Observation, Pilot
+from llm_flock.protocol.motion.right_of_way import BETWEEN, KEPT, PATIENCE, RISES, RightOfWay, outside, rank
 from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.verification.validator import Validator
 
 MISSION = Mission(shape="text:any", n_robots=4)
 
@@ -158,13 +161,49 @@ def test_a_refuge_leads_past_nobody_who_comes() -> None:
         assert refuge is not None and not way.covers(refuge) and refuge[0] > 46.0
 
 
-def test_who_asks_and_stays_is_heeded_for_a_while_only() -> None:
-    right, sensed = RightOfWay(1, MISSION), {0: (46.0, 50.0)}
-    heeded = [bool(right.ways(sensed, {0: course((64.0, 50.0))})) for _ in range(6 * PATIENCE)]
+def heeds(right: RightOfWay, sensed: dict[int, Point]) -> bool:
+    """A round of a robot at its place, in which robot 0 asks for the way over it."""
+    right.count(GOAL, 0.0, 0.5)
+    return bool(right.ways(sensed, {0: course((64.0, 50.0))}))
+
+
+@pytest.mark.parametrize("moves", [0.0, 6.0])
+def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
+    """Wherever it is, also out of sight for a while; with a new mission everybody is heeded again."""
+    right = RightOfWay(1, MISSION)
+    heeded = [heeds(right, {0: (46.0 - moves * (k % 2), 50.0)}) for k in range(9 * PATIENCE)]
     periods = [(on, len([*group])) for on, group in groupby(heeded)]
-    assert periods == [(True, PATIENCE), (False, PATIENCE), (True, PATIENCE), (False, 2 * PATIENCE), (True, PATIENCE)]
-    assert not right.ways(sensed, {0: course((64.0, 50.0))})
-    assert right.ways({0: (47.0, 50.0)}, {0: course((64.0, 50.0))}), "it moves again"
+    rests = (False, 2 * PATIENCE), (False, 4 * PATIENCE)
+    assert periods == [(True, PATIENCE), rests[0], (True, PATIENCE), rests[1], (True, PATIENCE)]
+    assert not heeds(right, {0: (46.0, 50.0)})
+    assert not heeds(right, {}) and not heeds(right, {0: (46.0, 50.0)})
+    right.begin_mission()
+    assert heeds(right, {0: (46.0, 50.0)})
+
+
+def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
+    """Who makes way loses sight of the one that asks; the rounds between count, a few of them at a time."""
+    for every, count in ((2, PATIENCE // 2), (BETWEEN, PATIENCE // BETWEEN), (3 * BETWEEN, PATIENCE // BETWEEN)):
+        right = RightOfWay(1, MISSION)
+        seen = [heeds(right, {} if k % every else {0: (46.0, 50.0)}) for k in range(2 * PATIENCE * BETWEEN)]
+        first = range(0, len(seen), every)
+        assert all(seen[k] for k in first[:count]) and not seen[first[count + 1]]
+
+
+@pytest.mark.parametrize("shield_on", [True, False])
+def test_a_new_mission_makes_a_pilot_heed_everybody_again(shield_on: bool) -> None:
+    validator = Validator(verify=True, shield_on=shield_on)
+    pilot = Pilot(1, MISSION, validator, shield_on=shield_on, noise_bound=0.0, on_event=False, fallback="hold")
+    courses = {0: course((64.0, 50.0))}
+    scene = Observation(round=1, position=(50.0, 50.0), sensed={0: (46.0, 50.0)}, observed=(), courses=courses)
+
+    def yields() -> bool:
+        moved = pilot.hold(scene, "no_goal", "")[-1]
+        return isinstance(moved, MoveTo) and moved.origin is Origin.YIELD
+
+    assert [yields() for _ in range(PATIENCE + 1)] == [shield_on] * PATIENCE + [False]
+    pilot.begin_mission()
+    assert yields() == shield_on
 
 
 @pytest.mark.parametrize("dim", [2, 3])

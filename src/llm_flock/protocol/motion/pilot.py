@@ -185,6 +185,11 @@ class Pilot:
         """The way that this robot asks others to leave free, in its last step."""
         return None if self._safety is None else self._safety.course
 
+    def begin_mission(self) -> None:
+        """Heed everybody who asks for a way again: a mission has been given."""
+        if self._safety is not None:
+            self._safety.begin_mission()
+
     def look(self, scene: Observation) -> None:
         """Replace the observation while the planner's answer is pending."""
         self._scene = scene

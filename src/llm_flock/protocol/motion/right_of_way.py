@@ -61,10 +61,10 @@ CROWDED = 6.0
 """Cost of a refuge for each unit that it is too near another body [1]."""
 
 PATIENCE = 32
-"""Rounds for which a robot gives way to one that does not move; for as long it then heeds no course of that robot."""
+"""Rounds in a mission for which a robot gives way to one that asks; for twice as long it then heeds no course of it."""
 
-MOVED = 0.02
-"""A body moves if it is this far from where it was, in steps."""
+BETWEEN = 4
+"""Most rounds between two in which a robot asks that count like those: whoever gives way loses sight of it at times."""
 
 SHARES = (0.75, 0.5, 0.25, 0.125)
 """Shares of a step that are tried where the whole one leads into a way that another has."""
@@ -115,7 +115,9 @@ class RightOfWay:
         self._robot, self._limits = robot, limits
         self._waited = self._kept = self._idle = 0
         self._nearest: tuple[Point, float] = (), math.inf
-        self._stood: dict[int, tuple[Point, int, int]] = {}
+        self._round = 0
+        # By who asks: rounds, next pause, and the last round, or the first one after a pause.
+        self._asked: dict[int, tuple[int, int, int]] = {}
 
     @property
     def waited(self) -> int:
@@ -142,12 +144,13 @@ class RightOfWay:
             self._idle += 1
         self._waited = 0 if at_goal else self._waited + (self._idle > 0)
         self.course = None
+        self._round += 1
 
     def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
         """The ways that this robot has to give, to robots in sight, the highest rank first.
 
-        Those of a robot that has not moved for `PATIENCE` rounds are not heeded for as long, the next time for twice as
-        long: a robot that asks and stays where it is hinders no more than a body there.
+        A robot that has asked for `PATIENCE` rounds in all is not heeded for twice as long, then for four times, and so
+        on, wherever it is and whatever it asks for: otherwise a liar that moves would keep others away for ever.
         """
         own, found = rank(self._robot, self._level, self._robot), list[Way]()
         for j, course in courses.items():
@@ -157,18 +160,24 @@ class RightOfWay:
             width = safe * min(WIDEST, WIDTH + WIDER * course.level)
             line = np.array([sensed[j], *course.path])
             found.append(Way(rank=theirs, robot=j, line=line, width=width))
-        self._stood = {way.robot: self._seen(way.robot, sensed[way.robot]) for way in found}
-        heeded = [way for way in found if self._stood[way.robot][1] <= PATIENCE]
+        heeded = [way for way in found if self._heeds(way.robot)]
         return sorted(heeded, key=lambda way: way.rank, reverse=True)
 
-    def _seen(self, robot: int, here: Point) -> tuple[Point, int, int]:
-        """Where a robot that asks has come to, rounds for which it has stood there, and how long not to heed it."""
-        there, stood, pause = self._stood.get(robot, (here, 0, PATIENCE))
-        if math.dist(there, here) > MOVED * self._limits.max_step:
-            return here, 0, pause
-        if stood >= PATIENCE + pause:
-            return here, 1, 2 * pause
-        return there, stood + 1, pause
+    def _heeds(self, robot: int) -> bool:
+        """Whether a robot that asks in this round is heeded; counts those rounds, and short times between them."""
+        asked, pause, last = self._asked.get(robot, (0, 2 * PATIENCE, self._round - 1))
+        if self._round < last:
+            return False
+        asked += min(self._round - last, BETWEEN)
+        if asked <= PATIENCE:
+            self._asked[robot] = asked, pause, self._round
+            return True
+        self._asked[robot] = 1, 2 * pause, self._round + pause
+        return False
+
+    def begin_mission(self) -> None:
+        """Heed everybody again: a mission has been given."""
+        self._asked.clear()
 
     def ask(self, path: Sequence[Point]) -> None:
         """Ask for the way along a path [units; world frame] by the own right: bodies block it."""
@@ -221,12 +230,14 @@ class RightOfWay:
         if roadmap is not None:
             spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
         to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
-        stops = spots if roadmap is None else [roadmap.next_stop(here, tuple(spot)) for spot in spots.tolist()]
-        to[~self._leads_away(here, np.array(stops).reshape(spots.shape), ways)] = math.inf
         crowd = np.maximum(0.0, limits.safe_distance - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
         cost = 2.0 * to + on + CROWDED * crowd
-        best = int(cost.argmin()) if len(cost) else 0
-        return tuple(spots[best].tolist()) if len(cost) and math.isfinite(float(cost[best])) else None
+        for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
+            spot = tuple(spots[k].tolist())
+            stop = spot if roadmap is None else roadmap.next_stop(here, spot)
+            if self._leads_away(here, np.array([stop]), ways)[0]:
+                return spot
+        return None
 
     def _leads_away(self, here: Point, stops: Points, ways: Sequence[Way]) -> NDArray[np.bool_]:
         """Whether a straight flight to each stop leads past none of the robots that come."""
@@ -274,4 +285,4 @@ def _lengths(roadmap: Roadmap | None, starts: Points, goal: Point) -> Vector:
     """Lengths of the ways from each of some points, shape (m, d), to a goal, shape (m,) [units]."""
     if roadmap is None:
         return np.linalg.norm(starts - np.array(goal), axis=1)
-    return np.array([roadmap.length(tuple(start), goal) for start in starts.tolist()])
+    return roadmap.lengths_to(starts, goal)

@@ -54,6 +54,10 @@ class Safety:
         """Where this robot has to go, for others to leave free; None if nothing is in its way."""
         return self._right.course
 
+    def begin_mission(self) -> None:
+        """Heed everybody who asks for a way again: a mission has been given."""
+        self._right.begin_mission()
+
     def stay(self, position: Point, sensed: Mapping[int, Point], courses: Mapping[int, Course] = NOTHING) -> SafeStep:
         """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
         self._right.count(position, 0.0, 0.0)
