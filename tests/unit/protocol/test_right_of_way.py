@@ -220,6 +220,13 @@ def test_dead_bodies_are_on_the_map(dim: int) -> None:
     assert leg_to(mission, here, goal).stop == goal
 
 
+def test_a_robot_beside_a_corner_asks_although_the_corner_shortens_its_step() -> None:
+    """Of two that meet at the bay's edge the one of higher rank must not wait for the other."""
+    team = SafeTeam([[51.04, 50.0], [54.04, 50.0]], [[80.0, 50.0], [22.0, 50.0]], *BAY)
+    assert team.fly(100) is not None
+    assert team.smallest >= SAFE - 1e-6 and team.clearance >= SAFE / 2 - 1e-6
+
+
 @pytest.mark.parametrize(("obstacles", "most"), [(BAY, 90), (NARROW, 150)], ids=["bay", "no bay"])
 def test_head_on_in_a_corridor_one_robot_wide(obstacles: tuple[Obstacle, ...], most: int) -> None:
     """With fixed goals one of them has to go back, into the bay or all the way."""

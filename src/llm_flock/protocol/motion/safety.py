@@ -151,16 +151,11 @@ class Safety:
         return () if before == way.robot else (Note("gives_way", {"to": way.robot}),)
 
     def _is_blocked(self, position: Point, stop: Point, safe: Point, others: tuple[Point, ...]) -> bool:
-        """Whether bodies keep the robot from its way, and not its planner or obstacles."""
-        limits = self._limits
-        far = math.dist(position, stop)
-        enough = SLOWED * min(limits.max_step, far)
-        if far - math.dist(safe, stop) >= enough:
-            return False
-        straight = _towards(position, stop, limits.max_step)
-        if far - math.dist(self._project(position, straight, others), stop) >= enough:
-            return False
-        return not limits.obstacles or far - math.dist(self._project(position, straight, ()), stop) >= enough
+        """Whether bodies keep the robot from half of what its planner or obstacles would let it gain."""
+        straight, far = _towards(position, stop, self._limits.max_step), math.dist(position, stop)
+        alone = far - math.dist(self._project(position, straight, ()), stop)
+        gained = max(far - math.dist(to, stop) for to in (safe, self._project(position, straight, others)))
+        return gained < SLOWED * alone
 
     def _path(self, position: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
         """The next corners of the way, first `stop`, as far as a course reaches [units; world frame]."""
