@@ -157,7 +157,7 @@ def test_a_refuge_leads_past_nobody_who_comes() -> None:
     sensed = {0: (46.0, 50.0)}
     (way,) = right.ways(sensed, {0: course((64.0, 50.0))})
     for goal in ((20.0, 50.0), (20.0, 60.0), (80.0, 50.0)):
-        refuge = right.refuge((50.0, 50.0), goal, [way], sensed.values())
+        refuge = right.refuge((50.0, 50.0), goal, [way], [way], sensed.values())
         assert refuge is not None and not way.covers(refuge) and refuge[0] > 46.0
 
 

@@ -19,7 +19,6 @@ from typing import TypeAlias
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from llm_flock.arrays import Point, Points, Vector
 from llm_flock.mission import Mission
@@ -121,7 +120,7 @@ class RightOfWay:
 
     @property
     def waited(self) -> int:
-        """Rounds since the robot was at its goal, or had none."""
+        """Rounds without progress since the robot was at its goal, or had none."""
         return self._waited
 
     @property
@@ -191,7 +190,7 @@ class RightOfWay:
             self._ask(path, self._level, self._robot)
 
     def pass_on(self, path: Sequence[Point], way: Way) -> None:
-        """Ask for the way to a refuge by the right of the robot for which this one makes way."""
+        """Ask for the own way, or that to a refuge, by the right of the robot for which this one makes way."""
         self._ask(path, way.rank[0], -way.rank[1])
 
     def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
@@ -202,16 +201,16 @@ class RightOfWay:
 
         Its goal, and the next stop there, are in the world frame [units].
         """
-        away = self._leads_away(here, np.array([stop]), ways)
-        return bool(away[0]) and not any(way.covers(goal) for way in ways)
+        return self._leads_away(here, stop, ways) and not any(way.covers(goal) for way in ways)
 
-    def refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Iterable[Point]) -> Point | None:
+    def refuge(
+        self, here: Point, goal: Point, ways: Sequence[Way], pressing: Sequence[Way], others: Iterable[Point]
+    ) -> Point | None:
         """Where to wait until those that come have passed [units; world frame]; None if there is no such place.
 
-        It is outside all ways if possible, otherwise at least outside those that the robot is in, or the one of highest
-        rank, and the nearest of those on the way to the goal. `others` are the bodies in sight.
+        It is outside all ways if possible, otherwise at least outside those that the robot is in (`pressing`), or the
+        one of highest rank, and the nearest of those on the way to the goal. `others` are the bodies in sight.
         """
-        pressing = [way for way in ways if way.covers(here)]
         for avoided in (ways, pressing, pressing[:1]):
             found = self._nearest_refuge(here, goal, avoided, np.array([*others]))
             if found is not None:
@@ -235,19 +234,19 @@ class RightOfWay:
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
             spot = tuple(spots[k].tolist())
             stop = spot if roadmap is None else roadmap.next_stop(here, spot)
-            if self._leads_away(here, np.array([stop]), ways)[0]:
+            if self._leads_away(here, stop, ways):
                 return spot
         return None
 
-    def _leads_away(self, here: Point, stops: Points, ways: Sequence[Way]) -> NDArray[np.bool_]:
-        """Whether a straight flight to each stop leads past none of the robots that come."""
-        start, away = np.array(here), np.ones(len(stops), dtype=np.bool_)
+    def _leads_away(self, here: Point, stop: Point, ways: Sequence[Way]) -> bool:
+        """Whether a straight flight to a stop leads past none of the robots that come."""
+        start, end = np.array(here), np.array(stop)
         for way in ways:
-            comes = way.line[0]
-            room = min(float(np.linalg.norm(start - comes)), self._limits.safe_distance)
-            nearest = np.array([float(_distances(comes[None], start, stop)[0]) for stop in stops])
-            away &= nearest >= room - 1e-6
-        return away
+            comes = way.line[:1]
+            room = min(float(np.linalg.norm(start - comes[0])), self._limits.safe_distance)
+            if float(_distances(comes, start, end)[0]) < room - 1e-6:
+                return False
+        return True
 
 
 def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:

@@ -65,7 +65,8 @@ class Safety:
         if separating is not None:
             return separating
         ways = self._right.ways(sensed, courses)
-        aside = self._aside(position, sensed, position, ways, ())
+        pressing = [way for way in ways if way.covers(position)]
+        aside = self._aside(position, sensed, position, ways, pressing, ()) if pressing else None
         return SafeStep(waypoint=position, origin=Origin.HOLD) if aside is None else aside
 
     def step(
@@ -94,7 +95,7 @@ class Safety:
         ways = right.ways(sensed, courses)
         pressing = [way for way in ways if way.covers(position)]
         if pressing and not right.leads_out(position, stop, goal, pressing):
-            aside = self._aside(position, sensed, goal, ways, still)
+            aside = self._aside(position, sensed, goal, ways, pressing, still)
             if aside is not None:
                 return aside
         safe = self._on_its_way(position, stop, wish, self._project(position, wish, others), others)
@@ -120,13 +121,16 @@ class Safety:
         return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(*notes, note))
 
     def _aside(
-        self, position: Point, sensed: Mapping[int, Point], goal: Point, ways: Sequence[Way], still: Sequence[Point]
+        self,
+        position: Point,
+        sensed: Mapping[int, Point],
+        goal: Point,
+        ways: Sequence[Way],
+        pressing: Sequence[Way],
+        still: Sequence[Point],
     ) -> SafeStep | None:
-        """A step out of the way of others, None if this robot is in nobody's way or has nowhere to go."""
-        pressing = [way for way in ways if way.covers(position)]
-        if not pressing:
-            return None
-        refuge = self._right.refuge(position, goal, ways, sensed.values())
+        """A step out of the ways that this robot is in (`pressing`), None if it has nowhere to go."""
+        refuge = self._right.refuge(position, goal, ways, pressing, sensed.values())
         if refuge is None:
             return None
         path = self._path(position, self._next_stop(position, refuge, still), refuge, still)
@@ -223,9 +227,9 @@ class Safety:
 def _towards(here: Point, there: Point, longest: float) -> Point:
     """A point at most this far on the way to another [units]."""
     far = math.dist(here, there)
-    return (
-        there if far <= longest else moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
-    )
+    if far <= longest:
+        return there
+    return moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
 
 
 def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:
