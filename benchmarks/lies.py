@@ -2,7 +2,8 @@
 
     python -m benchmarks lies [--runs N]            every lie of tests/lies.py in the simulator, 1 and 2 liars among 10
     python -m benchmarks lies-curve [--runs N]      teams of 10, 20 and 40 (--robots) with 0 .. N/3 liars that collude
-    python -m benchmarks lies-swarm [--runs N]      every lie against a keyed swarm of processes
+    python -m benchmarks lies-swarm [--runs N]      every lie against a keyed swarm of processes; with --hard, 20 % of
+                                                    messages are lost, and obstacles are in the way
 
 An honest robot counts as formed if all the honest are within 5 % of the spacing of different places of one plan, for
 three rounds. Planners are geometry in the simulator; no language model is asked.
@@ -22,6 +23,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,10 +31,16 @@ from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.experiments.statistics import wilson
 from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
 from llm_flock.protocol.messages.message import Message
 from llm_flock.protocol.motion.shield import project
 from llm_flock.robots.simulated import start_positions
+from llm_flock.runtime.network.body_control import BodyControl
+from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import Observer
+from llm_flock.runtime.network.wire import Command, WorldState
+from llm_flock.transport.memory import LinkFaults
+from llm_flock.transport.radio import Radio
 from llm_flock.trust.keys import make_keys
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -50,6 +58,7 @@ class Outcome:
     formed: int | None  # round in which the honest had formed; None if they did not
     separation: float  # smallest distance of two honest bodies [units]
     ended: int  # honest robots that an exception ended
+    clearance: float = math.inf  # smallest distance of a body from an obstacle [units]
 
 
 def mission_of(n: int) -> Mission:
@@ -63,7 +72,8 @@ def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Out
 
     The team reckons with as many liars unless it was told another number, and has 60 rounds and 6 for each robot.
     """
-    from lies import Gang
+    from gang import Gang
+    from lies import round_of_lies
     from signed_team import SignedTeam
     from toy_keys import ToyKeys
 
@@ -80,7 +90,7 @@ def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Out
             for _ in range(COMM_ROUNDS):
                 for payload in said:
                     gang.hear(payload)
-                said = team.comm_round(said_by=gang.says(lie))
+                said = team.comm_round(said_by=round_of_lies(gang, lie))
             team.end(
                 moves={
                     j: goes(mission, team.positions, spot_of(lie, gang.known, gang.members.index(j), number), j)
@@ -135,35 +145,60 @@ def in_place(team: object) -> bool:
 
 SWARM = {1: 6, 2: 7}
 """Size of the team, by the number of liars; the team is told that number."""
-PATIENCE_S = 30.0
+PATIENCE_S, LONG_S = 30.0, 60.0
+"""Time to form; longer among obstacles, and beside those that ask for ways: all give them for 32 rounds first [s]."""
 OF_THE_WIRE = ("beacons elsewhere", "beacons that are no numbers", "reports of its own", "a flood")
 
 
-async def fly_swarm(lie: str, liars: int, seed: int, keys: Path) -> Outcome:
-    """A keyed swarm of processes; the last members are spoken for from here, and their bodies stand in a corner."""
-    from lies import Gang
+HARD: dict[str, Any] = {
+    "loss": 0.2,
+    "obstacles": [
+        {"center": (50.0, 50.0), "radius": 4.0},
+        {"center": (30.0, 45.0), "radius": 5.0},
+        {"center": (66.0, 66.0), "radius": 5.0},
+        {"polygon": [(52.0, 20.0), (62.0, 32.0), (54.0, 34.0)]},
+    ],
+}
+"""Lost messages, and obstacles inside the formation and around it."""
+
+
+async def fly_swarm(lie: str, liars: int, seed: int, keys: Path, hard: bool) -> Outcome:
+    """A keyed swarm of processes; the last members are spoken for from here.
+
+    Their bodies stand in a corner, or inside the formation if they ask for ways.
+    """
+    from gang import Gang
+    from lies import LIES, asks_for_ways, round_of_lies
     from swarms import swarm_config
 
     from llm_flock.runtime.network.connection import load_keys, open_link
     from llm_flock.runtime.network.swarm import launched
-    from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
+    from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack, unpack
 
     n = SWARM[liars]
     members = range(n - liars, n)
     rng = random.Random(seed)
-    honest = Mission(shape="circle", n_robots=n - liars)
+    more = HARD if hard else {}
+    honest = Mission(shape="circle", n_robots=n - liars, obstacles=more.get("obstacles", ()))
     starts = start_positions(honest, None, "connected", np.random.default_rng(seed)).tolist()
     corners = [[4.0 + 5.0 * k, 4.0] for k in range(liars)]
     options = {"keys": str(keys), "liars": liars, "gather_s": 1.0, "start_positions": [*starts, *corners]}
-    config = swarm_config(n, seed=seed, **options)
+    config = swarm_config(n, seed=seed, **options, **more)
+    closest = math.inf
     async with launched(config, absent=frozenset(members)) as swarm:
         found = {j: load_keys(swarm.config, j) for j in members}
         gang = Gang({j: key for j, key in found.items() if key is not None}, config.mission, seed)
         links = {j: open_link(swarm.config, j, listen="tcp/127.0.0.1:0") for j in members}
         places: dict[int, Point] = {}
+        bodies = {j: LiarBody(swarm.config, j) for j in members}
 
         def see(_: int, payload: bytes) -> None:
-            places.update(enumerate(body.position for body in unpack(WorldState, payload).bodies))
+            nonlocal closest
+            state = unpack(WorldState, payload)
+            places.update(enumerate(body.position for body in state.bodies))
+            closest = min(closest, *(clearance(x, config.mission.obstacles) for x in places.values()))
+            for body in bodies.values():
+                body.see(state)
 
         def hear(sender: int, payload: bytes) -> None:
             if sender not in members:
@@ -172,13 +207,18 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path) -> Outcome:
         links[members[0]].listen("frame", None, see)
         links[members[0]].listen("say", None, hear)
         began, held, formed = time.monotonic(), 0, None
+        patience_s = LONG_S if hard or LIES.get(lie) is asks_for_ways else PATIENCE_S
         try:
-            while time.monotonic() - began < PATIENCE_S and formed is None:
+            while time.monotonic() - began < patience_s and formed is None:
                 await asyncio.sleep(config.network.gossip_s)
-                for j in members if places else ():
+                for index, j in enumerate(members if places else ()):
+                    number = int((time.monotonic() - began) / config.network.step_s)
+                    command = bodies[j].fly_to(spot_of(lie, gang.known, index, number))
+                    if command is not None:
+                        links[j].publish("command", j, pack(command))
                     for kind, payload in wire_lies(lie, j, places[j], rng):
                         links[j].publish(kind, j, payload)
-                for j, payload, _ in gang.says(lie) if places and lie not in OF_THE_WIRE else ():
+                for j, payload, _ in round_of_lies(gang, lie) if places and lie not in OF_THE_WIRE else ():
                     # Their bodies are far away; heard is who seems near.
                     beacon = Beacon(stamp=time.time(), position=config.mission.center)
                     links[j].publish("say", j, pack(BeaconedMessage(beacon=beacon, message=payload)))
@@ -186,10 +226,42 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path) -> Outcome:
                 held = held + 1 if reported_in_place(swarm.observer, gang.honest, places) else 0
                 if held * config.network.gossip_s >= metrics.HELD_ROUNDS * config.network.step_s:
                     formed = round((time.monotonic() - began) / config.network.step_s)
-            return Outcome(formed, swarm.observer.min_separation, len(swarm.ended))
+            return Outcome(formed, swarm.observer.min_separation, len(swarm.ended), closest)
         finally:
             for link in links.values():
                 link.close()
+
+
+class LiarBody:
+    """The body of one that lies to processes. It keeps its distance: what is tried here are words."""
+
+    def __init__(self, config: SwarmConfig, robot: int) -> None:
+        network = config.network
+        self._control = BodyControl(config)
+        self._robot = robot
+        self._radio = Radio(
+            robot,
+            config.mission,
+            faults=LinkFaults(),
+            rng=np.random.default_rng(robot),
+            beacon_s=network.beacon_s,
+            delay_s=network.gossip_s,
+            clock_error_s=network.clock_error_s,
+            speed=config.speed,
+        )
+
+    def see(self, state: WorldState) -> None:
+        """Take a reading of the sensors."""
+        self._radio.frame(state.stamp, [body.position for body in state.bodies])
+        self._control.update(state.bodies[self._robot])
+
+    def fly_to(self, spot: Point | None) -> Command | None:
+        """The next command on the way to a spot; None stays where it is."""
+        if spot is None:
+            return None
+        now = time.time()
+        self._control.fly_to(spot)
+        return self._control.control(now, self._radio.sightings(now), self._radio.unseen_s(now))
 
 
 def wire_lies(lie: str, member: int, here: Point, rng: random.Random) -> list[tuple[str, bytes]]:
@@ -228,12 +300,12 @@ def reported_in_place(observer: Observer, honest: Sequence[int], places: Mapping
     return all(goal is not None and math.dist(goal, places[j]) <= near for j, goal in zip(honest, goals, strict=True))
 
 
-def one_swarm(lie: str, liars: int, seed: int) -> Outcome:
+def one_swarm(lie: str, liars: int, hard: bool, seed: int) -> Outcome:
     """One swarm with keys of its own."""
     with tempfile.TemporaryDirectory() as folder:
         keys = Path(folder) / "team"
         make_keys(keys, SWARM[liars])
-        return asyncio.run(fly_swarm(lie, liars, seed, keys))
+        return asyncio.run(fly_swarm(lie, liars, seed, keys, hard))
 
 
 def swarm(arguments: Sequence[str] = ()) -> None:
@@ -244,7 +316,7 @@ def swarm(arguments: Sequence[str] = ()) -> None:
     with ProcessPoolExecutor(options.jobs) as pool:
         for liars in SWARM if options.liars is None else [options.liars]:
             for lie in (*OF_THE_WIRE, *LIES, EVERYTHING) if options.lie is None else [options.lie]:
-                outcomes = list(pool.map(partial(one_swarm, lie, liars), range(options.runs)))
+                outcomes = list(pool.map(partial(one_swarm, lie, liars, options.hard), range(options.runs)))
                 print(line(lie, SWARM[liars], liars, outcomes), flush=True)
 
 
@@ -255,9 +327,11 @@ def line(name: str, n: int, liars: int, outcomes: Sequence[Outcome]) -> str:
     closest = min(outcome.separation for outcome in outcomes)
     violations = sum(outcome.separation < 3.0 - 1e-6 for outcome in outcomes)
     rounds = f"{sorted(formed)[len(formed) // 2]}" if formed else "-"
+    near = min(outcome.clearance for outcome in outcomes)
+    ended = f"{sum(o.ended for o in outcomes)}" + ("" if math.isinf(near) else f"  clearance {near:.3f}")
     return (
         f"{name:34} {n:3} robots {liars:2} liars  formed {share.value:6.1%} [{share.low:.1%}, {share.high:.1%}]  "
-        f"rounds {rounds:>3}  separation {closest:.3f}  violations {violations}  ended {sum(o.ended for o in outcomes)}"
+        f"rounds {rounds:>3}  separation {closest:.3f}  violations {violations}  ended {ended}"
     )
 
 
@@ -302,5 +376,6 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--liars", type=int, help="only this many liars, for curve and swarm")
     parser.add_argument("--lie", help="only this one, for the swarm")
     parser.add_argument("--jobs", type=int, default=1, help="swarms of processes at a time [1]")
+    parser.add_argument("--hard", action="store_true", help="with loss and obstacles, for the swarm")
     parser.add_argument("--told", type=int, help="number of liars that the team reckons with, for the curve [as many]")
     return parser.parse_args(arguments)

@@ -37,7 +37,7 @@ def grid(n: int) -> llm_flock.Mission:
 def fly(n: int) -> float:
     """One whole mission of seed 0; prints its figures and returns the bytes that a robot broadcasts in a round."""
     before = resource.getrusage(resource.RUSAGE_SELF)
-    summary = llm_flock.run(grid(n), rounds=60, seed=0).summary
+    summary = llm_flock.run(grid(n), rounds=60, seed=0, trace=False).summary
     after = resource.getrusage(resource.RUSAGE_SELF)
     busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     peak_mib = after.ru_maxrss / 1024

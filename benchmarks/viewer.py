@@ -48,10 +48,16 @@ def viewer(*arguments: str) -> Iterator[tuple[str, float]]:
 
 
 def opened(browser: Browser, url: str) -> Page:
-    page = browser.new_page(viewport={"width": 1280, "height": 720})
+    page = browser.new_page(viewport={"width": 1280, "height": 720}, reduced_motion="reduce")
     page.goto(url, timeout=60_000)
-    page.locator("#app .flock-arena canvas[data-round]").wait_for(timeout=60_000)
+    page.locator("main .flock-arena canvas[data-round]").wait_for(timeout=60_000)
     return page
+
+
+def reached(page: Page, rounds: int) -> None:
+    """Wait until the page knows of this many rounds. Its policy forbids what Playwright's own waiting does."""
+    while page.evaluate("flockClock().last") < rounds:
+        time.sleep(0.02)
 
 
 SEEN = """
@@ -63,8 +69,8 @@ new PerformanceObserver((list) => {
 }).observe({ type: "paint", buffered: true });
 const wanted = {
     arena: ".flock-arena canvas[data-round]",
-    page: "#app .flock-arena canvas[data-round]",
-    words: "#app .flock-side .flock-hint",
+    page: "main .flock-headline:not(:empty)",
+    words: "main .flock-mind",
 };
 const look = () => {
     for (const [what, where] of Object.entries(wanted)) {
@@ -82,8 +88,8 @@ requestAnimationFrame(look);
 PAINTS = {
     "paint": "first paint (the page's frame)",
     "arena": "arena of the record drawn",
-    "page": "whole page built, arena drawn by it",
-    "words": "words from the server beside it",
+    "page": "whole page, with what came of the run",
+    "words": "the mind of a robot beside it",
 }
 
 
@@ -100,7 +106,7 @@ def paint(browser: Browser, folder: Path) -> None:
         with viewer(str(record)) as (url, began):
             printed.append(time.time() - began)
             page.goto(url, timeout=60_000)
-            page.locator("#app .flock-side .flock-hint").first.wait_for(timeout=60_000)
+            page.locator("main .flock-mind").first.wait_for(timeout=60_000)
             page.wait_for_timeout(300)  # what was seen is told
             for what, times in after.items():
                 times.append(seen[what] / 1000 - began)
@@ -116,11 +122,11 @@ def scrub(browser: Browser, folder: Path) -> None:
     record = make_record(folder / "scrub" / "run.mcap", n=20, rounds=1000)
     with viewer(str(record)) as (url, _):
         page = opened(browser, url)
-        page.wait_for_function("flockClock('main').last === 1000", timeout=60_000)
+        reached(page, 1000)
         took = page.evaluate(
             """async (jumps) => {
-                const clock = flockClock("main");
-                const arena = document.querySelector("#app .flock-arena canvas");
+                const clock = flockClock();
+                const arena = document.querySelector("main .flock-arena canvas");
                 const took = [];
                 for (let k = 0; k < jumps; k += 1) {
                     const round = (k * 617) % 1001;  // far from one another: nothing is at hand at first
@@ -145,15 +151,15 @@ def frames(browser: Browser, folder: Path, n: int) -> None:
     record = make_record(folder / f"frames-{n}" / "run.mcap", n=n, rounds=60, llm=False)
     with viewer(str(record)) as (url, _):
         page = opened(browser, url)
-        page.wait_for_function("flockClock('main').last === 60", timeout=60_000)
+        reached(page, 60)
         drawn = page.evaluate(
             """async () => {
-                const clock = flockClock("main");
+                const clock = flockClock();
                 clock.seek(0); clock.speed = 8; clock.toggle();
-                const before = Number(document.querySelector("#app .flock-arena canvas").dataset.drawn);
+                const before = Number(document.querySelector("main .flock-arena canvas").dataset.drawn);
                 const began = performance.now();
                 await new Promise((done) => setTimeout(done, 5000));
-                const after = Number(document.querySelector("#app .flock-arena canvas").dataset.drawn);
+                const after = Number(document.querySelector("main .flock-arena canvas").dataset.drawn);
                 return (after - before) / (performance.now() - began) * 1000;
             }"""
         )
@@ -183,7 +189,7 @@ def live(browser: Browser, folder: Path, seconds: float, rate: float) -> None:
                     sizes.append((now, tab.send("Runtime.getHeapUsage")["usedSize"] / 1e6))
                     print(f"  {now:5.0f} s, round {number}: heap {sizes[-1][1]:.1f} MB", flush=True)
                 time.sleep(0.05)
-            shown = int(page.locator("#app .flock-arena canvas").get_attribute("data-round") or -1)
+            shown = int(page.locator("main .flock-arena canvas").get_attribute("data-round") or -1)
             page.close()
     print(f"live, 20 robots, {rate:g} rounds/s for {seconds:g} s: heap {sizes[1][1]:.1f} -> {sizes[-1][1]:.1f} MB;")
     print(f"  {growth(sizes)}; at the end the arena was {number - shown} rounds behind the record")

@@ -14,11 +14,27 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
 COLOURS = 128
 DESKTOP, PHONE = (1280, 720), (400, 860)
 MODEL = "simulated:distorted@0.2,overshoot@0.3,malformed@0.15"
+BAD = "3=simulated:malformed,0-2=simulated:ideal,4-5=simulated:ideal"
+NOT_FORMED = [
+    "run",
+    "--robots",
+    "6",
+    "--shape",
+    "circle",
+    "--seed",
+    "2",
+    "--model",
+    BAD,
+    "--fallback",
+    "hold",
+    "--rounds",
+    "40",
+]
 RUN = ["run", "--robots", "12", "--shape", "circle", "--seed", "4", "--model", MODEL, "--start", "connected", "--quiet"]
 
 
@@ -35,24 +51,29 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
 
 def page_of(browser: Browser, size: tuple[int, int] = DESKTOP, *, dark: bool = False) -> Page:
     scheme = "dark" if dark else "light"
-    return browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+    window = ViewportSize(width=size[0], height=size[1])
+    # Without this a record would play on while its picture is taken.
+    return browser.new_page(viewport=window, color_scheme=scheme, reduced_motion="reduce")
+
+
+def reached(page: Page, number: int) -> None:
+    """Wait until the page knows of a round. Its policy forbids what Playwright's own waiting does."""
+    while not page.evaluate(f"globalThis.flockClock ? flockClock().last >= {number} : false"):
+        page.wait_for_timeout(50)
 
 
 def replay(page: Page, url: str, number: int) -> None:
     page.goto(url)
-    page.locator("#app .flock-arena canvas[data-round]").first.wait_for()
-    page.wait_for_function(f"flockClock('main').last >= {number}")
-    page.evaluate(f"flockClock('main').seek({number})")
+    page.locator("main .flock-arena canvas[data-round]").first.wait_for()
+    reached(page, number)
+    page.evaluate(f"flockClock().seek({number})")
     expect(page.locator(".flock-where")).to_contain_text(f"round {number} ")
 
 
 def select(page: Page, *robots: int) -> None:
-    for number, (label, robot) in enumerate(zip(("Robot", "Compare with"), robots, strict=False), 1):
-        page.get_by_label(label, exact=True).click()
-        page.get_by_role("option", name=str(robot), exact=True).click()
-        # A menu that is still closing takes the next click, or the cursor, back to its own field.
-        expect(page.locator(".q-menu")).to_have_count(0)
-        expect(page.locator(".flock-mind")).to_have_count(number)
+    for label, robot in zip(("Robot", "Compare with"), robots, strict=False):
+        page.get_by_label(label, exact=True).select_option(f"0:{robot}")
+    expect(page.locator(".flock-mind")).to_have_count(len(robots))
 
 
 def save(page: Page, folder: Path, name: str, *, whole: bool = False) -> None:
@@ -70,7 +91,7 @@ def pictures_of_a_record(browser: Browser, url: str, out: Path) -> None:
         page = page_of(browser, dark=dark)
         replay(page, url, 3)
         select(page, 5)
-        page.get_by_role("checkbox", name="Voronoi cells").click()
+        page.get_by_role("checkbox", name="Voronoi cells").check()
         save(page, out, "mind-dark" if dark else "mind")
     page = page_of(browser)
     replay(page, url, 2)
@@ -106,16 +127,25 @@ def pictures_of_the_cockpit(browser: Browser, url: str, out: Path) -> None:
     page.get_by_label("Rounds a second").fill("10")
     page.get_by_label("Rounds at most").fill("60")
     page.get_by_role("button", name="Paper against flock").click()
-    page.wait_for_function("globalThis.flockClock && flockClock('main').last >= 20", timeout=60_000)
-    page.get_by_label("Robot", exact=True).first.wait_for()
+    page.wait_for_url("**/pair/**")
+    reached(page, 20)
     page.get_by_role("button", name="Kill").click()
-    page.wait_for_function("flockClock('main').last >= 34", timeout=60_000)
-    page.screenshot()
+    reached(page, 34)
+    page.get_by_role("tab", name="Plots").click()
     save(page, out, "pair")
-    page = page_of(browser, dark=True)
-    page.goto(f"{url}runs")
-    page.get_by_role("link", name="Cockpit").wait_for()
-    save(page, out, "runs")
+
+
+def pictures_of_runs(browser: Browser, url: str, out: Path) -> None:
+    for dark, name in ((False, "runs"), (True, "runs-dark")):
+        page = page_of(browser, dark=dark)
+        page.goto(f"{url}runs")
+        page.locator("tbody tr").first.wait_for()
+        for box in page.locator("tbody input").all():
+            box.check()
+        save(page, out, name)
+    page = page_of(browser)
+    replay(page, f"{url}run/2", 9)
+    save(page, out, "not-formed")
 
 
 def main() -> None:
@@ -123,16 +153,15 @@ def main() -> None:
     chromium = shutil.which("chromium")
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
-        subprocess.run(
-            [sys.executable, "-m", "llm_flock", *RUN, "--out", "circle"],
-            cwd=folder,
-            check=True,
-            stdout=subprocess.DEVNULL,
-        )
+        for run, where in ((RUN, "circle"), ([*NOT_FORMED, "--quiet"], "not-formed")):
+            command = [sys.executable, "-m", "llm_flock", *run, "--out", where]
+            subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         with viewer(folder, "circle") as url:
             pictures_of_a_record(browser, url, out)
             pictures_of_the_cockpit(browser, url, out)
+        with viewer(folder, "circle", "not-formed") as url:
+            pictures_of_runs(browser, url, out)
         browser.close()
 
 

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from llm_flock.robots.base import Equipment
+from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
@@ -27,6 +29,21 @@ def flight_config(
     if n == 4 and "drones" not in fields:
         fields["drones"] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
     return with_drones(FlightConfig.build({"mission": room}, **{**BRISK, "take_off_group": 10, **fields}))
+
+
+STOCK: dict[str, Any] = {"round_s": 3.0, "max_speed_m_s": 1.0, "take_off_s": 2.5, "land_s": 3.0, "settle_s": 1.0}
+"""The defaults of a flight."""
+
+
+def stock(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
+    """Drones that lag behind their set-points as Crazyflies do that nobody has tuned."""
+    homes = [start_of(config, drone) for drone in drones]
+    bodies = [PointMass(home=home, ground_m=home[2], follows="pid") for home in homes]
+    pid = Equipment(controller="PID", lag_s=0.5, max_speed_m_s=1.0)
+    return [
+        SimulatedRobot(drone.name, body.home, limits=config.driver_limits, body=body, equipment=pid)
+        for drone, body in zip(drones, bodies, strict=True)
+    ]
 
 
 async def yes(report: PreflightReport) -> bool:

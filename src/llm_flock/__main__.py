@@ -6,10 +6,7 @@ import sys
 def main() -> None:
     """Run the command line. Ctrl-C ends it with exit code 130 at any time."""
     try:
-        if sys.argv[1:2] == ["view"]:  # the viewer starts without importing the simulator and the model layer
-            from llm_flock.viewer.command import main as command_line
-        else:
-            from llm_flock.cli import main as command_line
+        from llm_flock.cli import main as command_line
 
         command_line()
     except KeyboardInterrupt:

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Points: TypeAlias = NDArray[np.float64]
-    Vector: TypeAlias = NDArray[np.float64]
-    Pairwise: TypeAlias = NDArray[np.float64]
-    Mask: TypeAlias = NDArray[np.bool_]
-else:
-    from jaxtyping import Bool, Float
-
-    Points = Float[np.ndarray, "n d"]
-    Vector = Float[np.ndarray, "d"]
-    Pairwise = Float[np.ndarray, "n n"]
-    Mask = Bool[np.ndarray, "n n"]
+Points: TypeAlias = Annotated[NDArray[np.float64], "n d"]
+Vector: TypeAlias = Annotated[NDArray[np.float64], "d"]
+Pairwise: TypeAlias = Annotated[NDArray[np.float64], "n n"]
+Mask: TypeAlias = Annotated[NDArray[np.bool_], "n n"]
 
 Point: TypeAlias = tuple[float, ...]
 """One position as plain numbers, length d [units; world frame]."""

@@ -16,10 +16,19 @@ service, a robot, or a file on disk.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
 from llm_flock.printable import one_line
 
 MOST_SHOWN = 300
 """Longest value that an error shows [characters]."""
+
+
+MOST_LISTED = 30
+"""Most names that an error lists where none is near the one that was given."""
 
 
 class FlockError(Exception):
@@ -29,21 +38,48 @@ class FlockError(Exception):
 class InputError(FlockError):
     """A value given by the operator is not allowed.
 
+    Reads `n_robots = 0: expected at least 1`, or with `says` as it is put there. The command line writes a flag in
+    place of the field where one was typed.
+
     Attributes:
         field: name of the offending field, as written in the configuration file.
-        value: the value that was given.
-        allowed: what is allowed instead, in words.
+        value: the value that was given; None where nothing was, or where showing it helps nobody.
+        says: what is wrong, as the part of the sentence after the field.
     """
 
-    def __init__(self, field: str, value: object, allowed: str) -> None:
+    def __init__(self, field: str, value: object, allowed: str = "", *, says: str = "") -> None:
+        """`allowed` is what is allowed instead, as a phrase that follows "expected"; `says` is for all else."""
         self.field = field
         self.value = value
-        self.allowed = allowed
-        super().__init__(f"{one_line(field)} = {_shown(value)} is not allowed: {one_line(allowed)}")
+        self.says = one_line(says or f"expected {allowed}")
+        given = "" if value is None else f" = {_shown(value)}"
+        super().__init__(f"{one_line(field)}{given}: {self.says}")
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         # Lets a worker process hand it to its parent.
-        return type(self), (self.field, self.value, self.allowed)
+        return partial(type(self), says=self.says), (self.field, self.value)
+
+
+class FieldError(InputError):
+    """A field, section or option is unknown or missing; the whole sentence is in `says`."""
+
+    def __init__(self, field: str, value: object = None, *, says: str) -> None:
+        super().__init__(field, value, says=says)
+        self.args = (self.says,)
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> str:
+    """Says that `name` is not known: `unknown shape; did you mean 'circle'?`, or which names there are.
+
+    `what` is a phrase for it; put the name there where the value of the field is more than the name.
+    """
+    names = list(known)
+    near = difflib.get_close_matches(name.lower(), names, n=1)
+    if near:
+        return f"unknown {what}; did you mean {near[0]!r}?"
+    if len(names) > MOST_LISTED:
+        return f"unknown {what}; `llm-flock run --help` and the configuration's reference list them"
+    return f"unknown {what}; expected one of {', '.join(names) or '(there are none)'}"
 
 
 def _shown(value: object) -> str:
@@ -51,7 +87,7 @@ def _shown(value: object) -> str:
     try:
         return one_line(repr(value), MOST_SHOWN)
     except (ValueError, RecursionError):  # thousands of digits, or endless nesting
-        return f"a value of type {type(value).__name__}, too large to show,"
+        return f"a value of type {type(value).__name__}, too large to show"
 
 
 class MessageError(FlockError):

@@ -7,10 +7,8 @@ symmetric, shape (n, n); its diagonal does not matter.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import shortest_path
-from scipy.spatial.distance import cdist
 
 from llm_flock.arrays import Mask, Pairwise, Vector
 
@@ -18,7 +16,7 @@ from llm_flock.arrays import Mask, Pairwise, Vector
 def distances(positions: ArrayLike) -> Pairwise:
     """Distances between all robots, shape (n, n) [units], exactly symmetric."""
     rows = np.asarray(positions, dtype=np.float64)
-    return cdist(rows, rows)
+    return scipy.spatial.distance.cdist(rows, rows)
 
 
 def adjacency(positions: ArrayLike, comm_range: float) -> Mask:
@@ -55,6 +53,8 @@ def diameter(adjacent: Mask) -> int | None:
 
     On a fixed graph without message loss, max-consensus on plans takes this many communication rounds.
     """
-    hops = np.asarray(shortest_path(csr_array(adjacent), directed=False, unweighted=True))
+    hops = np.asarray(
+        scipy.sparse.csgraph.shortest_path(scipy.sparse.csr_array(adjacent), directed=False, unweighted=True)
+    )
     longest = float(hops.max())
     return int(longest) if longest < np.inf else None

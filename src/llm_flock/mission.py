@@ -18,6 +18,7 @@ from llm_flock.obstacles import Obstacle, Roadmap, clearance
 from llm_flock.obstacles.regions import free_regions, region_of
 from llm_flock.obstacles.roadmap import roadmap_of, shortest_ways
 from llm_flock.printable import hidden
+from llm_flock.validation import input_error
 
 MIN_LENGTH = 1e-3
 """Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
@@ -120,7 +121,7 @@ class Mission(BaseModel):
         if len(low) != dim or len(high) != dim or any(a >= b for a, b in zip(low, high, strict=True)):
             raise InputError("arena", [list(low), list(high)], f"two corners of {dim} numbers, each lower < upper")
         if any(not a <= c <= b for a, c, b in zip(low, self.center, high, strict=True)):
-            raise InputError("center", list(self.center), f"inside the arena {list(low)} .. {list(high)}")
+            raise InputError("center", list(self.center), f"a point inside the arena {list(low)} .. {list(high)}")
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
         self._check_velocity()
@@ -164,9 +165,10 @@ class Mission(BaseModel):
         if (found := hidden(self.shape)) is not None:
             raise InputError("shape", self.shape, f"letters that everybody sees, not {found!a}")
         if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
-            raise InputError(
-                "points", "given" if self.points else "missing", "given with shape 'points', and only with it"
-            )
+            says = "given, although the shape is another; they belong to shape 'points'"
+            if not self.points:
+                says = "none given, although the shape is 'points'; on the command line, --shape points:FILE"
+            raise InputError("points", None, says=says)
         if self.points is not None and any(len(p) != len(self.center) for p in self.points):
             raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
         if self.ideal is None:
@@ -277,7 +279,8 @@ class Mission(BaseModel):
         except InputError as error:
             if error.field != "n_robots" or self.places is None:
                 raise
-            raise InputError("places", error.value, error.allowed) from None  # the field that sets the number
+            # The field that sets the number.
+            raise InputError("places", error.value, says=error.says.replace("robots", "places")) from None
         return None if points is None else tuple(tuple(row) for row in points.tolist())
 
     @cached_property
@@ -390,19 +393,4 @@ def build_mission(**fields: Any) -> Mission:
     try:
         return Mission(**fields)
     except ValidationError as error:
-        raise input_error(error) from None
-
-
-def input_error(error: ValidationError) -> InputError:
-    """The first error of a pydantic validation as an InputError.
-
-    The field is named without its section, as flags and this package's own checks name it. An index in it is kept:
-    `center.1`.
-    """
-    first = error.errors(include_url=False)[0]
-    place = list(first["loc"])
-    while len(place) > 1 and isinstance(place[0], str) and isinstance(place[1], str):
-        del place[0]
-    # A name may come from a message or a file, with whatever letters.
-    field = ".".join(name if name.isprintable() else ascii(name) for name in map(str, place)) or "value"
-    return InputError(field, first.get("input"), first["msg"])
+        raise input_error(error, Mission) from None

@@ -16,6 +16,10 @@ _HIDDEN = re.compile(
 """Characters that change how a terminal, or a reader, takes the text around them."""
 
 
+FORMULA = "^[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]"
+"""How a text begins that spreadsheets take for a formula, in full width too; a pattern for `re` and for Polars."""
+
+
 def hidden(text: str) -> str | None:
     """The first character that text for people must not hold, line breaks and tabs included; None without one."""
     found = re.search(f"[\t\n]|{_HIDDEN.pattern}", text)
@@ -31,6 +35,14 @@ def one_line(text: str, most: int = 1_000) -> str:
     """As `printable`, in one line of at most `most` characters: text from outside must not begin a line."""
     text = printable(text[: most + 1]).replace("\n", "\\n").replace("\t", "\\t")
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def csv_cell(text: str) -> str:
+    """The text for a cell of a CSV file, after a quote where a spreadsheet would calculate it as a formula.
+
+    See OWASP, CSV injection. Only texts need it: a negative number is no formula.
+    """
+    return f"'{text}" if re.match(FORMULA, text) else text
 
 
 class CleanFormatter(logging.Formatter):

@@ -43,7 +43,7 @@ def current(settings: Mapping[str, Any], *, warn: bool = True) -> dict[str, Any]
     for name, value in settings.items():
         field = FIELDS.get(name, name)
         if field != name and settings.get(field) is not None:
-            raise InputError(name, value, f"not given together with {field}, its present name")
+            raise InputError(name, value, says=f"cannot be given together with {field}, its present name")
         new = VALUES.get(field, {}).get(value, value) if isinstance(value, str) else value
         if warn and field != name:
             _warn(name, field)

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,7 +22,8 @@ def test_run_figure_animate_inspect(tmp_path: Path) -> None:
     done = flock_process(*run, cwd=tmp_path)
     assert "simulated" in done.stdout and "yes, in round" in done.stdout
     assert flock("figure", "demo", cwd=tmp_path).stdout.strip() == "demo/snapshots.png"
-    assert flock("animate", "demo", cwd=tmp_path).stdout.strip() == "demo/animation.gif"
+    written = ["demo/animation.gif", *(["demo/animation.mp4"] if shutil.which("ffmpeg") else [])]
+    assert flock("animate", "demo", cwd=tmp_path).stdout.split() == written
     assert (tmp_path / "demo/snapshots.png").stat().st_size > 20_000
     assert (tmp_path / "demo/animation.gif").stat().st_size > 20_000
     overview = flock("inspect", "demo/run.mcap", cwd=tmp_path).stdout
@@ -55,17 +57,17 @@ def test_a_configuration_file_and_flags(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--robots", "0"], "n_robots = 0"),
-        (["--spacing", "nan"], "spacing = nan"),
-        (["--spacing", "2"], "spacing = 2.0"),
-        (["--shape", "triangle", "--robots", "4"], "n_robots = 4"),
-        (["--robots", "60"], "arena = "),
-        (["--comm-range", "9"], "sense_range = 9.0"),
-        (["--center", "a,b"], "center = 'a,b'"),
+        (["--robots", "0"], "--robots 0: expected at least 1"),
+        (["--spacing", "nan"], "--spacing nan: "),
+        (["--spacing", "2"], "--spacing 2: "),
+        (["--shape", "triangle", "--robots", "4"], "--robots 4: a triangle takes 3, 6"),
+        (["--robots", "60"], "--arena 0,0,100,100: "),
+        (["--comm-range", "9"], "--sense-range 9: "),
+        (["--center", "a,b"], "--center a,b: "),
         (["--model", "openai:o3-mini"], "OPENAI_API_KEY"),
-        (["--model", "nobody:x"], "model = 'nobody:x'"),
-        (["--config", "none.toml"], "config = 'none.toml'"),
-        (["--consensus", "best"], "consensus = 'best'"),
+        (["--model", "nobody:x"], "--model nobody:x: unknown provider"),
+        (["--config", "none.toml"], "--config none.toml: "),
+        (["--consensus", "best"], "--consensus best: unknown rule"),
     ],
 )
 def test_wrong_input_is_one_line_exit_code_2_and_nothing_written(
@@ -82,7 +84,7 @@ def refused(done: Done, words: str) -> None:
 
 
 def test_wrong_input_in_a_process_of_its_own(tmp_path: Path) -> None:
-    refused(flock_process("run", "--robots", "0", cwd=tmp_path, check=False), "n_robots = 0")
+    refused(flock_process("run", "--robots", "0", cwd=tmp_path, check=False), "--robots 0: expected at least 1")
 
 
 def test_a_provider_that_never_answers_ends_the_run_with_exit_code_1(tmp_path: Path) -> None:
@@ -159,7 +161,7 @@ def test_a_comparison_of_three_protocols(tmp_path: Path) -> None:
 
 def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> None:
     arguments = ("--cells", "triangle/3,circle/60", "--protocols", "flock,baseline", "--trials", "2", "--fit-arena")
-    done = flock("compare", *arguments, "--rounds", "3", "--jobs", "2", "--out", "a.csv", cwd=tmp_path)
+    done = flock("compare", *arguments, "--rounds", "3", "--jobs", "2", "--out", "a.csv", "--markdown", cwd=tmp_path)
     assert re.search(r"\| flock +\| circle +\| 60 +\| 0.0 \[", done.stdout)
     assert "simulated" in done.stdout and "baseline circle 60: 0 of 2 formed" in done.stderr
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 8
@@ -172,9 +174,9 @@ def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--cells", "circle"], "cells = 'circle'"),
-        (["--cells", "circle/60"], "arena = "),
-        (["--protocols", "best"], "protocol = 'best'"),
+        (["--cells", "circle"], "--cells circle: "),
+        (["--cells", "circle/60"], "--arena 0,0,100,100: "),
+        (["--protocols", "best"], "--protocols best: unknown protocol"),
         (["--model", "openai:o3-mini"], "OPENAI_API_KEY"),
     ],
 )

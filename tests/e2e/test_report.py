@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import io
-import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser
 
 SWEEP = """
 [sweep]
@@ -23,14 +21,6 @@ seeds = 2
 team = ["triangle/3"]
 protocol = ["flock", "baseline"]
 """
-
-
-@pytest.fixture(scope="module")
-def chromium() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.fail("no browser: install Debian's chromium (apt-get install chromium)", pytrace=False)
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +38,6 @@ def report(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert done.returncode == 0, done.stderr + done.stdout
     assert (folder / "results" / "trials.csv").exists() and (folder / "results" / "report" / "report.md").exists()
     return folder / "results" / "report" / "report.html"
-
-
-@pytest.fixture(scope="module")
-def browser(chromium: str) -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
-        yield browser
-        browser.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
+import pytest
 from command_line import Done, flock
 
 YAML = """
@@ -55,3 +56,10 @@ def test_a_port_that_is_taken() -> None:
         taken.bind(("127.0.0.1", 0))
         done = stand_ins("1", "--port", str(taken.getsockname()[1]), "--seconds", "0.1")
     assert done.returncode == 2 and "port" in done.stderr
+
+
+def test_autopilots_call_their_own_ports() -> None:
+    pytest.importorskip("pymavlink")
+    done = stand_ins("2", "--mavlink", "ardupilot", "--port", "14990", "--spacing", "6", "--seconds", "0.1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["udp://127.0.0.1:14990 at 0, 0, 0", "udp://127.0.0.1:14991 at 6, 0, 0"]

@@ -68,7 +68,7 @@ def test_no_process_is_left_behind(how: signal.Signals, mark: str) -> None:
     swarm.send_signal(how)
     _, said = swarm.communicate(timeout=20)
     wait_for(0, mark, 10.0)
-    if how is signal.SIGINT:
+    if how is not signal.SIGKILL:
         assert swarm.returncode == 130 and "interrupted" in said
 
 
@@ -108,7 +108,7 @@ def test_robots_that_are_started_one_by_one(mark: str, tmp_path: Path) -> None:
 
 
 def wait_for_places(record: Path, *, missions: int) -> None:
-    """Until the record knows so many missions, and every robot has a place."""
+    """Wait until the record has this number of missions, and every robot has a place."""
     deadline = time.monotonic() + 100.0
     while time.monotonic() < deadline:
         time.sleep(0.5)
@@ -124,4 +124,4 @@ def test_nobody_there_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     done = flock(
         "mission", "--set", "shape=line", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path, check=False
     )
-    assert done.returncode == 2 and "nobody was there" in done.stderr
+    assert done.returncode == 2 and "no swarm answers there" in done.stderr

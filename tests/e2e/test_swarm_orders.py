@@ -63,7 +63,7 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
         without = operator_config(config, tmp_path / "without.toml", None)
         foreign = operator_config(config, tmp_path / "foreign.toml", str(tmp_path / "others"))
         for code, said in await asyncio.gather(command(without), command(foreign)):
-            assert code == 2 and "nobody was there" in said, said
+            assert code == 2 and "no swarm answers there" in said, said
         await asyncio.gather(publish(config, WATCHER), publish(config, OPERATOR))
         rejected = sum(report.rejected.get("no_order", 0) for report in observer.reports.values())
         assert rejected > 0 and observer.mission.shape == "circle"

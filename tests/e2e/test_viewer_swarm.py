@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect, sync_playwright
+from viewer_pages import until
 
 from llm_flock.runtime.network.swarm import free_port
 
@@ -54,17 +55,16 @@ def test_a_swarm_is_watched_and_given_another_mission(tmp_path: Path) -> None:
             said: list[str] = []
             page.on("console", lambda message: said.append(message.text))
             page.goto(url)
-            page.locator("#app .flock-arena canvas[data-round]").wait_for(timeout=60_000)
-            expect(page.locator(".flock-state")).to_have_text("live")
+            page.locator("main .flock-arena canvas[data-round]").wait_for(timeout=60_000)
+            expect(page.locator(".flock-state")).to_contain_text("live")
             expect(page.get_by_text("simulated language models")).to_be_visible()
-            page.wait_for_function("flockClock('main').runs[0].plans.length > 0", timeout=60_000)
-            page.get_by_label("Shape").fill("polygon:3")
+            until(lambda: page.evaluate("flockClock().runs[0].plans.length > 0"), "a plan is known", 60.0)
+            page.get_by_label("Shape", exact=True).fill("polygon:3")
             page.get_by_role("button", name="Give the mission").click()
-            expect(page.locator(".flock-steered")).to_have_text(re.compile("mission given to robot"), timeout=20_000)
-            page.wait_for_function(
-                "flockClock('main').runs[0].missions.some((one) => one.text.startsWith('polygon'))", timeout=30_000
-            )
-            assert said == []
+            expect(page.locator(".flock-steered")).to_have_text(re.compile("Robot \\d has the mission"), timeout=20_000)
+            other = "flockClock().runs[0].missions.some((one) => one.text.startsWith('polygon'))"
+            until(lambda: page.evaluate(other), "the other mission is recorded", 30.0)
+            assert said == [], said
             browser.close()
     finally:
         for process in (view, *processes):

@@ -66,3 +66,5 @@ def test_the_reason_of_ffmpeg_is_passed_on(record: RunRecord, tmp_path: Path, mo
 def test_with_ffmpeg_itself(record: RunRecord, tmp_path: Path) -> None:
     animate(record, tmp_path / "a.mp4")
     assert (tmp_path / "a.mp4").read_bytes()[4:8] == b"ftyp"
+    animate(record, tmp_path / "a.webm")
+    assert (tmp_path / "a.webm").read_bytes()[:4] == b"\x1aE\xdf\xa3"

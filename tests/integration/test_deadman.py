@@ -80,6 +80,25 @@ def test_everybody_who_can_be_reached_is_landed() -> None:
     assert any("d0, d1, d3" in text for text in said)
 
 
+@pytest.mark.usefixtures("skipped_waits")
+def test_nobody_waits_for_one_who_does_not_answer() -> None:
+    """With a minute for each connection, those who answer are landed after the first call of three seconds."""
+    config = flight_config(reach_s=4.0, connect_s=60.0)
+    robots = [up(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
+    robots[2]._lost = True
+    began = time.monotonic()
+    down: list[float] = []
+    plain = robots[0].land
+
+    async def land(height_m: float, duration_s: float) -> None:
+        down.append(time.monotonic() - began)
+        await plain(height_m, duration_s)
+
+    robots[0].land = land
+    ends = asyncio.run(land_all(config, robots, lambda _: None))
+    assert ends["d0"] == "landed" and ends["d2"] == "out of reach" and down[0] < 4.0
+
+
 ROOT = Path(__file__).parents[2]
 PARENT = """
 import asyncio

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from flights import Sabotage, flight_config, flown, fly
+from flights import STOCK, Sabotage, flight_config, flown, fly
 from slowness import slowness
 
 from llm_flock.errors import RecordError
@@ -22,8 +22,9 @@ from llm_flock.record.schema import BodySample
 from llm_flock.record.writer import RecordWriter
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import landing
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.flight import Flight
-from llm_flock.runtime.flight.landing import STOPPED
+from llm_flock.runtime.flight.landing import FELL, STOPPED
 from llm_flock.runtime.flight.monitors import TroubleKind
 from llm_flock.runtime.result import FlightFigures, RunResult
 
@@ -173,6 +174,35 @@ def test_a_drone_that_stays_out_of_reach_is_named_and_the_others_are_landed(tmp_
     assert kinds["link_lost"].robot == 1
 
 
+@pytest.mark.parametrize(("shape", "n"), [("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5)])
+def test_the_default_flight_forms_and_lands_with_the_stock_controller(shape: str, n: int) -> None:
+    """Drones are up to 20 cm and more behind their set-points, and 35 cm as they take off."""
+    config = flight_config(n, shape, robot="flights:stock", **STOCK)
+    assert config.safety == FlightConfig().safety
+    flight = figures(flown(config))
+    assert flight.ended == "mission" and set(flight.ends.values()) == {"landed"}
+    assert (flight.min_separation_m or 0.0) >= 0.2
+    assert flight.lag_s > 0.3
+    assert flight.tracking_max_m is not None and flight.tracking_max_m < 0.04
+
+
+def test_a_drone_whose_controller_changes_in_flight_is_noticed() -> None:
+    def tune(flight: Flight, robots: Robots) -> None:
+        robots[1].body.follow("exactly", time.monotonic())
+
+    flight = figures(flown(flight_config(robot="flights:stock", **STOCK), tune))
+    assert flight.ended == "off_course" and flight.safe and "d1: it is" in (flight.reason or "")
+
+
+def test_a_drone_that_stops_in_the_air_is_named_and_the_others_are_landed() -> None:
+    def stop(flight: Flight, robots: Robots) -> None:
+        robots[2].body.emergency_stop(time.monotonic())
+
+    flight = figures(flown(flight_config(), stop))
+    assert flight.ended == "fault" and flight.reason == "d2: it cannot fly any more: locked"
+    assert flight.ends == {name: "landed" if name != "d2" else FELL for name in ("d0", "d1", "d2", "d3")}
+
+
 def test_time_is_up() -> None:
     config = flight_config(max_flight_s=1.5, stop_when_formed=False, rounds=100)
     flight = figures(flown(config))
@@ -199,6 +229,33 @@ def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
     config = {"model": "geometry", "think_s": 0.3, "silent_rounds": 2}
     flight = figures(flown(flight_config(**config, fallback="hold")))
     assert flight.ended == "model_silent" and flight.safe and "2 rounds in a row" in (flight.reason or "")
+
+
+def test_a_process_that_stood_still_does_not_blame_the_drones(monkeypatch) -> None:
+    """Estimates come twelve times a second; ten times nobody looks at them for 0.7 s, as on a busy machine."""
+    plain, lost_s = time.monotonic, [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: plain() + lost_s[0])
+    tasks: list[asyncio.Task[None]] = []
+
+    async def keep_reading(robot: SimulatedRobot) -> None:
+        look = robot.state
+        seen = [look()]
+        robot.state = lambda: seen[0]
+        while True:
+            await asyncio.sleep(0.083)
+            seen[0] = look()
+
+    async def stand_still() -> None:
+        for k in range(10):
+            await asyncio.sleep(0.2 + 0.013 * k)
+            lost_s[0] += 0.7
+
+    def act(flight: Flight, robots: Robots) -> None:
+        loop = asyncio.get_running_loop()
+        tasks.extend(loop.create_task(work) for work in (*map(keep_reading, robots), stand_still()))
+
+    flight = figures(flown(flight_config(), act))
+    assert flight.ended == "mission" and flight.safe
 
 
 def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:

@@ -126,7 +126,7 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
         limits = CallLimits(
             max_concurrent=20,
             timeout_s=1.5,
-            retry=RetryPolicy(max_tries=12, first_wait_s=0.01, longest_wait_s=0.1),
+            retry=RetryPolicy(max_tries=12, max_garbage=12, first_wait_s=0.01, longest_wait_s=0.1),
             meter=meter,
             rng=np.random.default_rng(5),
         )
@@ -187,7 +187,9 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
 
     async def scenario(server: Server) -> list[tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]]:
         limits = CallLimits(
-            timeout_s=1.0, retry=RetryPolicy(max_tries=20, first_wait_s=0.01), rng=np.random.default_rng(2)
+            timeout_s=1.0,
+            retry=RetryPolicy(max_tries=20, max_garbage=20, first_wait_s=0.01),
+            rng=np.random.default_rng(2),
         )
 
         async def think(robot: int, pool: ModelPool) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:

@@ -10,12 +10,10 @@ from swarms import swarm_config
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments import executors, tables
+from llm_flock.experiments import executors
 from llm_flock.experiments.compare import build_cells, compare
-from llm_flock.experiments.sweep import fly_sweep
 from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.experiments.sweep_forecast import expect_cells
-from llm_flock.llm.local import engine
 from llm_flock.llm.local.engine import ENGINES
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.runtime.config import build_config
@@ -26,27 +24,6 @@ pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 STOCK = "local:smollm2+none"
-
-
-def test_all_trials_of_a_sweep_share_one_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    loaded: list[engine.Engine] = []
-
-    class Counted(engine.Engine):
-        def __init__(self, *args) -> None:
-            super().__init__(*args)
-            loaded.append(self)
-
-    monkeypatch.setattr(engine, "Engine", Counted)
-    overrides = {"model": STOCK, "rounds": 1, "max_retries": 0, "protocol": "flock"}
-    sweep = small(tmp_path, **overrides)
-    assert all(spec.waits for spec in sweep.trials)
-    for options in ({"executor": "pool"}, {"cluster": "auto"}):
-        with pytest.raises(InputError, match="with models on board"):
-            fly_sweep(sweep, tmp_path / "refused", **options)  # pyright: ignore[reportArgumentType]
-    assert fly_sweep(sweep, tmp_path / "out").complete
-    assert len(loaded) == 1 and ENGINES.running == 0
-    table = tables.read_trials(tmp_path / "out")
-    assert table["calls_failed"].sum() == 0 and table["cost_usd"].sum() == 0 and not table["simulated"].any()
 
 
 def test_a_trial_is_another_one_when_its_weights_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

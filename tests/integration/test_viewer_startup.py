@@ -11,13 +11,19 @@ from pathlib import Path
 import pytest
 from sample_records import make_record
 
+from llm_flock.errors import InputError
+from llm_flock.viewer.canvases import player_options
 from llm_flock.viewer.data import answer
 from llm_flock.viewer.library import Library, load
-from llm_flock.viewer.preview import preview_page
+from llm_flock.viewer.page import html
 from llm_flock.viewer.server import Address, listen
 from llm_flock.viewer.startup import PAGE
 
 ACCEPT = "Accept: text/html,*/*"
+
+
+def player(title: str) -> bytes:
+    return html(title, player_options([("1", title)])).encode()
 
 
 def ask(address: Address, path: str, *heads: str, host: str | None = None) -> bytes:
@@ -78,7 +84,7 @@ def body(response: bytes) -> object:
 def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
     record = make_record(tmp_path / "run.mcap", n=4, rounds=3)
     address = listen("127.0.0.1", 0, None)
-    page = preview_page("1", "</script><b>")
+    page = player("</script><b>")
     assert b"</script><b>" not in page
     address.startup.show(page, address.hosts)
     try:
@@ -99,6 +105,11 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
         assert isinstance(news, dict) and news["last"] == 3 and len(news["figures"]["procrustes_mean"]) == 4
         frames = body(ask(address, "/data/1/frames?first=1&count=2"))
         assert isinstance(frames, list) and [frame["r"] for frame in frames] == [1, 2]
+        mind = body(ask(address, "/data/1/mind?robot=2&round=1"))
+        assert isinstance(mind, dict) and mind["calls"][0]["verdict"] == "used: next waypoint (1, 2)"
+        assert body(ask(address, "/data/1/mind?robot=9&round=1")) is None
+        events = body(ask(address, "/data/1/events?round=1"))
+        assert isinstance(events, dict) and events["total"] == 4
         assert isinstance(body(ask(address, "/data/1/frames?first=x&count=-3")), list)
         for nothing in ("/data/2/about", "/data/1/secret", "/data/../run.mcap", "/run.mcap"):
             assert ask(address, nothing).startswith(b"HTTP/1.1 503 "), nothing
@@ -121,7 +132,7 @@ def test_no_other_sites_page_is_shown_the_run(tmp_path: Path, host: str | None, 
     address = listen("127.0.0.1", 0, None)
     library = Library()
     load(library.add("one", record, live=False))
-    address.startup.show(preview_page("1", "one"), address.hosts)
+    address.startup.show(player("one"), address.hosts)
     address.startup.answer_data(partial(answer, library))
     try:
         assert ask(address, "/", ACCEPT, *heads, host=host).endswith(PAGE)
@@ -129,3 +140,13 @@ def test_no_other_sites_page_is_shown_the_run(tmp_path: Path, host: str | None, 
     finally:
         address.startup.stop()
         address.sock.close()
+
+
+def test_a_port_that_is_taken_is_named_with_a_way_out() -> None:
+    first = listen("127.0.0.1", 0, None)
+    try:
+        with pytest.raises(InputError, match=rf"^port {first.port} is taken; try --port 0"):
+            listen("127.0.0.1", first.port, None)
+    finally:
+        first.startup.stop()
+        first.sock.close()

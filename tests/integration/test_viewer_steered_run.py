@@ -51,7 +51,7 @@ def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -
     flight.lose(0.4)
     with pytest.raises(InputError, match="no robot 9"):
         flight.kill(9)
-    with pytest.raises(InputError, match="changes"):
+    with pytest.raises(InputError, match=r"^shape = 'nonsense': unknown shape"):
         flight.change({"shape": "nonsense"})
     with pytest.raises(InputError, match="shape"):
         flight.change({"shape": "points:/etc/passwd"})
@@ -61,9 +61,19 @@ def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -
         flight.hallucinate(5)
     asked_at = flight.round
     until(lambda: flight.round >= asked_at + 5)
-    with pytest.raises(InputError, match="kill"):
+    with pytest.raises(InputError, match="Robot 4 is dead"):
         flight.kill(4)
+    with pytest.raises(InputError, match="Robot 4 is dead"):
+        flight.hallucinate(4)
+    with pytest.raises(InputError, match="nonsense already"):
+        flight.hallucinate(2)
     record = ended(flight)
+    for order in (lambda: flight.kill(1), lambda: flight.hallucinate(1), lambda: flight.lose(0.1), flight.end):
+        with pytest.raises(InputError, match="The run is over"):
+            order()
+    with pytest.raises(InputError, match="The run is over"):
+        flight.change({"shape": "circle"})
+    assert flight.refusal("pause") == flight.refusal("pace") == "The run is over: it takes no more orders."
     assert record.result is not None and record.result["stopped"] == "interrupted"
     assert [info.mission["shape"] for info in record.missions] == ["circle", "line"]
     assert record.states[-1].phases[4] == "dead"
@@ -72,6 +82,19 @@ def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -
     assert (2, HALLUCINATING, None) in told and (0, None, 0.4) in told
     assert {entry.model for entry in record.llm} == {"simulated:ideal", HALLUCINATING}
     assert flight.recording.rounds == record.rounds
+
+
+def test_an_order_that_makes_no_sense_says_why_before_it_is_given(tmp_path: Path) -> None:
+    _, flight = launched(tmp_path, n_robots=3, shape="triangle")
+    until(lambda: flight.round >= 2)
+    assert flight.refusal("kill", 1) is None and flight.refusal("pause") is None
+    flight.kill(1)
+    assert flight.refusal("hallucinate", 1) == "Robot 1 is dead.", "at once, not only with the next round"
+    flight.kill(2)
+    assert flight.refusal("kill", 0) == "Robot 0 is the last one alive."
+    with pytest.raises(InputError, match="the last one"):
+        flight.kill(0)
+    ended(flight)
 
 
 def test_a_paused_run_waits(tmp_path: Path) -> None:

@@ -55,7 +55,14 @@ def test_a_team_flies_round_what_is_in_between(case: str, model: str) -> None:
 
 @pytest.mark.parametrize(
     ("shape", "n", "room", "seed"),
-    [("line", 7, 1.05, 1), ("circle", 10, 1.05, 3), ("grid", 16, 1.05, 2), ("line", 7, 1.0, 12), ("line", 7, 1.0, 13)],
+    [
+        ("line", 7, 1.05, 1),
+        ("circle", 10, 1.05, 3),
+        ("grid", 16, 1.05, 2),
+        ("line", 7, 1.0, 12),
+        ("line", 7, 1.0, 13),
+        ("grid", 16, 1.0, 21),
+    ],
 )
 def test_a_formation_as_tight_as_the_safe_distance_fills_up(shape: str, n: int, room: float, seed: int) -> None:
     """Beside another robot, a place is approached by halves; that is progress, and nobody has to step aside."""

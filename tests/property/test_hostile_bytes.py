@@ -30,6 +30,7 @@ from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import show_conversation, show_overview
 from llm_flock.errors import AnswerError, FlockError, InputError, MessageError, RecordError
 from llm_flock.formations import load_points
+from llm_flock.foxglove.file import write_file
 from llm_flock.llm.local.gguf import read_header
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
@@ -69,6 +70,7 @@ from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
 from llm_flock.trust.envelope import Envelope
 from llm_flock.viewer import data, events
 from llm_flock.viewer.library import Library, load
+from llm_flock.viewer.replay_page import write_page
 
 CASES = 25
 VALIDATOR = Validator(verify=True, shield_on=True)
@@ -288,6 +290,8 @@ def test_a_record_is_shown_or_refused_in_one_line(
         rewritten(record, path, rng)
     tried(lambda: inspected(path), RecordError)
     tried(lambda: watched(path))
+    tried(lambda: write_file(path, path.with_suffix(".foxglove")), RecordError)
+    tried(lambda: write_page(path, path.with_suffix(".html")), RecordError)
 
 
 @cases(CASES)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from sample_records import make_record
 from llm_flock.errors import InputError
 from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.record.scene import PALETTE
-from llm_flock.viz.animation import HOLD_S, STEPS_A_ROUND, animate, frames
+from llm_flock.viz import animation
+from llm_flock.viz.animation import HOLD_S, KEY_INCHES, STEPS_A_ROUND, animate, eased, frames, gif
 
 
 @pytest.fixture
@@ -44,8 +47,9 @@ def test_frames_are_of_one_size_and_move(record: RunRecord) -> None:
 
 
 def test_no_frame_keeps_what_the_last_one_drew(record: RunRecord) -> None:
-    """The start holds white robots only; colours of plans in it would be left over, and later ones have them."""
-    first, *_, last = (np.asarray(picture).reshape(-1, 3) for picture in frames(record))
+    """The start holds white robots only; colours of plans above the key would be left over; later ones have them."""
+    pictures = [np.asarray(picture) for picture in frames(record)]
+    first, last = (picture[: -int(100 * KEY_INCHES)].reshape(-1, 3) for picture in (pictures[0], pictures[-1]))
     blue = [int(PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)]
     assert not (first == blue).all(axis=1).any()
     assert (last == blue).all(axis=1).sum() > 500
@@ -67,8 +71,31 @@ def test_same_record_same_file(record: RunRecord, tmp_path: Path) -> None:
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
+def test_robots_fly_from_rest_to_rest() -> None:
+    shares = [eased(k / 100) for k in range(101)]
+    assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
+    assert shares[1] < 0.01 * 0.1 and 1.0 - shares[99] < 0.01 * 0.1
+
+
+def test_a_gif_that_would_be_too_large_has_fewer_frames(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = gif(record)
+    monkeypatch.setattr(animation, "LARGEST_GIF", len(whole) - 1)
+    with Image.open(io.BytesIO(gif(record))) as fewer, Image.open(io.BytesIO(whole)) as all_of_them:
+        assert fewer.n_frames < all_of_them.n_frames  # pyright: ignore
+        shown = [picture.info["duration"] for picture in (fewer, all_of_them)]
+    assert shown[0] == 2 * shown[1], "as fast as before"
+
+
+def test_a_long_title_keeps_to_one_line(record: RunRecord) -> None:
+    long = record.run.model_copy(update={"config": {"protocol": {"consensus": "c" * 90, "assignment": "a" * 200}}})
+    plain, titled = (np.asarray(next(frames(r, last=True))) for r in (record, replace(record, run=long)))
+    assert (titled[:, :2] == 255).all() and (titled[:, -2:] == 255).all(), "nothing is cut at the edges"
+    below = int(100 * 0.3)
+    assert (titled[below:-60] == plain[below:-60]).mean() > 0.999, "and it is nowhere else"
+
+
 def test_what_cannot_be_written_is_named(record: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match=r"ends in \.gif or \.mp4"):
+    with pytest.raises(InputError, match=r"ends in \.gif, \.mp4, \.webm"):
         animate(record, tmp_path / "a.avi")
     with pytest.raises(InputError, match="fps = 0"):
         animate(record, tmp_path / "a.gif", fps=0)

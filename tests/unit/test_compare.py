@@ -178,6 +178,11 @@ def test_a_row_says_what_its_trials_did() -> None:
     assert json.loads(json.dumps(asdict(found), allow_nan=False))["formed"]["value"] == 0.5
 
 
+def test_the_interval_of_few_trials_holds_no_calls_below_none() -> None:
+    found = row(CELL, from_zero(good(model_calls=10), good(model_calls=120)))
+    assert found.calls is not None and found.calls.low == 0.0
+
+
 def test_a_separation_that_rounding_made_too_small_is_no_violation() -> None:
     assert row(CELL, from_zero(good(min_separation=3 - 1e-7))).violations == 0
     assert row(CELL, from_zero(good(min_separation=3 - 2e-6))).violations == 1
@@ -222,11 +227,13 @@ def test_a_line_for_each_trial(tmp_path: Path) -> None:
         add(CELL, 3, good())
         assert len(path.read_text().splitlines()) == 2, "an interrupted comparison keeps what was ready"
         add(CELL, 4, broken())
+        add(CELL, 5, broken("=1+1"))
     with path.open() as lines:
-        first, second = csv.DictReader(lines)
+        first, second, formula = csv.DictReader(lines)
     assert (first["protocol"], first["shape"], first["n_robots"], first["seed"]) == ("flock", "circle", "10", "3")
     assert (first["formed"], first["rounds_to_formed"], first["waypoints"]) == ("True", "10", "model=115 shield=5")
     assert (second["seed"], second["formed"], second["error"]) == ("4", "", "ValueError: bad")
+    assert formula["error"] == "'=1+1", "a spreadsheet calculates nothing"
 
 
 def test_a_file_is_never_overwritten(tmp_path: Path) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 import yaml
+from flights import flight_config
 
 from llm_flock.errors import InputError
 from llm_flock.robots.crazyflie.crazyflies_yaml import parse_crazyflies, read_crazyflies
+from llm_flock.runtime.flight.fleet import with_drones
 
 TEXT = """
 fileversion: 3
@@ -63,6 +65,18 @@ def test_a_robot_goes_before_its_type_and_its_type_before_all():
     assert two.parameters["stabilizer.controller"] == 1.0
 
 
+def test_batteries_limit_what_takes_off_and_what_lands(tmp_path):
+    """The limits are those of a battery at rest; in flight it has less, and the flight file's limit holds as well."""
+    one, two = (drone.battery for drone in parse_crazyflies(content()))
+    assert (one.voltage_warning, one.voltage_critical) == (3.8, 3.7)
+    assert (two.voltage_warning, two.voltage_critical) == (7.6, 3.0)
+    path = tmp_path / "crazyflies.yaml"
+    path.write_text(TEXT.replace("[1e-1, 5e-1, 0.0]", "[1.0, 0.5, 0.0]"))
+    first, second = with_drones(flight_config(2, "line", crazyflies=str(path))).fleet.drones
+    assert (first.ready_battery_v, first.low_battery_v) == (3.8, pytest.approx(3.2))
+    assert (second.ready_battery_v, second.low_battery_v) == (7.6, pytest.approx(3.2))
+
+
 def test_numbers_that_yaml_takes_for_text_are_numbers():
     assert content()["all"]["firmware_params"]["locSrv"]["extPosStdDev"] == "1e-3"
     assert parse_crazyflies(content())[1].home == (0.1, 0.5, 0.0)
@@ -75,8 +89,8 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
         ("type: small", "type: huge", "robots.cf1.type"),
         ("radio://0/80/2M/E7E7E7E701", "80", "robots.cf1.uri"),
         ("radio://0/80/2M/E7E7E7E701", "udp://127.0.0.1:19850", "robots.cf1.uri"),
-        ("[0.0, 0.5, 0]", "[0.0, 0.5]", "robots.cf1.initial_position"),
-        ("[0.0, 0.5, 0]", "[0.0, .nan, 0]", "robots.cf1.initial_position"),
+        ("[0.0, 0.5, 0]", "[0.0, 0.5]", "robots.cf1.initial_position.2"),
+        ("[0.0, 0.5, 0]", "[0.0, .nan, 0]", "robots.cf1.initial_position.1"),
         ("pNAcc_xy: 1.0", "pNAcc_xy: much", "robots.cf1.firmware_params.kalman.pNAcc_xy"),
         ("enabled: true", "enabled: false", "robots"),
         ("      kalman: {pNAcc_xy: 0.7, pNAcc_z: 0.9}", "      locSrv: 3", "robots.cf1.firmware_params.locSrv"),

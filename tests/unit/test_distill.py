@@ -11,7 +11,15 @@ from answer_readers import parse_path, parse_plan, parse_step
 
 from llm_flock.distill.adapter import Adapter, turned_rows, write_gguf
 from llm_flock.distill.batches import Lesson, make_batch, plan_epoch, shared_prefix
-from llm_flock.distill.evaluation import Evaluator, best_waypoint, motion_figures, score
+from llm_flock.distill.evaluation import (
+    FAR,
+    OTHER_TEAMS,
+    Evaluator,
+    best_waypoint,
+    far_step,
+    motion_figures,
+    score,
+)
 from llm_flock.distill.examples import (
     HELD_OUT_TEAMS,
     REACH,
@@ -156,14 +164,31 @@ def test_answers_are_judged_raw_and_as_they_would_be_flown() -> None:
     assert figures.error == pytest.approx(4.5) and figures.shielded_error == pytest.approx(3.05)
 
 
-def test_an_ideal_stand_in_passes_every_bar() -> None:
-    evaluator = Evaluator("simulated:ideal", frame="own")
-    steps, paths = evaluator.steps(20, 1), evaluator.steps(5, 20)
-    assert steps.asked == 20 and steps.parsed == steps.within == steps.passed == 1.0 and steps.error < 0.1
-    assert paths.passed == 1.0 and paths.shielded_error < 0.1
-    plans = evaluator.plans(2)
-    assert [p.team for p in plans] == ["triangle 3", "square 4", "cross 5", "circle 5", "circle 10"]
-    assert all(p.passed == 1.0 and p.asked == 2 for p in plans)
+def test_other_teams_were_not_taught_and_far_goals_are_far() -> None:
+    assert len(OTHER_TEAMS) == len(set(OTHER_TEAMS)) == 25
+    assert not set(OTHER_TEAMS) & {(shape, n) for shape, sizes in TEAMS for n in sizes}
+    far = Evaluator("simulated:collapse", frame="own").far_steps(4)
+    assert all(found.passed == 0.0 and found.degrees is None for found in far.values()), "it stays where it is"
+    rng = np.random.default_rng(0)
+    for low, high in FAR:
+        asked = far_step(rng, low, high)
+        assert low <= math.dist(asked.position, asked.goal) / asked.mission.max_step <= high and not asked.neighbors
+
+
+def test_a_program_that_repeats_the_goal_is_flown_perfectly() -> None:
+    found = Evaluator("local:smollm2").repeated(60)
+    assert found.parsed == 1.0 and found.within < 0.5 and found.error > 3.0
+    assert found.degrees is not None and found.degrees < 0.01
+    assert found.shielded_error < 0.01, "clipping makes a full step of it"
+
+
+def test_robots_in_the_way_count_only_where_they_are_asked_about() -> None:
+    ahead = replace(STEP, neighbors=((36.5, 50.0),))
+    straight, aside = StepAnswer(waypoint=(36.0, 50.0)), StepAnswer(waypoint=(33.0, 54.0))
+    assert score(ahead, straight).passed and not score(ahead, straight, in_the_way=True).passed
+    assert score(ahead, aside, in_the_way=True).passed
+    assert score(ahead, aside).degrees == pytest.approx(math.degrees(math.atan2(4, 3)))
+    assert Evaluator("simulated:ideal", frame="own").blocked_steps(6).asked == 6
 
 
 def test_rows_of_queries_are_in_the_engines_order() -> None:

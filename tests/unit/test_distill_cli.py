@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
-from llm_flock.errors import InputError
+from llm_flock.errors import FlockError, InputError
 
 
 def call(*arguments: str) -> str:
@@ -21,7 +21,8 @@ def call(*arguments: str) -> str:
 def test_examples_are_written(tmp_path: Path) -> None:
     said = call("data", str(tmp_path / "a.jsonl"), "--count", "5", "--plans", "1")
     lines = (tmp_path / "a.jsonl").read_text().splitlines()
-    assert said == f"{len(lines)} examples in {tmp_path / 'a.jsonl'}\n"
+    counted = f"{len(lines)} examples in {tmp_path / 'a.jsonl'}, with different prompts: 27 of 27 for a plan, "
+    assert said.startswith(counted) and said.endswith("4 of 4 for a step, 1 of 1 for a path\n"), said
     assert [json.loads(line)["kind"] for line in lines].count("plan") == len(lines) - 5
     call("data", str(tmp_path / "b.jsonl"), "--count", "5", "--plans", "0", "--held-out")
     held = map(json.loads, (tmp_path / "b.jsonl").read_text().splitlines())
@@ -31,10 +32,18 @@ def test_examples_are_written(tmp_path: Path) -> None:
 def test_figures_are_printed_as_a_table_or_json(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "160")
     options = ("simulated:ideal", "--count", "5", "--paths", "2", "--plans", "1", "--frame", "own")
-    table = call("eval", *options)
-    assert "as flown" in table and "plan of circle 10" in table
+    more = ("--other-plans", "1", "--far", "2", "--blocked", "2")
+    table = call("eval", *options, *more)
+    assert "plan of" in table and "star 20" in table and "far 25 to 30" in table and "with a robot ahead" in table
+    assert "as flown" in table and "circle 10" in table
     plain = json.loads(call("eval", *options, "--json"))
     assert plain["step"]["asked"] == 5 and plain["path"]["parsed"] == 1.0 and len(plain["plans"]) == 5
+    assert (
+        plain["goal_repeated"]["within"] < 1.0
+        and plain["other_plans"] == []
+        and not any(name.startswith("far") for name in plain)
+    )
+    assert plain["plans"][0] == {"team": "triangle 3", "asked": 1, "distinct": 1, "taught": 0, "passed": 1.0}
     with pytest.raises(InputError, match="frame"):
         call("eval", "simulated:ideal", "--frame", "mine")
 
@@ -46,3 +55,18 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(InputError, match=r"llm-flock\[distill\]"):
         call("train", str(tmp_path / "a.jsonl"), str(tmp_path / "run"))
+
+
+def test_no_file_is_written_over(tmp_path: Path) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine", encoding="utf-8")
+    for line in (("data", str(notes), "--count", "1"), ("export", str(tmp_path), str(notes))):
+        with pytest.raises(InputError, match=r"notes\.txt.* a file that is not there yet: none is overwritten"):
+            call(*line)
+    assert notes.read_text(encoding="utf-8") == "mine"
+    with pytest.raises(InputError, match="a place that can be written to"):
+        call("data", str(notes / "a.jsonl"), "--count", "1", "--plans", "0")
+    assert "Invalid value" in call("data", str(tmp_path / "a.jsonl"), "--count", str(10**30))
+    with pytest.raises(FlockError):
+        call("data", str(tmp_path / "b.jsonl"), "--count", "1", "--plans", "0", "--cassette", str(notes))
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

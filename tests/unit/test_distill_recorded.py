@@ -1,6 +1,7 @@
 """Examples from recorded conversations: only first answers that passed."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,7 +29,8 @@ def test_answers_that_passed_at_first_ask_become_examples(tmp_path: Path) -> Non
 
 def test_paths_are_told_from_steps_and_remembered_exchanges_are_left_out(tmp_path: Path) -> None:
     mission = build_mission(shape="triangle", n_robots=3)
-    for name, options in {"a": {"decide": "on-event"}, "b": {"history": "full"}}.items():
+    kinds: dict[str, dict[str, Any]] = {"a": {"decide": "on-event"}, "b": {"history": "full"}}
+    for name, options in kinds.items():
         llm_flock.run(mission, seed=1, rounds=4, record_llm=str(tmp_path / name), **options)
     assert {example.kind for example in recorded_examples(tmp_path / "a")} == {"plan", "path"}
     assert {example.kind for example in recorded_examples(tmp_path / "b")} == {"plan"}
@@ -39,6 +41,16 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     for name in ("bad", "missing"):
         with pytest.raises(InputError, match="cassette"):
             list(recorded_examples(tmp_path / name))
-    (tmp_path / "empty").write_text("")
-    with pytest.raises(InputError, match="cassette"):
-        list(recorded_examples(tmp_path / "empty"))
+    for content in ("", "buy milk", "buy milk\n", "null\n", '{"llm_flock_cassette": 9}\n', "[" * 100_000 + "\n"):
+        (tmp_path / "other").write_text(content)
+        with pytest.raises(InputError, match=r"cassette = .*other.* expected a recording of --record-llm"):
+            list(recorded_examples(tmp_path / "other"))
+
+
+def test_a_recording_of_a_run_that_was_killed_is_used_up_to_its_last_whole_line(tmp_path: Path) -> None:
+    tape = tmp_path / "tape.jsonl"
+    mission = build_mission(shape="triangle", n_robots=3)
+    llm_flock.run(mission, seed=1, rounds=3, record_llm=str(tape))
+    whole = list(recorded_examples(tape))
+    tape.write_text(tape.read_text()[:-5])
+    assert list(recorded_examples(tape)) == whole[:-1]

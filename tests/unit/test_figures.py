@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from sample_records import FakeRun, make_record
 from scipy import stats
 
@@ -37,19 +41,22 @@ def test_snapshots_at_chosen_rounds_show_paths_plans_influence_and_links(record:
     start, second, last = figure.axes
     assert all(axes.get_aspect() == 1.0 for axes in figure.axes)
     names = [[t.get_text() for t in axes.texts] for axes in figure.axes]
-    # Name and influence of each robot; nobody has a plan at the start, and all have the first at the end.
-    assert names[0][::2] == [""] * 5
-    assert names[1][::2] == ["A", "A", "C", "D", "A"]
-    assert names[2][::2] == ["A"] * 5
-    assert names[2][1::2] == [short(share) for share in record.states[10].influence]
+    # Numbers, then plan and influence of each; nobody has a plan at the start, and all have the first at the end.
+    assert all(shown[:5] == ["0", "1", "2", "3", "4"] for shown in names)
+    shares = [[short(share) for share in record.states[k].influence] for k in (0, 2, 10)]
+    assert names[0][5:] == shares[0]
+    assert names[1][5:] == [f"{name} {share}" for name, share in zip("AACDA", shares[1], strict=True)]
+    assert names[2][5:] == [f"A {share}" for share in shares[2]]
     links, paths = (c for c in last.collections if isinstance(c, LineCollection))
+    assert links.get_zorder() > paths.get_zorder()
     ends = {tuple(np.round(p, 6)) for p in record.positions[10]}
     assert len(links.get_segments()) > 0
     assert {tuple(np.round(p, 6)) for segment in links.get_segments() for p in segment} <= ends
     assert len(paths.get_segments()) == 5 * 10
     drawn = {tuple(np.round(np.asarray(c.get_offsets())[0], 6)) for c in last.collections[3:]}
     assert ends <= drawn
-    assert start.get_xlim() == second.get_xlim() == last.get_xlim()
+    assert start.get_xlim() == second.get_xlim() == (-8.0, 108.0)
+    assert last.get_xlim()[1] - last.get_xlim()[0] < 0.7 * 116.0, "a formation fills its panel"
 
 
 def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record: RunRecord) -> None:
@@ -85,8 +92,11 @@ def test_rounds_chosen_by_default(tmp_path: Path, rounds: int, shown: list[int])
 
 def test_many_panels_go_into_rows(record: RunRecord) -> None:
     figure = figures.snapshots(record, list(range(6)))
-    assert len(figure.axes) == 8
-    assert [axes.axison for axes in figure.axes] == [True] * 6 + [False] * 2
+    places = [axes.get_position() for axes in figure.axes]
+    assert len(places) == 6 and len({round(place.y0, 3) for place in places}) == 2, "two rows of three"
+    five = [axes.get_position() for axes in figures.snapshots(record, list(range(5))).axes]
+    middle = (min(place.x0 for place in five[:3]) + max(place.x1 for place in five[:3])) / 2
+    assert (five[3].x0 + five[4].x1) / 2 == pytest.approx(middle, abs=0.01), "no blank cell: the last row is centred"
 
 
 def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -> None:
@@ -95,7 +105,7 @@ def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -
     assert mean == pytest.approx([5.0, 4.0, 8.0 / 3.0])
     for k, sample in enumerate([[4, 6, 5], [2, 4, 6], [1, 4, 3]]):
         low, high = stats.t.interval(0.95, 2, loc=np.mean(sample), scale=stats.sem(sample))
-        assert (lows[k], highs[k]) == pytest.approx((low, high))
+        assert (lows[k], highs[k]) == pytest.approx((max(0.0, low), high))
     alone, *none = figures.mean_and_interval(curves[:1])
     assert alone.tolist() == [4.0, 2.0, 1.0] and np.isnan(none).all()
 
@@ -163,9 +173,73 @@ def test_a_large_team_is_drawn_without_letters(tmp_path: Path) -> None:
     np.testing.assert_allclose(robots, record.positions[2])
 
 
+def drawn_on(axes: Axes, record: RunRecord, round_number: int, part: float) -> None:
+    panel = Panel(record)
+    panel.frame(axes)
+    panel.draw_team(axes, round_number, part)
+
+
+def boxes(axes: Axes) -> tuple[list[Bbox], list[Bbox]]:
+    """Where the words beside discs are, and the discs, as drawn [pixels]."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    words = [text.get_window_extent(renderer) for text in axes.texts if not text.get_text().isdecimal()]
+    discs = [
+        Bbox.from_bounds(x - half, y - half, 2 * half, 2 * half)
+        for c in axes.collections
+        if isinstance(c, PathCollection) and np.asarray(c.get_offsets()).shape == (1, 2)
+        for x, y in axes.transData.transform(np.asarray(c.get_offsets()))
+        for half in [np.sqrt(c.get_sizes()[0]) * figure.dpi / 72 / 2 / np.sqrt(2)]  # the square in the disc
+    ]
+    return words, discs
+
+
+@pytest.mark.parametrize(("n", "spread"), [(5, 100.0), (5, 12.0), (10, 100.0), (10, 40.0), (10, 12.0), (15, 12.0)])
+def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, spread: float) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=n, rounds=2))
+    rng = np.random.default_rng(n)
+    record = replace(record, positions=rng.uniform(50.0 - spread / 2, 50.0 + spread / 2, record.positions.shape))
+    for axes in figures.snapshots(record, [1, 2]).axes:
+        words, discs = boxes(axes)
+        assert len(discs) == n and len(words) > 0.5 * n
+        assert not [(a, b) for a, b in itertools.combinations(words, 2) if a.overlaps(b)]
+        assert not [(word, disc) for word in words for disc in discs if word.overlaps(disc)]
+        inside = axes.get_window_extent()
+        assert all(inside.x0 <= word.x0 and word.x1 <= inside.x1 for word in words)
+
+
+def test_a_formation_fills_its_panel_and_an_inset_shows_where_it_is(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=6, rounds=4))
+    close = record.positions.copy()
+    close[4] = 50.0 + 0.1 * (close[4] - 50.0)
+    states = [*record.states[:4], record.states[4].model_copy(update={"goals": [None] * 6})]
+    wide, near = figures.snapshots(replace(record, positions=close, states=tuple(states)), [0, 4]).axes
+    assert not wide.child_axes and near.get_xlim()[1] - near.get_xlim()[0] < 61.0
+    (inset,) = near.child_axes
+    assert inset.get_xlim() == (0.0, 100.0)
+    left, right = near.get_xlim()
+    assert left < close[4, :, 0].min() and close[4, :, 0].max() < right
+
+
+def test_an_inset_hides_no_robot(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=25, rounds=1))
+    grid = np.stack(np.meshgrid(np.linspace(30.0, 70.0, 5), np.linspace(30.0, 70.0, 5)), axis=-1).reshape(25, 2)
+    spacing = record.mission.model_copy(update={"mission": {**record.mission.mission, "spacing": 5.0}})
+    states = tuple(state.model_copy(update={"goals": [None] * 25}) for state in record.states)
+    (axes,) = figures.snapshots(
+        replace(record, positions=np.stack([grid, grid]), states=states, missions=(spacing,)), [1]
+    ).axes
+    (inset,) = axes.child_axes
+    places = axes.transData.transform(grid)
+    assert not [place for place in places if inset.get_window_extent().contains(*place)]
+
+
 def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> None:
     axes = Figure().add_subplot()
-    Panel(record).draw(axes, 3, 0.25)
+    drawn_on(axes, record, 3, 0.25)
     middle = 0.75 * record.positions[2] + 0.25 * record.positions[3]
     drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-5:]])
     np.testing.assert_allclose(drawn, middle)
@@ -183,7 +257,7 @@ def test_radio_links_are_of_the_whole_space_also_when_seen_from_above(tmp_path: 
     # Over one another, but only the lower two within the range of 15.
     positions = np.array([[[50.0, 50.0, z], [51.0, 50.0, z + 10.0], [52.0, 50.0, 80.0]] for z in (5.0, 6.0)])
     axes = Figure().add_subplot()
-    Panel(replace(record, positions=positions)).draw(axes, 1, 0.5)
+    drawn_on(axes, replace(record, positions=positions), 1, 0.5)
     links = next(c for c in axes.collections if isinstance(c, LineCollection))
     assert [np.asarray(s).tolist() for s in links.get_segments()] == [[[50.0, 50.0], [51.0, 50.0]]]
 

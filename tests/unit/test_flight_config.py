@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +62,11 @@ def test_field_names_are_unique_and_described() -> None:
         ({"floor_m": -0.6, "take_off_s": 1.0, "land_s": 1.0}, "floor_m", "z = -0.5 m"),
         ({"floor_m": 1.0}, "altitude_m", "above the floor"),
         ({"shield": False}, "shield", "on in a flight"),
-        ({"kill": "1@2"}, "kill", "nothing in a flight"),
-        ({"noise": 0.1}, "noise", "nothing in a flight"),
+        ({"kill": "1@2"}, "kill", "cannot be used in a flight"),
+        ({"noise": 0.1}, "noise", "cannot be used in a flight"),
         ({"drones": [{"name": "a"}]}, "drones", "one for each"),
-        ({"drones": [{"name": "a"}] * 4}, "drones", "there twice"),
-        ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "a uri for each"),
+        ({"drones": [{"name": "a"}] * 4}, "drones", "two drones have this name"),
+        ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "two drones have this uri"),
         ({"drones": [{"name": f"d{k}", "start": [k / 5, 0]} for k in range(4)]}, "drones", "at least 0.3 m apart"),
         ({"crazyflies": "crazyflies.yaml"}, "drones", "either drones, or crazyflies"),
     ],
@@ -126,10 +128,10 @@ def test_set_points_are_checked_one_by_one_and_against_each_other() -> None:
         assert any(says in fault and "robot 0" in fault for fault in check.faults(here, there, seconds))
     swapped = check.faults(here, here[::-1], 60.0)
     assert len(swapped) == 1 and "0.000 m" in swapped[0]
-    above = [(0.0, 0.0, 1.0), (0.0, 0.0, 1.69)]
+    above = [(0.0, 0.0, 1.0), (0.0, 0.0, 1.89)]
     assert "two set-points" in check.faults(above, above, 2.0)[0]
-    assert check.faults(above, [(0.0, 0.0, 1.0), (0.0, 0.0, 1.71)], 2.0)  # it begins too near
-    higher = [(0.0, 0.0, 1.0), (0.0, 0.0, 1.71)]
+    assert check.faults(above, [(0.0, 0.0, 1.0), (0.0, 0.0, 1.91)], 2.0)  # it begins too near
+    higher = [(0.0, 0.0, 1.0), (0.0, 0.0, 1.91)]
     assert check.faults(higher, higher, 2.0) == []
 
 
@@ -180,7 +182,53 @@ def test_a_crazyflie_needs_an_address_and_a_simulated_drone_a_start() -> None:
         build_fleet(flight_config(drones=[{"name": f"d{k}"} for k in range(4)]))
 
 
-def test_the_example_is_a_flight() -> None:
-    example = Path(__file__).parents[2] / "examples" / "flight.toml"
+def mavlink_config(drones: list[Any] | None = None, **fields: Any) -> FlightConfig:
+    places = ((-1.2, -1.2), (1.2, -1.2), (1.2, 1.2), (-1.2, 1.2))
+    listed = [
+        {"name": f"d{k}", "uri": "udp://0.0.0.0:14540", "system_id": k + 1, "start": place}
+        for k, place in enumerate(places)
+    ]
+    return flight_config(robot="mavlink", drones=drones or listed, **fields)
+
+
+def test_vehicles_at_one_address_are_told_apart_by_their_system_ids() -> None:
+    robots = build_fleet(mavlink_config())
+    assert [(robot.name, robot.system_id) for robot in robots] == [("d0", 1), ("d1", 2), ("d2", 3), ("d3", 4)]  # type: ignore[attr-defined]
+    same = [{"name": f"d{k}", "uri": "udp://0.0.0.0:14540", "system_id": 1 + k % 3} for k in range(4)]
+    with pytest.raises(InputError, match="system_id = 1: expected one that no other drone at udp"):
+        mavlink_config(same)
+
+
+def test_where_positions_begin_has_to_be_known() -> None:
+    drones = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}"} for k in range(4)]
+    with pytest.raises(InputError, match="a start for each drone"):
+        build_fleet(mavlink_config(drones))
+    assert len(build_fleet(mavlink_config(drones, local_frames="common"))) == 4
+    assert len(build_fleet(mavlink_config(drones, origin_lat_lon_alt=[47.4, 8.5, 490.0]))) == 4
+    with pytest.raises(InputError, match="latitude"):
+        build_fleet(mavlink_config(drones, origin_lat_lon_alt=[91.0, 8.5, 490.0]))
+    with pytest.raises(InputError, match="no use with origin_lat_lon_alt"):
+        build_fleet(mavlink_config(drones, origin_lat_lon_alt=[47.4, 8.5, 490.0], local_frames="common"))
+
+
+def test_a_vehicle_needs_an_address_and_keeps_its_parameters() -> None:
+    with pytest.raises(InputError, match="a uri for each drone"):
+        build_fleet(mavlink_config([{"name": f"d{k}", "system_id": k + 1} for k in range(4)]))
+    one = {"name": "d0", "uri": "udp://0.0.0.0:14540", "start": [0, 0], "parameters": {"a.b": 1.0}}
+    rest = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}", "start": [k, k]} for k in range(1, 4)]
+    with pytest.raises(InputError, match="cannot be set by MAVLink"):
+        build_fleet(mavlink_config([one, *rest]))
+
+
+@pytest.mark.parametrize("name", ["flight.toml", "flight_mavlink.toml"])
+def test_the_examples_are_flights(name: str) -> None:
+    example = Path(__file__).parents[2] / "examples" / name
     settings = FlightConfig.load(example)
     assert len(settings.fleet.drones) == settings.mission.n_robots == 4
+
+
+def test_a_missing_library_is_named_when_a_vehicle_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    robot = build_fleet(mavlink_config())[0]
+    with pytest.raises(InputError, match="needs the extra mavlink"):
+        asyncio.run(robot.connect(1.0))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
+import tomllib
 from pathlib import Path
 
-from benchmarks.flight import CASES, case_config
+import pytest
+from benchmarks.flight_cases import ALL, case_config
 
 from llm_flock.cli.fly import WORD
 from llm_flock.cli.keyboard import CUT_KEYS, LAND_KEYS
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.monitors import TroubleKind
 from llm_flock.runtime.flight.reaction_times import reaction_times
 
@@ -25,7 +30,7 @@ def rows(first: str) -> list[list[str]]:
 
 def test_every_case_is_in_the_table_with_its_stated_time_and_was_measured_within_it() -> None:
     promised = reaction_times(case_config("square", 4, 3)[0])
-    assert set(promised) == {*CASES, "model_silent", "killed", "hangs"}
+    assert set(promised) == set(ALL)
     found = {row[0]: row for row in rows("Case")}
     assert set(found) == {promise.case for promise in promised.values()}
     for promise in promised.values():
@@ -43,6 +48,15 @@ def test_the_paper_s_flights_are_in_the_table() -> None:
 
 def test_what_ends_a_flight_is_listed() -> None:
     assert {row[0].strip("`") for row in rows("Kind")} == {kind.value for kind in TroubleKind}
+
+
+def test_the_first_flight_of_one_drone_is_half_a_metre_to_the_middle() -> None:
+    page = (ROOT / "docs" / "how-to" / "four-crazyflies.md").read_text(encoding="utf-8")
+    (file,) = re.findall(r"^ +```toml\n(.*?)^ +```", page, re.MULTILINE | re.DOTALL)
+    config = FlightConfig.model_validate(tomllib.loads(file))
+    plan = asyncio.run(dry_run(config))
+    assert not plan.faults and config.fleet.drones[0].start == (0.5, 0.0)
+    assert plan.steps[-1].targets[0] == pytest.approx((0.0, 0.0, 1.0), abs=1e-3)
 
 
 def test_keys_and_word_are_those_of_the_command() -> None:

@@ -65,7 +65,7 @@ def test_what_is_said_about_a_bad_file(tmp_path: Path, name: str, text: str, whe
         load_points(written(tmp_path, name, text))
     assert caught.value.field == "points"
     assert where in str(caught.value.value)
-    assert allowed in caught.value.allowed
+    assert allowed in caught.value.says
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_nothing_is_written_over(folder: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"folder = '.*file/keys' .*Not a directory"):
+    with pytest.raises(InputError, match=r"folder = '.*file/keys': .*Not a directory"):
         make_keys(tmp_path / "file" / "keys", 3)
 
 

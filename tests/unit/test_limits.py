@@ -138,6 +138,18 @@ def test_giving_up_tells_the_whole_story() -> None:
     assert (error.kind, error.faults, model.asked) == ("server", ("server",) * 3, 3)
 
 
+def test_responses_of_no_protocol_are_asked_for_again_only_for_some_seconds() -> None:
+    """A server that sends `"choices": []` for ever kept the whole team waiting for 46 s a question."""
+    time = FakeTime()
+    model = Scripted(*faults(*["garbage"] * 9))
+    (error,) = outcomes(model, limits(time))
+    assert isinstance(error, ModelError) and error.faults == ("garbage",) * 4 and model.asked == 4
+    assert sum(time.sleeps) < 4.0
+    mixed = ["garbage"] * 3 + ["server"] + ["garbage"] * 3
+    (reply,) = outcomes(Scripted(*faults(*mixed)), limits())
+    assert isinstance(reply, Reply) and reply.faults == tuple(mixed), "what comes between shows that it changes"
+
+
 def test_a_refusal_is_final() -> None:
     shared = limits()
     model = Scripted(*faults("server", "refused"))

@@ -1,4 +1,4 @@
-"""Models on board without their engine: what is asked of it, who shares it, and what it may take."""
+"""Models on board without their engine: the questions that reach it, who shares it, and how much it may take."""
 
 from __future__ import annotations
 

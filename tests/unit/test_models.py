@@ -76,7 +76,7 @@ def test_models_per_robot() -> None:
         ("0-3=geometry", "within 0..2"),
         ("2-0=geometry", "within 0..2"),
         ("0-2=", "value after"),
-        ("0-2=nobody:x", "PROVIDER:MODEL"),
+        ("0-2=nobody:x", "unknown provider 'nobody'"),
         ("0-1=openai:a,2=", "value after"),
         ("0-2=openai:a,2", "without spaces, commas"),
     ],
@@ -134,7 +134,8 @@ def test_the_responses_api_is_used_where_there_is_no_other(model: str, own: bool
 def test_a_bad_setting_names_itself(field: str, text: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_settings(1, max_tokens=None, **{field: text})
-    assert (caught.value.field, caught.value.value) == (field, text)
+    named = {"temperature": "temperature", "seed": "model_seed", "reasoning": "reasoning_effort"}
+    assert (caught.value.field, caught.value.value) == (named[field], text), "as the configuration calls it"
 
 
 def test_a_missing_key_names_its_variable() -> None:

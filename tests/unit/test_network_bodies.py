@@ -10,7 +10,7 @@ import pytest
 from llm_flock.arrays import Point
 from llm_flock.protocol.motion.shield_async import Sighting
 from llm_flock.runtime.network.body_control import BodyControl
-from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.config import SwarmConfig, warn_of_spacing
 from llm_flock.runtime.network.wire import Body, Command
 from llm_flock.runtime.network.world import WorldBodies
 
@@ -132,3 +132,12 @@ def test_the_age_of_a_sighting_takes_its_way() -> None:
 def test_who_has_not_looked_for_long_stands_still() -> None:
     assert pilotage().control(0.0, [], 1.0) is None
     assert pilotage(shield_on=False).control(0.0, [], 1.0) is not None
+
+
+def test_a_spacing_that_bodies_not_in_step_cannot_fill_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    for fields in ({"spacing": 5.31}, {"spacing": 4.0, "shield": False}, {"spacing": 4.0, "step_s": 1.5}):
+        warn_of_spacing(SwarmConfig.build({}, **{**CONFIG, **fields}))
+    assert not caplog.records
+    warn_of_spacing(SwarmConfig.build({}, **CONFIG, spacing=5.2))
+    (warning,) = [record.message for record in caplog.records]
+    assert warning.startswith("spacing = 5.2 ") and "pass each other at 5.3." in warning

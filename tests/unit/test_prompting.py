@@ -225,7 +225,7 @@ def test_a_bad_template_is_refused_by_name(tmp_path: Path, content: str | bytes,
     with pytest.raises(InputError) as caught:
         PromptSet.load(tmp_path)
     assert caught.value.field == "prompts"
-    assert str(caught.value.value).endswith(file) and why in caught.value.allowed
+    assert str(caught.value.value).endswith(file) and why in caught.value.says
 
 
 def test_a_folder_without_templates_is_refused(tmp_path: Path) -> None:

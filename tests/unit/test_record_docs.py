@@ -79,4 +79,4 @@ def test_origins_are_those_of_the_agent() -> None:
 
 def test_entities_of_the_scene_are_explained() -> None:
     source = Path(scene.__file__).read_text(encoding="utf-8")
-    assert set(table("/scene")) == set(re.findall(r'_entity\("(\w+)"', source))
+    assert set(table("/scene")) == set(re.findall(r'\bentity\("(\w+)"', source))

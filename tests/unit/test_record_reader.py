@@ -109,11 +109,14 @@ def test_what_is_no_record_is_refused(tmp_path: Path, content: bytes, message: s
         read_record(path)
 
 
-def test_a_missing_file_or_a_folder_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"gone\.mcap: cannot be read \(No such file"):
         read_record(tmp_path / "gone.mcap")
-    with pytest.raises(RecordError, match="Is a directory"):
+    with pytest.raises(RecordError, match=r"run\.mcap: cannot be read \(No such file"):
         read_record(tmp_path)
+    for wrong in (None, 3, "nul\0"):
+        with pytest.raises(RecordError):
+            read_record(wrong)  # pyright: ignore[reportArgumentType]
 
 
 def plain_file(path: Path, *messages: tuple[str, bytes]) -> Path:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import flock
 from mcap.reader import make_reader
 from sample_records import FakeRun, llm_entry, make_record, run_info
 
@@ -28,7 +29,7 @@ from llm_flock.record.schema import (
     volatile_fields,
     without_volatile,
 )
-from llm_flock.record.writer import NullWriter, RecordWriter
+from llm_flock.record.writer import NullWriter, RecordWriter, check_new
 
 
 def check(value: Any, schema: dict[str, Any], where: str = "$") -> None:
@@ -295,3 +296,15 @@ def test_plans_keep_their_colours_when_the_mission_changes(tmp_path: Path) -> No
     scenes = [m.decoded() for m in iter_messages(tmp_path / "run.mcap") if m.topic == "/scene"]
     colours = [[sphere["color"] for sphere in scene["entities"][0]["spheres"]] for scene in scenes]
     assert colours[3] == colours[4]
+
+
+def test_a_swarm_that_cannot_be_recorded_starts_nothing(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    make_record(tmp_path / "have" / "run.mcap", n=2, rounds=1)
+    for out, says in (("notes.txt", "a place that can be written to"), ("have", "a place without a record")):
+        done = flock("swarm", "--robots", "3", "--shape", "triangle", "--out", out, cwd=tmp_path, check=False)
+        assert done.returncode == 2, done.stderr
+        assert done.stderr == f"error: --out {out}/run.mcap: expected {says}" + done.stderr.partition(says)[2]
+        assert done.stdout == "" and done.stderr.count("\n") == 1
+    check_new(tmp_path / "new" / "run.mcap")
+    assert (tmp_path / "new").is_dir() and not (tmp_path / "new" / "run.mcap").exists()

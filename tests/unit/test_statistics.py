@@ -83,6 +83,13 @@ def test_a_bootstrap_of_few_or_equal_values() -> None:
     assert equal is not None and equal.low == equal.high == pytest.approx(0.1)
 
 
+def test_an_interval_of_counts_holds_no_impossible_value() -> None:
+    free, counts = mean_interval([1.0, 12.0]), mean_interval([1.0, 12.0], least=0.0)
+    assert free is not None and free.low is not None and free.low < 0
+    assert counts is not None and (counts.value, counts.low, counts.high) == (free.value, 0.0, free.high)
+    assert mean_interval([5.0], least=0.0) == mean_interval([5.0])
+
+
 @pytest.mark.parametrize("method", ["student", "bootstrap"])
 def test_bands_are_the_intervals_of_their_columns_and_leave_out_what_is_not_known(method: Method) -> None:
     table = np.random.default_rng(0).normal(5.0, 2.0, (12, 4))

@@ -108,7 +108,7 @@ def test_what_is_not_allowed_is_named(tmp_path: Path, options: dict[str, Any], f
 
 
 def test_a_file_that_is_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="readable file"):
+    with pytest.raises(InputError, match="a file that can be read"):
         load_sweep(tmp_path / "nothing.toml")
     (tmp_path / "bad.toml").write_text("[sweep")
     with pytest.raises(InputError, match="TOML"):

@@ -37,7 +37,7 @@ def test_points_of_ones_own(tmp_path: Path) -> None:
 def test_what_is_no_shape() -> None:
     with pytest.raises(AssertionError, match="no shape"):
         check_shape("heart")
-    with pytest.raises(AssertionError, match="divisible by 3"):
+    with pytest.raises(AssertionError, match="a triangle takes 3, 6"):
         check_shape("triangle", [4])
     with pytest.raises(AssertionError, match="cannot be measured"):
         check_shape("text:the letter S", [5])

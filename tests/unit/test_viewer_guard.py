@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from typing import Any
+from urllib.parse import quote
 
 import pytest
 
@@ -77,6 +78,13 @@ def test_pages_of_others_may_not_ask(origin: str) -> None:
     assert closed["type"] == "websocket.close"
 
 
+def test_orders_come_from_its_own_pages_only() -> None:
+    guard = RequestGuard(_inner, hosts=[HOST])
+    assert status(ask(guard, {"host": HOST, "origin": f"http://{HOST}"}, method="POST")) == 200
+    assert status(ask(guard, {"host": HOST}, method="POST")) == 403
+    assert status(ask(guard, {"host": HOST, "origin": "http://evil.example"}, method="POST")) == 403
+
+
 def test_a_name_that_was_bent_to_this_machine_is_refused() -> None:
     guard = RequestGuard(_inner, hosts=[HOST])
     assert status(ask(guard, {"host": "evil.example:8765", "origin": "http://evil.example:8765"})) == 421
@@ -113,3 +121,12 @@ def test_other_addresses_need_a_token() -> None:
     assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and not is_loopback("robot.local")
     with pytest.raises(InputError, match="16 characters"):
         server.listen("127.0.0.1", 0, "short")
+
+
+def test_any_token_is_kept_in_a_cookie() -> None:
+    token = 'a b;c="ü€"&%20+,d'
+    guard = RequestGuard(_inner, hosts=(HOST,), token=token)
+    sent = ask(guard, {"host": HOST}, query=f"token={quote(token, safe='')}")
+    assert status(sent) == 303
+    kept = (header(sent, "set-cookie") or "").split(";")[0]
+    assert status(ask(guard, {"host": HOST, "cookie": kept})) == 200

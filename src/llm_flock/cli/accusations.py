@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from llm_flock.cli.terminal import Screen
-from llm_flock.errors import FlockError, InputError
-from llm_flock.mission import Mission
+from llm_flock.errors import FlockError
+from llm_flock.extras import require
 
 if TYPE_CHECKING:
+    from llm_flock.mission import Mission
     from llm_flock.record.reader import RunRecord
     from llm_flock.runtime.network.accusations import Judge
 
@@ -46,12 +47,11 @@ def show_accusations(record: RunRecord, keys: Path | None) -> None:
 
 def _judge(record: RunRecord, keys: Path) -> Judge | None:
     """Who judges the record's messages; None for a record of no swarm of this program."""
-    try:
-        from llm_flock.runtime.network.accusations import Judge
-        from llm_flock.runtime.network.config import SwarmConfig
-        from llm_flock.trust.keys import load_public_keys
-    except ImportError:
-        raise InputError("keys", str(keys), "possible with the extra: pip install 'llm-flock[network]'") from None
+    require("network", "inspect --keys")
+    from llm_flock.runtime.network.accusations import Judge
+    from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.trust.keys import load_public_keys
+
     public = load_public_keys(keys)
     try:
         return Judge(public, SwarmConfig.model_validate(record.run.config))
@@ -61,6 +61,8 @@ def _judge(record: RunRecord, keys: Path) -> Judge | None:
 
 def _missions(record: RunRecord) -> list[Mission]:
     """The missions of a record that this program can fly."""
+    from llm_flock.mission import Mission
+
     found: list[Mission] = []
     for info in record.missions:
         try:

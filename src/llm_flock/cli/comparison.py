@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
+from rich.table import Table
 
 from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_COMPARE, parse_flags, with_config_flags
-from llm_flock.cli.terminal import say
+from llm_flock.cli.terminal import Screen, say
+from llm_flock.errors import InputError, unknown
 
 if TYPE_CHECKING:
     from llm_flock.experiments.grid import Cell
@@ -34,18 +37,28 @@ def compare(
     config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
     out: Annotated[Path | None, typer.Option(help="CSV file to write, with a line for each trial")] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list of rows instead of a table")] = False,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
     **flags: Any,
 ) -> None:
-    """Fly many seeded trials of several protocols and shapes, and print a table of the results (Markdown).
+    """Fly many seeded trials of several protocols and shapes, and print a table of the results.
 
     Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
     """
     from llm_flock.experiments import compare as comparison
     from llm_flock.experiments.grid import parse_teams
+    from llm_flock.runtime.planners import check_planners
+    from llm_flock.runtime.rules import PRESETS
 
+    if json_output and as_markdown:
+        raise InputError("as_markdown", None, says="has no effect with --json")
     presets = [name.strip() for name in protocols.split(",")]
+    for name in presets:
+        if name not in PRESETS:
+            raise InputError("protocols", name, says=unknown("protocol", name, PRESETS))
     found = comparison.build_cells(parse_teams(cells), presets, file=config, fit_arena=fit_arena, **parse_flags(flags))
+    for cell in found:  # before the file is there: it would be in the way of the next try
+        check_planners(cell.config)
     finished = formed = 0
     try:
         with ExitStack() as stack:
@@ -67,6 +80,16 @@ def compare(
     except KeyboardInterrupt:
         say(f"interrupted{f'; finished trials are in {out}' if out else ''}", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
-    say(json.dumps([asdict(row) for row in rows], allow_nan=False) if json_output else comparison.markdown(rows))
+    if json_output:
+        say(json.dumps([asdict(row) for row in rows], allow_nan=False))
+    elif as_markdown:
+        say(comparison.markdown(rows))
+    else:
+        table = Table(*(name for name, _ in comparison.COLUMNS))
+        for row in rows:
+            table.add_row(*(escape(text(row)) for _, text in comparison.COLUMNS))
+        Screen().show(table)
+        for line in comparison.notes(rows):
+            say(line)
     if any(row.broken for row in rows):
         raise typer.Exit(EXIT_FAILED)

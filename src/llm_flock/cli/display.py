@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
@@ -11,13 +13,13 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 from rich.text import Text
 
-from llm_flock.cli.terminal import Screen
-from llm_flock.errors import InputError
+from llm_flock.cli.terminal import Screen, say
+from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
 from llm_flock.record.words import verdict, work_text
 
 if TYPE_CHECKING:
-    from llm_flock.record.reader import RunRecord
+    from llm_flock.record.reader import RecordEnd, RunRecord
     from llm_flock.runtime.result import Summary
     from llm_flock.runtime.trial import TrialProgress
 
@@ -29,10 +31,13 @@ MOST_VERDICT = 20_000
 """Longest account of an answer in a conversation [characters]; a plan of a large team has some thousands."""
 
 
-def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialProgress], None]]:
+def live_line(
+    label: str, *, enabled: bool, waiting: str = ""
+) -> tuple[AbstractContextManager[None], Callable[[TrialProgress], None]]:
     """A context manager that shows a run on stderr while it is open, and a function to call after each round.
 
-    A terminal redraws one line; a log or a pipe gets a line per round.
+    A terminal redraws one line; a log or a pipe gets a line per round. `waiting` says what is waited for until then;
+    nothing is printed before the context is entered.
     """
     console = Screen(stderr=True)
     redraws = enabled and console.is_terminal
@@ -46,9 +51,18 @@ def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialPr
         console=console,
         disable=not redraws,
     )
-    task = bar.add_task("asking every model for a plan ...", total=None, label=label)
+    task = bar.add_task(waiting or "asking every model for a plan ...", total=None, label=label)
+
+    @contextmanager
+    def opened() -> Generator[None]:
+        if waiting and enabled and not redraws:
+            console.print(waiting, highlight=False, markup=False, soft_wrap=True)
+        with bar:
+            yield
 
     def show(now: TrialProgress) -> None:
+        if not now.n_robots:  # nobody is there yet
+            return
         error = "" if now.error is None else f" · error {now.error:.2f}"
         cost = "" if not now.cost_usd else f" · {now.cost_usd:.4f} USD"
         text = (
@@ -59,7 +73,7 @@ def live_line(label: str, *, enabled: bool) -> tuple[Progress, Callable[[TrialPr
         if enabled and not redraws:
             console.print(text, highlight=False, soft_wrap=True)
 
-    return bar, show
+    return opened(), show
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
@@ -136,6 +150,8 @@ def show_overview(record: RunRecord) -> None:
     console.print(
         Text(f"{one_line(mission['shape'])}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
     )
+    for sentence in record.run.unrepeatable or ():
+        console.print(Text(one_line(sentence)))
     if record.result is not None and (work := work_text(record.result)):
         console.print(Text(one_line(work)))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
@@ -150,7 +166,32 @@ def show_overview(record: RunRecord) -> None:
             str(row.model_calls),
             str(row.tokens),
         )
-    console.print(table)
+    console.show(table)
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Sorted numbers in short: `1-5, 8`."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1][1:] = [number]
+        else:
+            runs.append([number])
+    return ", ".join("-".join(map(str, run)) for run in runs)
+
+
+def note_broken(records: Iterable[RunRecord | RecordEnd], done: str = "drawn") -> None:
+    """Say which records end early. Call before they are drawn, or `done` otherwise."""
+    for record in records:
+        if not record.complete:
+            text = f"{record.path} ends early (the run was stopped): {done} up to round {record.rounds}"
+            say(f"warning: {text}", error=True)
+
+
+def note_replaced(path: Path) -> None:
+    """Say that a file is there already. Call before it is written over."""
+    if path.exists():
+        say(f"warning: {path} was there and is replaced", error=True)
 
 
 def _start(text: str) -> str:
@@ -170,8 +211,17 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         for entry in record.llm
         if (robot is None or entry.robot == robot) and (round_number is None or entry.round == round_number)
     ]
+    n_robots = record.mission.mission["n_robots"]
+    if robot is not None and robot >= n_robots:
+        raise InputError("robot", robot, says=f"there are robots 0 to {n_robots - 1}")
+    if round_number is not None and round_number > record.rounds:
+        raise InputError("round", round_number, says=f"there are rounds 0 to {record.rounds}")
     if not found:
-        raise InputError("robot/round", f"{robot}/{round_number}", "a robot and round with model calls in this record")
+        who = "" if robot is None else f" by robot {robot}"
+        rounds = sorted({entry.round for entry in record.llm if robot in (None, entry.robot)})
+        if not rounds:
+            raise FieldError("robot", robot, says=f"no model was asked{who} in this run")
+        raise InputError("round", round_number, says=f"no model was asked{who} then; calls: rounds {_ranges(rounds)}")
     console = Screen()
     for entry in found:
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"

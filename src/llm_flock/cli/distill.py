@@ -3,30 +3,40 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, cast, get_args
 
 import typer
 from rich.table import Table
 
+from llm_flock.cli.commands import PlainHelp
 from llm_flock.cli.terminal import Screen
 from llm_flock.errors import InputError
 
+if TYPE_CHECKING:
+    from llm_flock.distill.evaluation import MotionFigures, PlanFigures
+
+MOST = 10_000_000
+"""Most examples of one kind."""
+
 distill = typer.Typer(
     name="distill",
+    add_completion=False,
     help="Teach a small model to plan and to step: examples, training, evaluation, export.",
     no_args_is_help=True,
 )
 
 
-@distill.command()
+@distill.command(cls=PlainHelp)
 def data(
-    out: Annotated[Path, typer.Argument(help="File of examples to write (JSON lines)")],
-    count: Annotated[int, typer.Option(min=1, help="Examples of steps and paths")] = 12_000,
-    plans: Annotated[int, typer.Option(min=0, help="Sets of examples of plans, each at other centres")] = 5,
+    out: Annotated[Path, typer.Argument(help="New file of examples (JSON lines)")],
+    count: Annotated[int, typer.Option(min=1, max=MOST, help="Examples of steps and paths")] = 12_000,
+    plans: Annotated[int, typer.Option(min=0, max=MOST, help="Sets of examples of plans, each at other centres")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
     cassette: Annotated[
         list[Path] | None,
@@ -36,14 +46,22 @@ def data(
 ) -> None:
     """Write examples from our own planner over random missions, and from recorded runs."""
     from llm_flock.distill.examples import Split, motion_examples, plan_examples, recorded_examples, write_examples
+    from llm_flock.distill.taught import distinct_prompts
 
+    _check_new(out)
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
     parts += [recorded_examples(file) for file in cassette or []]
-    sys.stdout.write(f"{write_examples(out, chain(*parts))} examples in {out}\n")
+    examples = list(chain(*parts))
+    said = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
+    for kind in ("plan", "step", "path"):
+        found = [example for example in examples if example.kind == kind]
+        if found:
+            said.append(f"{len(distinct_prompts(found))} of {len(found)} for a {kind}")
+    sys.stdout.write(f"{said[0]} {', '.join(said[1:])}\n")
 
 
-@distill.command()
+@distill.command(cls=PlainHelp)
 def train(
     examples: Annotated[Path, typer.Argument(help="Examples (JSON lines)")],
     out: Annotated[Path, typer.Argument(help="Folder of the training")],
@@ -85,56 +103,95 @@ def train(
     sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 
 
-@distill.command("eval")
+@distill.command("eval", cls=PlainHelp)
 def evaluate(
     model: Annotated[str, typer.Argument(help="Any model, as for run --model")],
     count: Annotated[int, typer.Option(min=1, help="Questions for a step")] = 200,
     paths: Annotated[int, typer.Option(min=0, help="Questions for a path")] = 50,
-    plans: Annotated[int, typer.Option(min=0, help="Questions for a plan, for each shape and size")] = 10,
+    plans: Annotated[int, typer.Option(min=0, help="Questions for a plan of each of the five taught teams")] = 10,
+    other_plans: Annotated[int, typer.Option(min=0, help="Questions for a plan of each of 25 other teams")] = 0,
+    far: Annotated[
+        int, typer.Option(min=0, help="Questions for a step to goals 14, 20 and 25 step limits away and more, each")
+    ] = 0,
+    blocked: Annotated[int, typer.Option(min=0, help="Questions for a step with another robot in the way")] = 0,
     prompts: Annotated[str | None, typer.Option(help="full, brief or a folder [the model's]")] = None,
     frame: Annotated[str | None, typer.Option(help="world or own [the model's]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the questions")] = 0,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
 ) -> None:
-    """Ask a model held-out questions and measure its answers, raw and as they would be flown."""
-    from llm_flock.distill.evaluation import Evaluator
+    """Ask a model questions and measure its answers, raw and as they would be flown; count those that were taught."""
+    from llm_flock.distill.evaluation import OTHER_TEAMS, Evaluator
     from llm_flock.llm.frame import FrameName
 
     if frame is not None and frame not in get_args(FrameName):
         raise InputError("frame", frame, "world or own")
     evaluator = Evaluator(model, prompts=prompts, frame=cast("FrameName | None", frame), seed=seed)
-    motion = {"step": evaluator.steps(count, 1)}
+    motion = {"step": evaluator.steps(count, 1), "goal_repeated": evaluator.repeated(count)}
     if paths:
         motion["path"] = evaluator.steps(paths, 20)
+    if far:
+        motion |= evaluator.far_steps(far)
+    if blocked:
+        motion["blocked"] = evaluator.blocked_steps(blocked)
     formations = evaluator.plans(plans) if plans else []
+    others = evaluator.plans(other_plans, OTHER_TEAMS) if other_plans else []
     if json_output:
         plain = {
             "model": model,
             **{name: asdict(m) for name, m in motion.items()},
             "plans": [asdict(p) for p in formations],
+            "other_plans": [asdict(p) for p in others],
         }
         sys.stdout.write(json.dumps(plain) + "\n")
         return
-    table = Table(
-        "", "asked", "parsed", "within the step limit", "pass the checks", "error [units]", "as flown [units]"
-    )
+    screen = Screen()
+    screen.show(_motion_table(motion))
+    if formations or others:
+        screen.show(_plan_table([*formations, *others]))
+
+
+_MOTIONS = {"goal_repeated": "a program that repeats the goal", "blocked": "step with a robot ahead"}
+"""Rows whose names are not those of the JSON output."""
+
+
+def _motion_table(motion: Mapping[str, MotionFigures]) -> Table:
+    columns = ("asked", "taught", "parsed", "within the step limit", "pass the checks")
+    table = Table("", *columns, r"off course \[degrees]", r"error \[units]", r"as flown \[units]")
     for name, m in motion.items():
         shares = (f"{share:.1%}" for share in (m.parsed, m.within, m.passed))
-        table.add_row(name, str(m.asked), *shares, f"{m.error:.2f}", f"{m.shielded_error:.2f}")
-    for p in formations:
-        table.add_row(f"plan of {p.team}", str(p.asked), "", "", f"{p.passed:.1%}", "", "")
-    Screen().print(table)
+        degrees = "-" if m.degrees is None else f"{m.degrees:.1f}"
+        numbers = (degrees, f"{m.error:.2f}", f"{m.shielded_error:.2f}")
+        table.add_row(_MOTIONS.get(name, name), str(m.asked), str(m.taught), *shares, *numbers)
+    return table
 
 
-@distill.command()
+def _plan_table(plans: Sequence[PlanFigures]) -> Table:
+    table = Table("plan of", "asked", "different prompts", "of these taught", "pass at first ask")
+    for p in plans:
+        table.add_row(p.team, str(p.asked), str(p.distinct), str(p.taught), f"{round(p.passed * p.asked)} of {p.asked}")
+    return table
+
+
+@distill.command(cls=PlainHelp)
 def export(
     training: Annotated[Path, typer.Argument(help="Folder of a training")],
-    out: Annotated[Path, typer.Argument(help="GGUF file to write")],
+    out: Annotated[Path, typer.Argument(help="New GGUF file")],
 ) -> None:
     """Write the trained adapter for llama.cpp: --model local:smollm2+FILE."""
     from llm_flock.distill.adapter import MAX_BYTES, Adapter, write_gguf
     from llm_flock.distill.training import FACTORS
 
+    _check_new(out)
     size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
     note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
     sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")
+
+
+def _check_new(out: Path) -> None:
+    """Refuse a file that is there: a recording or a model may have been named by mistake."""
+    if os.path.lexists(out):
+        raise InputError("out", str(out), "a file that is not there yet: none is overwritten")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,23 +12,30 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line, summary_table
-from llm_flock.cli.keyboard import Keyboard, ask
+from llm_flock.cli.foxglove import showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
+    FLIGHT,
     SET_BY_FLY,
     ConfigPath,
     JsonOutput,
     Quiet,
     Record,
-    parse_flags,
+    load_shown,
+    refuse_ros2,
     with_config_flags,
     with_output_folder,
 )
 from llm_flock.cli.terminal import Screen, say
-from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.errors import FieldError
+from llm_flock.extras import require_posix
+from llm_flock.foxglove.options import Service, with_foxglove
 
 if TYPE_CHECKING:
+    from llm_flock.record.writer import RecordSink
+    from llm_flock.robots.crazyflie.radios import RadioPlan
+    from llm_flock.runtime.flight.config import FlightConfig
     from llm_flock.runtime.flight.dry_run import DryRun
     from llm_flock.runtime.flight.flight import FlightResult
     from llm_flock.runtime.flight.preflight import Check, PreflightReport
@@ -39,7 +45,8 @@ WORD = "fly"
 """The word that confirms a flight."""
 
 
-@with_config_flags(without=SET_BY_FLY, kind=FlightConfig)
+@with_config_flags(without=SET_BY_FLY, kind=FLIGHT)
+@with_foxglove
 def fly(
     config: ConfigPath = None,
     dry_run: Annotated[
@@ -49,37 +56,60 @@ def fly(
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
+    *,
+    service: Service,
     **flags: Any,
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
-    In flight, l (or Ctrl-C) lands all drones, and x (or Ctrl-C twice) cuts all motors.
+    In flight, l (or Ctrl-C) lands all drones, and x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
     """
+    import asyncio
+
+    from llm_flock.runtime.flight.config import FlightConfig
     from llm_flock.runtime.flight.fleet import with_drones
 
-    settings = with_drones(FlightConfig.load(config, **parse_flags(flags)))
+    if config is None and not dry_run and not (flags["drones"] or flags["crazyflies"]):
+        says = "fly needs to know the drones: --config FILE, such as examples/flight.toml, or --crazyflies FILE"
+        raise FieldError("config", says=f"{says} (--dry-run needs neither)")
+    if not dry_run:
+        require_posix("fly")
+    from llm_flock.foxglove.services import Orders
+
+    if dry_run:
+        service.refuse("a dry run")
+        refuse_ros2(flags, "has no effect in a dry run")
+    settings = with_drones(load_shown(FlightConfig, config, flags))
     if dry_run:
         _dry_run(settings, json_output)
         return
-    settings = with_output_folder(settings, "flight-", record=record)
-    result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet))
+    settings = with_output_folder(settings, "flight-", record=record, typed=flags["out"])
+    with showing_run(service, settings, Orders()) as sink:
+        result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet, sink=sink))
     summary = None if result.result is None else result.result.summary
     if json_output:
         say(json.dumps(_plain(result), allow_nan=False))
     elif summary is not None and summary.flight is not None:
-        Screen().print(summary_table(summary, settings.mission.safe_distance))
-        Screen().print(_flight_table(summary.flight))
+        Screen().show(summary_table(summary, settings.mission.safe_distance))
+        Screen().show(_flight_table(summary.flight))
     if summary is None or summary.flight is None or not summary.flight.safe or summary.flight.ended != "mission":
         raise typer.Exit(EXIT_FAILED)
 
 
-async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool) -> FlightResult:
+async def _fly(
+    settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool, sink: RecordSink | None
+) -> FlightResult:
+    import asyncio
+
+    from llm_flock.cli.keyboard import Keyboard, ask
+    from llm_flock.record.writer import both
+    from llm_flock.ros2.flight import poses_of, showing_flight
     from llm_flock.runtime.flight.fleet import build_fleet
     from llm_flock.runtime.flight.flight import TAKING_OFF, Flight
 
     async def confirm(report: PreflightReport) -> bool:
         if not as_json:
-            Screen().print(_preflight_table(report.checks))
+            Screen().show(_preflight_table(report.checks))
         if yes:
             return True
         answer = await ask(f"Type '{WORD}' to take off, anything else to stay: ")
@@ -94,9 +124,21 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
             keyboard.listen()
             stack.enter_context(bar)
 
+    def on_connect(check: Check) -> None:
+        if live:
+            waited.add(check.who)
+            rest = [drone.name for drone in settings.fleet.drones if drone.name not in waited]
+            still = f"; waiting for {', '.join(rest)}" if rest else ""
+            say(f"{check.who}: {'connected in ' if check.passed else ''}{check.found}{still}", error=True)
+
+    waited: set[str] = set()
     bar, on_round = live_line(settings.mission.shape, enabled=live)
-    with ExitStack() as stack:
-        flight = Flight(settings, build_fleet(settings), on_round=on_round, on_stage=on_stage)
+    async with AsyncExitStack() as stack:
+        sink = both(sink, await stack.enter_async_context(showing_flight(settings)))
+        fleet, poses = build_fleet(settings), poses_of(settings)
+        flight = Flight(
+            settings, fleet, on_round=on_round, on_stage=on_stage, on_connect=on_connect, sink=sink, poses=poses
+        )
         with Keyboard(flight) as keyboard:
             try:
                 result = await flight.run(confirm)
@@ -104,7 +146,7 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
                 say("interrupted; nothing has taken off", error=True)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
     if not result.report.passed and not as_json:
-        Screen().print(_preflight_table(result.report.checks))
+        Screen().show(_preflight_table(result.report.checks))
         for check in result.report.checks:
             if not check.passed:
                 say(f"error: {check}", error=True)
@@ -115,14 +157,19 @@ async def _fly(settings: FlightConfig, *, yes: bool, as_json: bool, quiet: bool)
 
 
 def _dry_run(settings: FlightConfig, as_json: bool) -> None:
+    import asyncio
+
     from llm_flock.runtime.flight.dry_run import dry_run
+    from llm_flock.runtime.flight.radios import radio_plan
 
     plan = asyncio.run(dry_run(settings))
     if as_json:
-        say(json.dumps(_plan(plan), allow_nan=False))
+        say(json.dumps({**_plan(plan), **_radios(radio_plan(settings))}, allow_nan=False))
     else:
         for table in _plan_tables(settings, plan):
-            Screen().print(table)
+            Screen().show(table)
+        for warning in radio_plan(settings).warnings:
+            say(f"warning: {warning}", error=True)
         for fault in plan.faults:
             say(f"error: {fault}", error=True)
         say(f"{sum(len(step.targets) for step in plan.steps)} set-points, {len(plan.faults)} faults")
@@ -133,10 +180,11 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
 def _preflight_table(checks: Sequence[Check]) -> Table:
     from llm_flock.runtime.flight.preflight import NAMES
 
-    table = Table("drone", *NAMES, title="preflight", title_justify="left")
+    names = list(dict.fromkeys((*NAMES, *(check.name for check in checks))))
+    table = Table("drone", *names, title="preflight", title_justify="left")
     found = {(check.who, check.name): check for check in checks}
     for who in dict.fromkeys(check.who for check in checks):
-        table.add_row(escape(who), *(_cell(found.get((who, name))) for name in NAMES))
+        table.add_row(escape(who), *(_cell(found.get((who, name))) for name in names))
     return table
 
 
@@ -157,6 +205,8 @@ def _flight_table(found: FlightFigures) -> Table:
         table.add_row(escape(name), end)
     table.add_row("in the air", f"{found.air_s:.1f} s")
     table.add_row("smallest distance", length(found.min_separation_m))
+    for reason, count in (found.poses_refused or {}).items():
+        table.add_row("poses refused", f"{escape(reason)}, {count} times")
     table.add_row("off the set-points", f"rms {length(found.tracking_rms_m)}, at most {length(found.tracking_max_m)}")
     return table
 
@@ -164,11 +214,11 @@ def _flight_table(found: FlightFigures) -> Table:
 def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
     names = [drone.name for drone in plan.drones]
     group = settings.fleet.take_off_group
-    rising = Table("group", "drone", "from x, y [m]", "to z [m]", title="take-off", title_justify="left")
+    rising = Table("group", "drone", r"from x, y \[m]", r"to z \[m]", title="take-off", title_justify="left")
     for robot, drone in enumerate(plan.drones):
         spot = "{:.2f}, {:.2f}".format(*(drone.start or (0.0, 0.0)))
         rising.add_row(str(1 + robot // group), escape(drone.name), spot, f"{settings.world.altitude_m:g}")
-    way = Table("round", "drone", "set-point [m]", "peak [m/s]", "nearest [m]", "check", title="set-points")
+    way = Table("round", "drone", r"set-point \[m]", r"peak \[m/s]", r"nearest \[m]", "check", title="set-points")
     way.title_justify = "left"
     for step in plan.steps:
         number, nearest = str(step.round), f"{step.separation_m:.3f}"
@@ -176,12 +226,45 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
         for name, (x, y, z), peak in zip(names, step.targets, step.peaks_m_s, strict=True):
             way.add_row(number, escape(name), f"{x:.3f}, {y:.3f}, {z:.3f}", f"{peak:.2f}", nearest, check)
             number = nearest = check = ""
-    down = Table("group", "drone", "spot x, y [m]", "by way of [m]", title="landing", title_justify="left")
+    down = Table("group", "drone", r"spot x, y \[m]", r"by way of \[m]", title="landing", title_justify="left")
     for number, descents in enumerate(plan.landing, start=1):
         for descent in descents:
             via = "" if descent.via is None else "{:.2f}, {:.2f}, {:.2f}".format(*descent.via)
             down.add_row(str(number), escape(names[descent.robot]), "{:.2f}, {:.2f}".format(*descent.spot), via)
-    return [rising, way, down]
+    return [*_radio_tables(settings), rising, way, down]
+
+
+def _radio_tables(settings: FlightConfig) -> list[Table]:
+    """What each radio has to carry; no table where no drone is called by radio."""
+    from llm_flock.runtime.flight.radios import radio_plan
+
+    table = Table(
+        "radio", "channels", "drones", r"needed \[1/s]", r"can \[1/s]", "share", r"turn \[ms]", title="radios"
+    )
+    table.title_justify = "left"
+    loads = radio_plan(settings).loads
+    for load in loads:
+        channels, drones = ", ".join(map(str, load.channels)), str(len(load.drones))
+        rates = f"{load.needed_hz:.0f}", f"{load.capacity_hz:.0f}", f"{load.share:.0%}", f"{1000 * load.turn_s:.0f}"
+        table.add_row(escape(load.dongle), channels, drones, *rates)
+    return [table] if loads else []
+
+
+def _radios(plan: RadioPlan) -> dict[str, Any]:
+    """Plain values for JSON."""
+    return {
+        "radios": [
+            {
+                "dongle": load.dongle,
+                "channels": load.channels,
+                "drones": load.drones,
+                "needed_hz": load.needed_hz,
+                "capacity_hz": load.capacity_hz,
+            }
+            for load in plan.loads
+        ],
+        "radio_warnings": plan.warnings,
+    }
 
 
 def _plan(plan: DryRun) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`llm-flock report` and `llm-flock export`: turn a directory of results into a report or CSV files."""
+"""`llm-flock report`: turns a directory of results into a report."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from llm_flock.cli.terminal import say
+from llm_flock.errors import InputError
+from llm_flock.extras import require
 
 Results = Annotated[
     Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it", show_default=False)
@@ -38,6 +40,8 @@ def report(
 
     It can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
     """
+    require("sweep", "report")
+    _check_folder(folder)
     from llm_flock.report.page import write_report
 
     written = write_report(
@@ -55,12 +59,7 @@ def report(
             say(path)
 
 
-def export(
-    folder: Results,
-    out: Annotated[Path | None, typer.Option(help="Folder to write [DIR]", show_default=False)] = None,
-) -> None:
-    """Write the two tables of a sweep as CSV: trials.csv and rounds.csv. Older ones are replaced."""
-    from llm_flock.experiments.tables import export_csv
-
-    for path in export_csv(folder, out or folder):
-        say(path)
+def _check_folder(folder: Path) -> None:
+    """Refuse what is no folder at once; what is in it, the tables check."""
+    if not folder.is_dir():
+        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")

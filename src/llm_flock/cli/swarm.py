@@ -2,58 +2,79 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
+import signal
 from collections.abc import Coroutine
-from typing import Annotated, Any
+from contextlib import ExitStack
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line
+from llm_flock.cli.foxglove import SwarmOrders, showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
+    ROS2,
     SET_BY_SWARM,
+    SWARM,
     ConfigPath,
     JsonOutput,
     Quiet,
     Record,
+    load_shown,
     parse_flags,
     with_config_flags,
     with_output_folder,
 )
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.process import run
+from llm_flock.extras import require, require_posix
+from llm_flock.foxglove.options import Service, with_foxglove
 
-WITHOUT_OUT = SET_BY_SWARM | {"out"}
+if TYPE_CHECKING:
+    from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.runtime.network.swarm import SwarmResult
+
+NOBODY = "no swarm answers there; `robot` and `swarm` take the same --connect and --swarm"
+
+NOT_FORMED = "[bold red]no[/]"
+
+WITHOUT_OUT = SET_BY_SWARM | ROS2 | {"out"}
+
+BODIES_HERE = SET_BY_SWARM | {"ros_poses", "ros_pose_topic"}
+"""Fields that have no meaning where another process has the robots' bodies and sensors."""
 
 
 def _run_until_stopped(work: Coroutine[Any, Any, None]) -> None:
+    from llm_flock.runtime.network.process import run
+
     try:
         run(work)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
-@with_config_flags(without=WITHOUT_OUT, kind=SwarmConfig)
+@with_config_flags(without=WITHOUT_OUT, kind=SWARM)
 def robot(
     robot_id: Annotated[int, typer.Option("--id", min=0, help="Id of this robot in the swarm")],
     config: ConfigPath = None,
     **flags: Any,
 ) -> None:
     """Run one robot of a swarm until the process is stopped."""
+    from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.robot import run_robot
 
     _run_until_stopped(run_robot(SwarmConfig.load(config, **parse_flags(flags)), robot_id))
 
 
-@with_config_flags(without=WITHOUT_OUT, kind=SwarmConfig)
+@with_config_flags(without=WITHOUT_OUT, kind=SWARM)
 def world(config: ConfigPath = None, **flags: Any) -> None:
     """Simulate the bodies and sensors of a swarm. Listens where the robots connect."""
+    from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.swarm import world_config
     from llm_flock.runtime.network.world import run_world
 
@@ -62,35 +83,52 @@ def world(config: ConfigPath = None, **flags: Any) -> None:
     _run_until_stopped(run_world(settings, lambda: say(listens, error=True)))
 
 
-@with_config_flags(without=SET_BY_SWARM, kind=SwarmConfig)
+@with_config_flags(without=BODIES_HERE, kind=SWARM)
+@with_foxglove
 def swarm(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
+    *,
+    service: Service,
     **flags: Any,
 ) -> None:
     """Fly one mission on this machine with a process for each robot, one for the world and one for the record."""
-    from llm_flock.runtime.network.swarm import run_swarm
+    import asyncio
 
-    settings = with_output_folder(SwarmConfig.load(config, **parse_flags(flags)), "swarm-", record=record)
+    require("network", "swarm")
+    require_posix("swarm")
+    from llm_flock.ros2.run import swarm_shown
+    from llm_flock.runtime.network.config import SwarmConfig
+
+    settings = load_shown(SwarmConfig, config, flags)
+    settings = with_output_folder(settings, "swarm-", record=record, typed=flags["out"])
+    if settings.record is not None:
+        from llm_flock.record.writer import check_new
+
+        check_new(settings.record)  # the recorder is a process of its own, which would only fail once all have begun
     shape, n_robots = settings.mission.shape, settings.mission.n_robots
-    bar, on_round = live_line(shape, enabled=not quiet and not json_output)
+    waiting = f"starting {n_robots} robots, each a process ..."
+    bar, on_round = live_line(shape, enabled=not quiet and not json_output, waiting=waiting)
+    from llm_flock.foxglove.services import Orders
+
+    given = SwarmOrders(settings, launched=True)
+    orders = Orders(mission=given.mission, kill=given.kill)
+    signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
-        with bar:
-            result = asyncio.run(run_swarm(settings, on_round))
+        with showing_run(service, settings, orders) as sink, ExitStack() as shown:
+            flight = swarm_shown(
+                settings, on_round, sink, on_start=given.start, on_launch=lambda: shown.enter_context(bar)
+            )
+            result = asyncio.run(flight)
     except KeyboardInterrupt:
         say(f"interrupted; all {n_robots} robots have ended", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_output:
         say(json.dumps(result.to_dict(), allow_nan=False))
     else:
-        simulated = " (simulated language models)" if result.simulated else ""
-        title = escape(f"{shape}, {n_robots} robots, {settings.model.model}{simulated}")
-        table = Table(title=title, show_header=False, title_justify="left")
-        for key, value in result.to_dict().items():
-            table.add_row(key.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
-        Screen().print(table)
+        Screen().show(_swarm_table(settings, result))
     if result.stopped == "no_plan":
         why = f"after {result.model_calls} calls; most often, {result.reason}"
         say(f"error: no robot has a plan, and no model gives an acceptable one, {why}", error=True)
@@ -100,15 +138,94 @@ def swarm(
         raise typer.Exit(EXIT_FAILED)
 
 
-@with_config_flags(without=SET_BY_SWARM, kind=SwarmConfig)
-def watch(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
-    """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
-    from llm_flock.runtime.network.watch import run_watch
+def _like_ctrl_c(number: int, frame: FrameType | None) -> None:
+    """End every process and keep the record, which the death of this process alone would not do."""
+    signal.raise_signal(signal.SIGINT)
 
-    settings = SwarmConfig.load(config, **parse_flags(flags))
+
+def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
+    """The result of a swarm, in words and numbers."""
+    rules = settings.protocol
+    simulated = " (simulated language models)" if result.simulated else ""
+    title = escape(f"{settings.mission.shape}, {result.n_robots} robots, {settings.model.model}{simulated}")
+    table = Table(title=title, show_header=False, title_justify="left")
+    table.add_column(style="dim")
+    table.add_column()
+    delays = (result.latency_p50_s, result.latency_p99_s)
+    latency = (
+        "not known"
+        if None in delays
+        else "median {:.1f} ms, 99th percentile {:.1f} ms".format(
+            *(1000 * delay for delay in delays if delay is not None)
+        )
+    )
+    plan = f"robot {result.plan_robot}, by {result.plan_by}" if result.plan_robot is not None else "none in force"
+    separation, limit = result.min_separation, settings.mission.safe_distance
+    rows = [
+        ("protocol", f"{rules.consensus} + {rules.assignment}, shield {'on' if rules.shield else 'off'}"),
+        ("formed", f"[bold green]yes[/], after {result.mission_s or 0.0:.1f} s" if result.formed else NOT_FORMED),
+        ("stopped", result.stopped),
+        ("plan", escape(plan)),
+        ("smallest separation", f"{separation:.3f} (safe distance {limit:g})"),
+        ("waypoints", ", ".join(f"{n} {who}" for who, n in result.waypoints.items() if n) or "none"),
+        ("model calls", f"{result.model_calls} ({result.calls_failed} failed)"),
+        ("tokens", f"{result.tokens:,}"),
+        ("messages", f"{result.bytes_per_robot_s:,.0f} bytes per robot and second"),
+        ("latency", latency),
+    ]
+    special = [
+        ("late commands", str(result.late_commands or "")),
+        ("breakers opened", ", ".join(f"robot {robot}" for robot in result.breakers_opened)),
+        ("rejected", ", ".join(f"{n} {why}" for why, n in result.messages_rejected.items())),
+        ("shown to lie", ", ".join(f"robot {robot}: {why}" for robot, why in result.shown_to_lie.items())),
+        ("ended", ", ".join(f"{name} ({code})" for name, code in result.ended.items())),
+        ("record", result.record or ""),
+    ]
+    for name, value in rows + [(name, escape(value)) for name, value in special if value]:
+        table.add_row(name, value)
+    return table
+
+
+@with_config_flags(without=BODIES_HERE, kind=SWARM)
+@with_foxglove
+def watch(
+    config: ConfigPath = None,
+    quiet: Quiet = False,
+    *,
+    service: Service,
+    **flags: Any,
+) -> None:
+    """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
+    from llm_flock.ros2.run import run_bridge
+    from llm_flock.runtime.network.config import SwarmConfig
+
+    settings = load_shown(SwarmConfig, config, flags)
+    where = f" at {settings.network.connect}" if settings.network.connect else ""
+    waiting = f"waiting for robots of swarm {settings.network.swarm!r}{where} ..."
+    bar, on_round = live_line(settings.network.swarm, enabled=not quiet, waiting=waiting)
+    from llm_flock.foxglove.services import Orders
+
+    orders = Orders(mission=SwarmOrders(settings, launched=False).mission)
+    with showing_run(service, settings, orders) as sink, bar:
+        _run_until_stopped(run_bridge(settings, settings.record, on_round, sink))
+
+
+@with_config_flags(without=SET_BY_SWARM, kind=SWARM)
+def ros2(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
+    """Show a running swarm as nodes of ROS 2, until Ctrl-C, and take missions and poses from there; no ROS is needed.
+
+    With --ros-poses this is the swarm's world: start it in place of `llm-flock world`.
+    """
+    require("network", "ros2")
+    require("ros2", "ros2")
+    from llm_flock.ros2.bridge import with_router
+    from llm_flock.ros2.run import run_bridge
+    from llm_flock.runtime.network.config import SwarmConfig
+
+    settings = with_router(SwarmConfig.load(config, **parse_flags(flags)))
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet)
     with bar:
-        _run_until_stopped(run_watch(settings, settings.record, on_round))
+        _run_until_stopped(run_bridge(settings, settings.record, on_round))
 
 
 def mission(
@@ -124,14 +241,18 @@ def mission(
     swarm_name: Annotated[str | None, typer.Option("--swarm", help="Name of the swarm [the configuration's]")] = None,
 ) -> None:
     """Give a running swarm another mission: one robot receives it and passes it on."""
+    from llm_flock.runtime.network.config import SwarmConfig
+
+    fields = dict(_change(text) for text in changes)
+    settings = SwarmConfig.load(config, connect=connect, swarm=swarm_name)
+    settings.mission.change(**fields)  # refused here with a message; a robot would only record the refusal
+    import asyncio
+
     from llm_flock.runtime.network.watch import give_mission
 
-    settings = SwarmConfig.load(config, connect=connect, swarm=swarm_name)
-    fields = dict(_change(text) for text in changes)
-    settings.mission.change(**fields)  # refused here with a message; a robot would only record the refusal
     taker = asyncio.run(give_mission(settings, fields, robot_id))
     if taker is None:
-        raise InputError("connect", settings.network.connect, "where a swarm runs; nobody was there")
+        raise InputError("connect", settings.network.connect or None, says=NOBODY)
     say(f"given to robot {taker}")
 
 

@@ -12,7 +12,8 @@ import typer
 
 from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_SWEEP, parse_flags, with_config_flags
 from llm_flock.cli.terminal import Screen, say
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
+from llm_flock.extras import require
 
 
 @with_config_flags(without=SET_BY_SWEEP)
@@ -26,8 +27,13 @@ def sweep(
     ] = False,
     variables: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Value of a variable of the file; repeat it for a list", metavar="NAME=VALUE"),
+        typer.Option(
+            "--set",
+            help="Value of a variable of the file, or value to keep of an axis; repeat it for a list",
+            metavar="NAME=VALUE",
+        ),
     ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Seeds for each cell [as the file says]")] = None,
     executor: Annotated[
         str, typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: chosen for each")
     ] = "auto",
@@ -54,18 +60,25 @@ def sweep(
     Flags of the configuration hold for all trials and replace an axis of the same name. After Ctrl-C or a crash, the
     same command goes on. Exit codes: 0 when all trials are finished, 1 when some are left or broke off.
     """
-    from llm_flock.cli.sweep_display import show_expected, show_status, sweep_line
-    from llm_flock.experiments.store import Store
-    from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
+    require("sweep", "sweep")
     from llm_flock.experiments.sweep_file import load_sweep
-    from llm_flock.experiments.sweep_forecast import expect_cells
-    from llm_flock.experiments.trial import KeepRecords
 
     executor = _one_of("executor", executor, ("auto", "one", "pool"))
     keep = None if keep_records is None else _one_of("keep_records", keep_records, ("all", "failed", "none"))
     budget = {"max_calls": budget_calls, "max_tokens": budget_tokens, "max_cost": budget_cost}
-    found = load_sweep(file, variables=_variables(variables or []), budget=budget, **parse_flags(flags))
+    given = _variables(variables or [])
+    found = load_sweep(file, variables=given, seeds=seeds, budget=budget, **parse_flags(flags))
+    from llm_flock.cli.sweep_display import show_expected, show_status, sweep_line
+    from llm_flock.experiments.store import Store
+    from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
+    from llm_flock.experiments.sweep_forecast import expect_cells
+    from llm_flock.experiments.trial import KeepRecords
+
     folder = out or Path("runs") / found.file.sweep.name
+    if not dry_run:
+        Store(folder)  # says now, and not after the rehearsal, that results cannot be kept there
+    elif folder.exists() and not folder.is_dir():
+        raise InputError("out", str(folder), "a folder")
     flown = load_flown(found, Store(folder)) if (folder / "trials").is_dir() else {}
     left = Counter(spec.cell for spec in found.trials if spec.id not in flown or flown[spec.id].cut)
     cells: defaultdict[str, list[Any]] = defaultdict(list)
@@ -107,7 +120,7 @@ def sweep(
 
 def _one_of(field: str, value: str, allowed: tuple[str, ...]) -> str:
     if value not in allowed:
-        raise InputError(field, value, f"one of {', '.join(allowed)}")
+        raise InputError(field, value, says=unknown("choice", value, allowed))
     return value
 
 

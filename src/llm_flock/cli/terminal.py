@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
 
 from llm_flock.printable import printable
 
@@ -18,6 +21,56 @@ class Screen(Console):
         """The segments to be written, with cleaned text."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=printable(segment.text))
+
+    def show(self, table: Table, copied: Collection[str] = ()) -> None:
+        """Print a table of texts; where it cannot stand without cutting words, print a list of its rows instead.
+
+        Columns whose header is in `copied` hold what is to be copied: no line break goes into them.
+        """
+        heads = [Text.from_markup(str(column.header)) for column in table.columns]
+        columns = [[Text.from_markup(str(cell)) for cell in column.cells] for column in table.columns]
+        whole = [head.plain in copied for head in heads]
+        if not table.show_header:
+            whole[:1] = [True]  # names
+        widths = _widths(heads, columns, whole, self.width - 3 * len(columns) - 1)
+        if widths is not None:
+            for column, width in zip(table.columns, widths, strict=True):
+                column.width = width
+            self.print(table)
+            return
+        if table.title:
+            self.print(table.title, style="italic", soft_wrap=True)
+        rows = list(zip(*columns, strict=True))
+        if table.show_header:
+            names = max(cell_len(head.plain) for head in heads[1:])
+            for first, *rest in rows:
+                self.print(first, style="bold", soft_wrap=True)
+                for head, cell in zip(heads[1:], rest, strict=True):
+                    if cell.plain:
+                        self.print(Text(f"  {head.plain.ljust(names)}  ").append_text(cell), soft_wrap=True)
+            return
+        names = max((cell_len(row[0].plain) for row in rows), default=0)
+        for name, *rest in rows:
+            line = Text(name.plain.ljust(names + 2), style="dim")
+            self.print(Text.assemble(line, *rest), soft_wrap=True)
+
+
+def _widths(
+    heads: Sequence[Text], columns: Sequence[Sequence[Text]], whole: Sequence[bool], room: int
+) -> list[int] | None:
+    """Widths of columns that cut no word, and of `whole` ones no line; None if there is not enough room."""
+    least: list[int] = []
+    most: list[int] = []
+    for head, cells, uncut in zip(heads, columns, whole, strict=True):
+        texts = [head.plain, *(cell.plain for cell in cells)]
+        most.append(max(cell_len(line) for text in texts for line in text.split("\n")))
+        words = [cell_len(word) for text in texts for word in text.split()]
+        least.append(most[-1] if uncut else max(words, default=0))
+    spare, wanted = room - sum(least), sum(most) - sum(least)
+    if spare < 0:
+        return None
+    share = min(1.0, spare / wanted) if wanted else 0.0
+    return [low + int(share * (high - low)) for low, high in zip(least, most, strict=True)]
 
 
 def say(text: object, *, error: bool = False) -> None:

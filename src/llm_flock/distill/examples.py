@@ -24,7 +24,7 @@ from llm_flock.llm.frame import FramedQuestion, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.replay import CassetteLine
+from llm_flock.llm.replay import HEADER, VERSION, CassetteLine
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan
@@ -201,9 +201,16 @@ def plan_examples(seed: int, split: Split) -> Iterator[Example]:
 
 
 def write_examples(path: Path, examples: Iterable[Example]) -> int:
-    """Write examples as JSON lines and return their number."""
+    """Write examples as JSON lines and return their number.
+
+    Raises:
+        InputError: the file cannot be written; a broken recording among the examples leaves none behind.
+    """
     lines = [json.dumps(asdict(example)) + "\n" for example in examples]
-    path.write_text("".join(lines), encoding="utf-8")
+    try:
+        path.write_text("".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise InputError("out", str(path), f"a file that can be written ({error.strerror})") from None
     return len(lines)
 
 
@@ -221,7 +228,7 @@ def read_examples(path: Path) -> list[Example]:
     for number, line in enumerate(lines, start=1):
         try:
             examples.append(Example(**json.loads(line)))
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, RecursionError) as error:
             allowed = f"an example as `distill data` writes it ({error})"
             raise InputError("data", f"{path}, line {number}", allowed) from None
     if not examples:
@@ -233,15 +240,20 @@ def recorded_examples(path: Path) -> Iterator[Example]:
     """Questions of a run with their accepted answers, as they were asked.
 
     Questions that were asked again or follow earlier exchanges are left out: an example is one question and one answer.
-    So are answers that were clipped before they were flown.
+    So are answers that were clipped before they were flown, and a last line that was cut off when its run was killed.
 
     Raises:
         InputError: for field `cassette`: it cannot be read, or a line is not of a cassette.
     """
     try:
-        _, *lines = path.read_text(encoding="ascii").splitlines()
+        first, *lines = path.read_text(encoding="ascii").split("\n")[:-1]
+        if json.loads(first)[HEADER] != VERSION:
+            raise ValueError(f"not of version {VERSION}")
+    except (LookupError, TypeError, RecursionError):
+        raise InputError("cassette", str(path), f"a recording of --record-llm, with {HEADER!r} in line 1") from None
     except (OSError, ValueError) as error:
-        raise InputError("cassette", str(path), f"a recording of --record-llm ({error})") from None
+        why = getattr(error, "strerror", None) or error
+        raise InputError("cassette", str(path), f"a recording of --record-llm ({why})") from None
     for number, text in enumerate(lines, start=2):
         try:
             line = CassetteLine.model_validate_json(text)

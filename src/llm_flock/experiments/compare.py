@@ -14,9 +14,10 @@ from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.executors import Display, Session, fly_in_pool
-from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, models_of
+from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
 from llm_flock.experiments.statistics import Estimate, mean_interval, median, wilson
 from llm_flock.experiments.trial import TrialResult
+from llm_flock.printable import csv_cell
 from llm_flock.runtime.config import load_config
 
 TOLERANCE = 1e-6
@@ -67,7 +68,7 @@ class Row:
         violations: trials in which two robots were nearer than safe_distance by more than `TOLERANCE`.
         unsafe_starts: trials in which two robots were nearer than safe_distance at the start.
         min_separation_after_start: as min_separation, but these pairs counted only once they had come apart [units].
-        calls: model calls per robot and trial: mean with Student's 95 % interval; None if all trials broke off.
+        calls: model calls per robot and trial: mean with Student's 95 % interval, cut at 0; None if all broke off.
         waypoints: waypoints flown in all trials, by origin.
         failed_seeds: seeds of the trials that are not in `formed`.
         errors: what broke trials off, the first of each kind, with its seed.
@@ -113,9 +114,10 @@ def build_cells(
     load = partial(load_config, file)
     for shape, n_robots in teams:
         fields = {**overrides, "shape": shape, "n_robots": n_robots}
-        if fit_arena:
-            fields["arena"] = arena_of(load, fields)
-        cells.extend(Cell(config=load(**{**fields, "protocol": protocol})) for protocol in protocols)
+        with naming_team("cells", f"{shape}/{n_robots}"):
+            if fit_arena:
+                fields["arena"] = arena_of(load, fields)
+            cells.extend(Cell(config=load(**{**fields, "protocol": protocol})) for protocol in protocols)
     return cells
 
 
@@ -199,7 +201,7 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Row:
         violations=sum(separation < limit for separation in separations),
         unsafe_starts=sum(s["start_violations"] > 0 for s in known),
         min_separation_after_start=min(later, default=None),
-        calls=mean_interval([s["model_calls"] / s["n_robots"] for s in known]),
+        calls=mean_interval([s["model_calls"] / s["n_robots"] for s in known], least=0.0),
         waypoints=dict(sorted(waypoints.items())),
         failed_seeds=tuple(seed for seed, result in results.items() if not result.formed),
         errors=tuple(errors.values()),
@@ -227,9 +229,13 @@ def markdown(rows: Sequence[Row]) -> str:
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     texts = ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
     texts.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
-    if any(row.simulated for row in rows):
-        texts += ["", "simulated language models"]
-    return "\n".join([*texts, *(note for row in rows for note in _notes(row))])
+    return "\n".join([*texts, *notes(rows)])
+
+
+def notes(rows: Sequence[Row]) -> list[str]:
+    """The lines below a table of these rows: failed seeds, unsafe starts, and whether models were simulated."""
+    simulated = ["", "simulated language models"] if any(row.simulated for row in rows) else []
+    return [*simulated, *(note for row in rows for note in _notes(row))]
 
 
 def _number(value: float | None, form: str) -> str:
@@ -293,7 +299,8 @@ def trial_file(path: Path) -> Generator[OnResult]:
             summary = {} if result.summary is None or result.error is not None else result.summary
             figures = [summary.get(name) for name in FIGURES]
             waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
-            writer.writerow((cell.protocol, cell.shape, cell.n_robots, seed, *figures, waypoints, result.error))
+            shape, error = csv_cell(cell.shape), csv_cell(result.error or "")
+            writer.writerow((cell.protocol, shape, cell.n_robots, seed, *figures, waypoints, error))
             file.flush()
 
         yield add

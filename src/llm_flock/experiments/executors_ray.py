@@ -20,6 +20,7 @@ from llm_flock.errors import BudgetExceeded, FlockError, InputError
 from llm_flock.experiments.executors import Session, drive
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, code_version, fly
+from llm_flock.extras import require
 from llm_flock.llm.limits import Budget, Spent
 from llm_flock.llm.port import Usage
 from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
@@ -43,10 +44,9 @@ def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, j
     """
     if not specs:
         return
-    try:
-        import ray
-    except ImportError:
-        raise InputError("cluster", address, "given only with Ray: pip install 'llm-flock[cluster]'") from None
+    require("cluster", "sweep --cluster")
+    import ray
+
     remote: Any = ray
     try:
         remote.init(address=address, log_to_driver=False, logging_level="error")
@@ -150,7 +150,7 @@ class _GateActor:
 
 
 class _RemoteGate:
-    """A worker's side of the gate, as a `Gate`."""
+    """A worker's side of the gate, as a `CallGate`."""
 
     def __init__(self, actor: Any, worker: int) -> None:
         self._actor = actor

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +15,7 @@ import numpy as np
 
 from llm_flock import formations, renamed
 from llm_flock.arrays import Point, Vector
-from llm_flock.errors import InputError
+from llm_flock.errors import FieldError, InputError
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.prompting import PACKAGED
@@ -22,6 +23,7 @@ from llm_flock.llm.providers import parse_model
 from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import MAX_ROBOTS, Mission, start_volume
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.schedule import points_file
 
 PLACES = {"trial": {"out"}, "model": {"record_llm"}}
 """Fields that say where files go. They do not change what happens in a trial."""
@@ -111,7 +113,7 @@ def models_of(config: RunConfig) -> tuple[str, ...]:
 def _waits(model: str) -> bool:
     name = parse_model(model)
     if name.kind != "simulated":
-        return name.kind in ("provider", "local")
+        return name.kind in ("provider", "local", "own")
     return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
@@ -171,6 +173,17 @@ def parse_teams(text: str) -> list[tuple[str, int]]:
     return teams
 
 
+@contextmanager
+def naming_team(field: str, team: str) -> Generator[None]:
+    """Errors of a shape or a number of robots name where both were given: `field`, as `SHAPE/N`."""
+    try:
+        yield
+    except InputError as error:
+        if isinstance(error, FieldError) or error.field not in ("shape", "n_robots"):
+            raise
+        raise InputError(field, team, says=error.says) from None
+
+
 def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple[Point, Point]:
     """The arena of a configuration that may be refused for lack of room, as `fitted_arena` grows it.
 
@@ -181,13 +194,13 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
     """
     shape, n_robots = fields["shape"], fields["n_robots"]
     if not isinstance(shape, str) or type(n_robots) is not int or not 1 <= n_robots <= MAX_ROBOTS:
-        raise InputError("team", f"{shape}/{n_robots}", f"a shape, and a number of robots from 1 to {MAX_ROBOTS}")
+        raise InputError("team", f"{shape}/{n_robots}", f"SHAPE/N with N from 1 to {MAX_ROBOTS}")
     places = fields.get("places")
     if places is not None and (type(places) is not int or not 1 <= places <= MAX_ROBOTS):
         raise InputError("places", places, f"a number from 1 to {MAX_ROBOTS}")
     # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
     team = load(**{**fields, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
-    points = formations.load_points(Path(shape.partition(":")[2])) if shape.startswith("points:") else None
+    points = formations.load_points(points_file(shape), "shape") if shape.startswith("points:") else None
     return fitted_arena(team, shape if points is None else "points", n_robots, points)
 
 

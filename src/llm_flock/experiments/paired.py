@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.special import nctdtrinc
+import scipy
 
 from llm_flock.errors import InputError
 from llm_flock.experiments.statistics import CONFIDENCE, Estimate, Method, mean_interval, wilson
@@ -109,7 +109,7 @@ def _effect(differences: Sequence[float], confidence: float) -> Estimate | None:
     unbiased = math.exp(math.lgamma(free / 2) - math.lgamma((free - 1) / 2)) / math.sqrt(free / 2)
     score = mean / spread * math.sqrt(n)
     low, high = (
-        float(nctdtrinc(free, share, score)) / math.sqrt(n) * unbiased
+        float(scipy.special.nctdtrinc(free, share, score)) / math.sqrt(n) * unbiased
         for share in ((1 + confidence) / 2, (1 - confidence) / 2)
     )
     sane = math.isfinite(low) and math.isfinite(high) and low < high

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from llm_flock.errors import InputError
 
@@ -51,7 +51,7 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Estim
         raise InputError("trials", trials, "at least 1")
     if not 0 <= successes <= trials:
         raise InputError("successes", successes, f"0 .. {trials}")
-    z = float(ndtri((1 + confidence) / 2))
+    z = float(scipy.special.ndtri((1 + confidence) / 2))
     share = successes / trials
     scale = 1 + z * z / trials
     middle = (share + z * z / (2 * trials)) / scale
@@ -63,9 +63,15 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Estim
 
 
 def mean_interval(
-    values: Sequence[float], confidence: float = CONFIDENCE, method: Method = "student"
+    values: Sequence[float],
+    confidence: float = CONFIDENCE,
+    method: Method = "student",
+    *,
+    least: float | None = None,
 ) -> Estimate | None:
     """The mean of independent, finite values with its interval; None without values, no interval for a single one.
+
+    `least` is as in `mean_bands`.
 
     Raises:
         InputError: the confidence is out of its range.
@@ -75,12 +81,16 @@ def mean_interval(
         return None
     if len(values) == 1:
         return Estimate(value=float(values[0]), low=None, high=None)
-    mean, low, high = mean_bands(np.array(values, dtype=np.float64)[:, None], method, confidence)
+    mean, low, high = mean_bands(np.array(values, dtype=np.float64)[:, None], method, confidence, least=least)
     return Estimate(value=float(mean[0]), low=float(low[0]), high=float(high[0]))
 
 
 def mean_bands(
-    table: NDArray[np.float64], method: Method = "student", confidence: float = CONFIDENCE
+    table: NDArray[np.float64],
+    method: Method = "student",
+    confidence: float = CONFIDENCE,
+    *,
+    least: float | None = None,
 ) -> tuple[Column, Column, Column]:
     """Mean of every column over the rows, and the ends of its interval.
 
@@ -88,6 +98,8 @@ def mean_bands(
         table: a row for each trial, a column for each round; unknown values are NaN and left out of their column.
         method: how to find the interval.
         confidence: between 0 and 1.
+        least: the smallest possible value, 0 for counts and lengths. Few trials give an interval that reaches below
+            it; its end moves there, which costs no coverage, because the true mean cannot be below it.
 
     Returns:
         mean, low and high, each of shape (columns,); NaN where there is no value (for the ends: fewer than two).
@@ -108,12 +120,14 @@ def mean_bands(
         if len(values) > 1:
             find = _student_ends if method == "student" else _bootstrap_ends
             low[columns], high[columns] = find(values, confidence)
+    if least is not None:
+        low = np.maximum(low, least)  # NaN stays
     return mean, low, high
 
 
 def _student_ends(values: NDArray[np.float64], confidence: float) -> tuple[Column, Column]:
     count = len(values)
-    half = stdtrit(count - 1, (1 + confidence) / 2) * values.std(axis=0, ddof=1) / math.sqrt(count)
+    half = scipy.special.stdtrit(count - 1, (1 + confidence) / 2) * values.std(axis=0, ddof=1) / math.sqrt(count)
     return values.mean(axis=0) - half, values.mean(axis=0) + half
 
 
@@ -135,10 +149,10 @@ def _bootstrap_ends(values: NDArray[np.float64], confidence: float) -> tuple[Col
         if spread <= (1e-12 * max(1.0, abs(float(middle[k])))) ** 2:
             continue  # all values are equal, and so are all means
         below = float((means[:, k] < middle[k]).sum()) + float((means[:, k] == middle[k]).sum()) / 2
-        bias = float(ndtri(min(max(below, 0.5), RESAMPLES - 0.5) / RESAMPLES))
+        bias = float(scipy.special.ndtri(min(max(below, 0.5), RESAMPLES - 0.5) / RESAMPLES))
         skew = float(cubes[k]) / (6 * spread**1.5)
         for ends, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
-            shifted = bias + float(ndtri(share))
+            shifted = bias + float(scipy.special.ndtri(share))
             ends[k] = float(np.quantile(means[:, k], normal.cdf(bias + shifted / (1 - skew * shifted))))
     return low, high
 

@@ -8,7 +8,8 @@
     DIR/spent/OWNER.json   what a process has spent so far, unfinished trials included
     DIR/*.parquet          tables, built from the trials
 
-Several processes may work on one directory, also on several machines that share a file system with `flock`.
+Several processes may work on one directory, also on several machines that share a file system with `flock`. Without
+it, two sweeps on one directory fly some trials twice.
 """
 
 from __future__ import annotations
@@ -26,12 +27,8 @@ import msgspec
 from llm_flock import renamed
 from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments.trial import FORMAT, TrialResult
+from llm_flock.file_lock import lock_file
 from llm_flock.llm.limits import Spent
-
-try:
-    import fcntl
-except ImportError:  # pragma: no cover - systems without flock: two sweeps on one directory fly some trials twice
-    fcntl = None
 
 TRIALS, RECORDS, CLAIMS, SPENT = "trials", "records", "claims", "spent"
 
@@ -110,12 +107,8 @@ class Store:
     def _lock(self, path: Path) -> int | None:
         """The handle of a locked file; None while another process has locked it."""
         while True:
-            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            if fcntl is None:  # pragma: no cover
-                return handle
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            if not lock_file(handle):
                 os.close(handle)
                 return None
             with suppress(FileNotFoundError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -24,7 +23,7 @@ from llm_flock.llm.models import check_priced
 from llm_flock.llm.providers import parse_base_urls
 from llm_flock.llm.sharing import Rate
 from llm_flock.renamed import current_label
-from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime.planners import check_planners
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
 
@@ -104,7 +103,8 @@ def fly_sweep(
         if executor == "pool" and cluster is None:
             raise InputError("executor", executor, "one or auto with models on board, which share an engine")
         if cluster is not None:
-            raise InputError("cluster", cluster, "nothing with models on board, which share an engine in one process")
+            says = "cannot be used with models on board, which share an engine in one process"
+            raise InputError("cluster", cluster, says=says)
     _check(sweep)
     store, display = Store(folder), display or Display()
     _register(sweep, store)
@@ -164,7 +164,7 @@ def _check(sweep: Sweep) -> None:
     """Refuse a sweep whose models cannot be asked: missing keys, wrong addresses or prompts, unknown prices."""
     for spec in {spec.cell: spec for spec in sweep.trials}.values():
         check_priced(sweep.file.budget.max_cost, spec.models, parse_base_urls(spec.config.model.base_url, spec.models))
-        asyncio.run(TeamPlanners(spec.config).close())
+        check_planners(spec.config)
 
 
 def load_flown(sweep: Sweep, store: Store) -> dict[str, TrialResult]:

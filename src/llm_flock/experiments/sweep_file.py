@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,13 +14,14 @@ from typing import Annotated, Any, cast
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from llm_flock import renamed
-from llm_flock.errors import InputError
-from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, parse_teams
+from llm_flock.errors import FieldError, InputError, unknown
+from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock.experiments.trial import KeepRecords
 from llm_flock.llm.providers import PROVIDERS
 from llm_flock.llm.simulated.profiles import parse_profile
-from llm_flock.mission import Mission, input_error
+from llm_flock.mission import Mission
 from llm_flock.runtime.config import RunConfig, build_config, read_toml
+from llm_flock.validation import input_error
 
 MOST_TRIALS = 100_000
 """Most trials of a sweep; all of them are in memory."""
@@ -39,7 +41,12 @@ class _Table(BaseModel):
 class SweepTable(_Table):
     """`[sweep]`: the sweep as a whole."""
 
-    name: str = Field(pattern=r"^[\w.-]+$", max_length=100, description="Name; results go to runs/NAME by default")
+    name: str = Field(
+        pattern=r"^[\w.-]+$",
+        max_length=100,
+        json_schema_extra={"expected": "letters, digits, '.', - and _"},
+        description="Name; results go to runs/NAME by default",
+    )
     about: str = Field(default="", description="One sentence about the sweep; reports open with it")
     seeds: Positive | tuple[Annotated[int, Field(ge=0)], ...] = Field(
         description="Number of seeds for each cell, or a list of them; the same for all cells"
@@ -104,29 +111,36 @@ def load_sweep(
     path: Path,
     *,
     variables: Mapping[str, Sequence[Any]] | None = None,
+    seeds: int | None = None,
     budget: Mapping[str, float | None] | None = None,
     **overrides: Any,
 ) -> Sweep:
     """Read a sweep and resolve its trials.
 
-    Values of `variables` and limits of `budget` replace those of the file, and overrides are fields of the
-    configuration for all trials, which replace an axis of the same name. None means: not given.
+    Values of `variables`, the number of `seeds` and limits of `budget` replace those of the file. A name in `variables`
+    that is an axis keeps only these of its values. Overrides are fields of the configuration for all trials, which
+    replace an axis of the same name. None means: not given.
 
     Raises:
         InputError: naming the first fault.
     """
+    given = {name: value for name, value in (budget or {}).items() if value is not None}
     try:
-        data = read_toml("sweep", path)
+        data = read_toml("file", path)
         text = path.read_text(encoding="utf-8")
-        given = {name: value for name, value in (budget or {}).items() if value is not None}
         if isinstance(table := data.get("budget", {}), dict):
             data["budget"] = {**cast("dict[str, Any]", table), **given}
+        if seeds is not None and isinstance(table := data.get("sweep"), dict):
+            data["sweep"] = {**cast("dict[str, Any]", table), "seeds": seeds}
         file = SweepFile.model_validate(data)
     except ValidationError as error:
-        raise input_error(error) from None
+        found = input_error(error, SweepFile)
+        if found.field in given:  # in the words of the command line, which has a --max-cost for each trial too
+            raise InputError(found.field.replace("max_", "budget_"), found.value, says=found.says) from None
+        raise found from None
     for name in file.providers:
-        if name not in {*PROVIDERS, "local", "simulated"}:
-            raise InputError("providers", name, "a provider; `llm-flock models` lists them")
+        if name not in (known := (*PROVIDERS, "local", "simulated")):
+            raise FieldError("providers", name, says=unknown(f"provider [providers.{name}]", name, known))
     parse_profile(file.expect.profile)
     return Sweep(file=file, text=text, trials=tuple(_trials(file, variables or {}, overrides)))
 
@@ -135,11 +149,13 @@ def _trials(
     file: SweepFile, variables: Mapping[str, Sequence[Any]], overrides: Mapping[str, Any]
 ) -> Iterator[TrialSpec]:
     for name in variables:
-        if name not in file.variables:
-            raise InputError("set", name, f"one of the variables {', '.join(file.variables) or '(there are none)'}")
+        if name not in {**file.variables, **file.grid}:
+            raise InputError("set", name, says=unknown("variable or axis", name, (*file.variables, *file.grid)))
     given = renamed.current({field: value for field, value in overrides.items() if value is not None})
     grid = renamed.current(file.grid)
     axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in grid.items()}
+    for name in axes.keys() & variables.keys() - file.variables.keys():
+        axes[name] = _kept(name, axes[name], variables[name])
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
     seeds = file.sweep.seeds if isinstance(file.sweep.seeds, int) else len(file.sweep.seeds)
     if (number := seeds * math.prod(map(len, axes.values()))) > MOST_TRIALS:
@@ -180,6 +196,15 @@ def _axis(name: str, values: list[Any] | str, variables: Mapping[str, Sequence[A
     return points
 
 
+def _kept(name: str, points: Sequence[_Point], values: Sequence[Any]) -> list[_Point]:
+    """The points of an axis that have these labels."""
+    labels = [point.label for point in points]
+    for value in map(str, values):
+        if value not in labels:
+            raise InputError("set", f"{name}={value}", says=unknown(f"value of axis {name}", value, labels))
+    return [point for point in points if point.label in map(str, values)]
+
+
 def _point(axis: str, value: Any) -> _Point:
     if isinstance(value, Mapping):
         fields = dict(cast("Mapping[str, Any]", value))
@@ -203,11 +228,14 @@ def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Po
         RunConfig.section_of(name)  # refuses an unknown one
     for refused in ("seed", "out", "record_llm"):
         if refused in fields or any(refused in table for table in file.run.values()):
-            raise InputError(refused, "...", "not given: seeds are in [sweep], and results have their own directory")
+            where = "seeds are in [sweep], and results have their own directory"
+            raise FieldError(refused, says=f"field {refused!r} cannot be set in a sweep: {where}")
     load = partial(build_config, file.run)
-    if file.sweep.fit_arena and "arena" not in fields:
-        team = {"shape": Mission().shape, "n_robots": Mission().n_robots, **file.run.get("mission", {}), **fields}
-        fields["arena"] = arena_of(load, team)
+    with naming_team("grid.team", point["team"].label) if "team" in point else nullcontext():
+        if file.sweep.fit_arena and "arena" not in fields:
+            team = {"shape": Mission().shape, "n_robots": Mission().n_robots, **file.run.get("mission", {}), **fields}
+            fields["arena"] = arena_of(load, team)
+        config = load(**fields)
     label = " ".join(v.label if name in OWN_COLUMNS else f"{name}={v.label}" for name, v in point.items())
     axes = {name: value.label for name, value in point.items() if name not in OWN_COLUMNS}
-    return Cell(config=load(**fields), label=label, axes=axes)
+    return Cell(config=config, label=label, axes=axes)

@@ -11,6 +11,7 @@ from typing import Any
 
 from llm_flock.experiments.executors import Display
 from llm_flock.experiments.grid import TrialSpec
+from llm_flock.experiments.smaller_rehearsal import LARGE, rehearse_small, scaled, smaller_team
 from llm_flock.experiments.sweep_file import ExpectTable, Sweep
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.limits import Spent
@@ -20,10 +21,11 @@ from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.planners import check_planners
 from llm_flock.runtime.trial import TrialProgress
 
 REHEARSAL_S = 5.0
-"""A rehearsal stops after this time, and its use is extrapolated to the last round [s]."""
+"""A rehearsal stops after this time; a small team, or else its first rounds, say what the rest takes [s]."""
 
 NEARLY = 0.95
 """Largest part of a whole trial that a trial in flight counts as."""
@@ -76,7 +78,12 @@ def expect_cells(
     A cell with finished trials is expected to go on as they did. Any other cell is rehearsed with its first seed: by
     its own model if that is a stand-in that does not wait, else by the one in `[expect]`, which gets the same
     questions, and whose answers are taken to have `output_tokens` tokens each. Before that, `on_cell` is called.
+
+    Raises:
+        InputError: a model cannot work, as far as that is known without a key.
     """
+    for spec in {spec.cell: spec for spec in sweep.trials}.values():
+        check_planners(spec.config, asks=False)
     found: dict[str, Expected] = {}
     rehearsed: dict[str, Expected] = {}
     for spec in sweep.trials:
@@ -95,6 +102,22 @@ def expect_cells(
             rehearsed[key] = _rehearse(stand_in)
         found[spec.cell] = _priced(spec, rehearsed[key], sweep.file.expect)
     return found
+
+
+def expect_run(config: RunConfig, expect: ExpectTable) -> tuple[Expected, bool]:
+    """The expected use of one run, and whether it was rehearsed by the stand-in of `expect`, as cells of a sweep are.
+
+    Neither a model is asked nor a file written.
+
+    Raises:
+        InputError: a model cannot work, as far as that is known without a key.
+    """
+    check_planners(config, asks=False)
+    no_files = {"trial": config.trial.model_copy(update={"out": None})}
+    no_files |= {"model": config.model.model_copy(update={"record_llm": None})}
+    spec = TrialSpec(id="", cell="", axes={}, config=config.model_copy(update=no_files))
+    stand_in = _stand_in(spec, expect)
+    return _priced(spec, _rehearse(stand_in), expect), stand_in.model.model != spec.config.model.model
 
 
 def _measured(summary: Mapping[str, float]) -> Expected:
@@ -126,9 +149,28 @@ class _LongEnough(Exception):
 
 
 def _rehearse(config: RunConfig) -> Expected:
-    """The use of one trial of a stand-in, extrapolated where it takes long."""
-    began = time.perf_counter()
+    """The use of one trial of a stand-in; where that takes long, from a small team, or from its first rounds."""
     last: list[TrialProgress] = []
+    began = time.perf_counter()
+    small = smaller_team(config)
+    if config.mission.n_robots <= LARGE or small is None:
+        found = _fly(config, last, began)
+        if found is not None:
+            return replace(found, at_most=_at_most(config))
+    if small is not None:
+        use = scaled(config, small, *rehearse_small(small))
+        found = Expected(
+            calls=use.calls, tokens_input=use.tokens_input, tokens_output=use.tokens_output, wall_s=use.wall_s
+        )
+    else:
+        (now,) = last
+        so_far = Expected(calls=now.model_calls, tokens_input=now.tokens, wall_s=time.perf_counter() - began)
+        found = so_far.times(now.rounds / max(1, now.round))
+    return replace(found, at_most=_at_most(config))
+
+
+def _fly(config: RunConfig, last: list[TrialProgress], began: float) -> Expected | None:
+    """Fly a whole trial; None, with its `last` progress, where that takes too long."""
 
     def note(now: TrialProgress) -> None:
         last[:] = [now]
@@ -136,10 +178,8 @@ def _rehearse(config: RunConfig) -> Expected:
             raise _LongEnough
 
     with suppress(_LongEnough):
-        return replace(_measured(run(config=config, on_round=note).summary.to_dict()), at_most=_at_most(config))
-    (now,) = last
-    so_far = Expected(calls=now.model_calls, tokens_input=now.tokens, wall_s=time.perf_counter() - began)
-    return replace(so_far.times(now.rounds / max(1, now.round)), at_most=_at_most(config))
+        return _measured(run(config=config, on_round=note, progress=False, trace=False).summary.to_dict())
+    return None
 
 
 def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
@@ -148,12 +188,14 @@ def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
     names = [parse_model(text) for text in parse_models(config.model.model, config.mission.n_robots)]
     addresses = parse_base_urls(config.model.base_url, spec.models)
     calls = [found.calls / len(names) if name.kind not in ("geometry", "replay") else 0.0 for name in names]
-    answers = [expect.output_tokens if name.kind in ("provider", "local") else 0.0 for name in names]
+    answers = [expect.output_tokens if name.kind in ("provider", "local", "own") else 0.0 for name in names]
     output = sum(count * tokens for count, tokens in zip(calls, answers, strict=True))
     share = found.tokens_input / max(1.0, found.calls)
     cost: float | None = 0.0
     for name, count, tokens in zip(names, calls, answers, strict=True):
-        if name.kind == "provider" and cost is not None:
+        if name.kind == "own" and count:
+            cost = None  # its class may charge anything
+        elif name.kind == "provider" and cost is not None:
             provider = name.provider if name.provider not in addresses else None
             price = cost_usd(provider, name.model, Usage(input=round(share), output=round(tokens)))
             cost = None if price is None else cost + count * price

@@ -17,6 +17,7 @@ from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock.experiments.store import read_trial, trial_files, write_whole
 from llm_flock.experiments.trial import TrialResult
+from llm_flock.printable import FORMULA
 from llm_flock.protocol.events import Origin
 
 TRIALS_NAME = "trials.parquet"
@@ -179,7 +180,8 @@ def build_tables(folder: Path) -> None:
 def export_csv(folder: Path, out: Path) -> list[Path]:
     """Write `trials.csv` and `rounds.csv` into `out`; older ones are replaced.
 
-    Numbers are written with full precision; an unknown value is an empty field.
+    Numbers are written with full precision; an unknown value is an empty field. A text that a spreadsheet would take
+    for a formula has a quote before it: results may come from anywhere.
 
     Raises:
         InputError: there are no results, or the files cannot be written.
@@ -189,7 +191,8 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, frame in frames.items():
-            frame.write_csv(out / name)
+            texts = frame.select(pl.col(pl.String)).columns
+            frame.with_columns(pl.col(texts).str.replace(f"({FORMULA})", "'${1}")).write_csv(out / name)
     except OSError as error:
         raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
     return [out / name for name in frames]

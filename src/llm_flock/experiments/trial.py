@@ -139,7 +139,7 @@ async def fly(
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
     metrics, error = _Metrics(), None
     try:
-        await run_async(config=config, sink=metrics, lane=lane, on_round=on_round)
+        await run_async(config=config, sink=metrics, lane=lane, on_round=on_round, progress=False, trace=False)
     except Exception as reason:  # it is stored, counted and shown
         if scratch is None and isinstance(reason, InputError):
             raise

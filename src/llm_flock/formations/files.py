@@ -24,7 +24,7 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:  # no UTF-8, or no name of a file
-        raise InputError(field, str(path), f"a readable file ({error})") from None
+        raise InputError(field, str(path), f"a readable file ({getattr(error, 'strerror', None) or error})") from None
     rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text, path, field)
     points: list[Point] = []
     for where, row in rows:

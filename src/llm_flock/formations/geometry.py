@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
-from scipy.spatial.distance import pdist
 
 from llm_flock.arrays import Points
 
@@ -22,8 +21,8 @@ def smallest_distance(points: ArrayLike) -> float:
     if len(rows) < 2:
         return math.inf
     if len(rows) <= PAIRWISE_UP_TO:
-        return float(pdist(rows).min())
-    return float(np.asarray(KDTree(rows).query(rows, k=2)[0])[:, 1].min())
+        return float(scipy.spatial.distance.pdist(rows).min())
+    return float(np.asarray(scipy.spatial.KDTree(rows).query(rows, k=2)[0])[:, 1].min())
 
 
 def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
@@ -50,7 +49,7 @@ def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
         return 1
     rows = rows - rows.mean(axis=0)
     allowed = tolerance * circumradius(rows, (0.0, 0.0))
-    tree = KDTree(rows)
+    tree = scipy.spatial.KDTree(rows)
     # Points other than one at the mean form orbits of k points, so k divides n or n - 1.
     for k in range(n, 1, -1):
         if n % k > 1:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from llm_flock.arrays import Points
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
 from llm_flock.formations import layouts
 
 
@@ -96,6 +96,9 @@ _LISTED = (
     _Shape("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
     _Shape("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
 )
+MOST_TRIED = 10_000
+"""Largest number of robots that an error tries in order to list the numbers that a shape takes."""
+
 _SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
 
 
@@ -112,7 +115,7 @@ def shape_name(spec: str) -> str:
     """
     name = spec.partition(":")[0]
     if name not in _SHAPES:
-        raise InputError("shape", spec, "one of " + ", ".join(shape.name for shape in _LISTED))
+        raise InputError("shape", spec, says=unknown("shape", name, (shape.name for shape in _LISTED)))
     return name
 
 
@@ -121,13 +124,13 @@ def _argument(spec: str) -> int:
     name, (_, colon, argument) = shape_name(spec), spec.partition(":")
     if name == "text":
         if not argument.strip():
-            raise InputError("shape", spec, "text: followed by a description of the shape")
+            raise InputError("shape", spec, "a description of the shape after 'text:'")
     elif name == "polygon":
         if not (argument.isascii() and argument.isdecimal() and len(argument) <= 9 and int(argument) >= 3):
             raise InputError("shape", spec, "polygon:K with a whole number K >= 3")
         return int(argument)
     elif colon:
-        raise InputError("shape", spec, f"'{name}' without an argument")
+        raise InputError("shape", spec, f"{name!r} alone: it takes no argument")
     return 0
 
 
@@ -167,8 +170,9 @@ def ideal_points(
         points = _custom(n, len(center), custom)
     else:
         if not (n >= 1 and shape.is_legal(n, argument)):
-            legal = shape.legal.replace(" K", f" {argument}")
-            raise InputError("n_robots", n, f"{legal} for shape {spec!r}")
+            legal = [str(k) for k in range(1, MOST_TRIED) if shape.is_legal(k, argument)][:4]
+            sizes = ", ".join([*legal, "..."]) if legal else shape.legal.replace(" K", f" {argument}")
+            raise InputError("n_robots", n, says=f"a {spec} takes {sizes} robots")
         if shape.layout is None:
             return None
         if len(center) != 2:
@@ -181,7 +185,7 @@ def _custom(n: int, dim: int, custom: Sequence[Sequence[float]] | None) -> Point
     if not custom:
         raise InputError("points", custom, "at least one row of coordinates for shape 'points'")
     if len(custom) != n:
-        raise InputError("n_robots", n, f"{len(custom)}, as many as there are points")
+        raise InputError("n_robots", n, f"{len(custom)}, one for each point")
     if any(len(row) != dim for row in custom):
         raise InputError("points", f"{len(custom)} rows", f"{dim} coordinates in each row, as the centre has")
     return np.array(custom, dtype=np.float64)

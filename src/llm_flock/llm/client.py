@@ -10,9 +10,8 @@ import logging
 import re
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from itertools import groupby
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, cast
 
 import httpx2
 from pydantic_ai import exceptions as pai
@@ -31,13 +30,11 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import FlockError, ModelError
-from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
+from llm_flock.llm.port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.thoughts import spoken
 
 logger = logging.getLogger(__name__)
-
-Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
 
 MODEL_NAME_LENGTH = 100
 """Longest name of a model in a reply [characters]."""
@@ -55,26 +52,6 @@ _FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
 
 _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
 """The form of providers' keys, also where a provider returns one half hidden by asterisks."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CallSettings:
-    """Sampling settings; None leaves the provider's default.
-
-    Attributes:
-        temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
-        seed: for repeatable sampling, where the provider supports it.
-        max_tokens: longest answer, reasoning included.
-    """
-
-    temperature: float | None = None
-    seed: int | None = None
-    reasoning: Effort | None = None
-    max_tokens: int | None = None
-
-    def plain(self) -> dict[str, Any]:
-        """The settings without defaults, as they go into records."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:

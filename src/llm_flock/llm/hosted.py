@@ -9,19 +9,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import httpx2
-from openai import AsyncOpenAI
 from pydantic_ai.models import Model
-from pydantic_ai.models.ollama import OllamaModel
-from pydantic_ai.models.openai import OpenAIChatModel, OpenAIResponsesModel, OpenAIResponsesModelSettings
-from pydantic_ai.profiles.openai import OpenAIModelProfile
-from pydantic_ai.providers.alibaba import AlibabaProvider
-from pydantic_ai.providers.deepseek import DeepSeekProvider
-from pydantic_ai.providers.ollama import OllamaProvider
-from pydantic_ai.providers.openai import OpenAIProvider
-from pydantic_ai.providers.openai_compatible import OpenAICompatibleProvider
-from pydantic_ai.providers.vllm import VLLMProvider
-
-from llm_flock.llm.providers import needs_responses
 
 CONNECT_TIMEOUT_S = 10.0
 PER_POOL = 8
@@ -33,20 +21,6 @@ it can take sixty times as much memory."""
 
 NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
-
-_WHOLE_TEXT = OpenAIModelProfile(thinking_tags=("<no answer holds this>", "</no answer holds this>"))
-"""pydantic-ai would split `<think>...</think>` off, but pass on a thought that does not end without its mark."""
-
-_ANY_SERVER: OpenAIModelProfile = {**_WHOLE_TEXT, "openai_chat_supports_max_completion_tokens": False}
-"""`max_tokens` is the older name of the setting, and known to more servers."""
-
-_OPENAI_LIKE = {
-    "openai": OpenAIProvider,
-    "deepseek": DeepSeekProvider,
-    "qwen": AlibabaProvider,
-    "vllm": VLLMProvider,
-}
-"""pydantic-ai providers that know the peculiarities of a service."""
 
 
 class ManyPools(httpx2.AsyncBaseTransport):
@@ -149,19 +123,6 @@ def build_model(provider: str, model: str, *, base_url: str, key: str, http: htt
         settings = AnthropicModelSettings(anthropic_cache_instructions=True)
         client = AsyncAnthropic(**options)
         return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=client), settings=settings)
-    openai = AsyncOpenAI(**options)
-    if needs_responses(provider, model, base_url):
-        # Conversations are sent whole, so nothing has to stay on the provider's servers.
-        stateless = OpenAIResponsesModelSettings(openai_store=False)
-        return OpenAIResponsesModel(model, provider=OpenAIProvider(openai_client=openai), settings=stateless)
-    if provider == "ollama":
-        ollama = OllamaProvider(openai_client=openai)
-        # Given a profile, the class no longer finds out what Ollama's cloud lacks.
-        schemas = OllamaModel(model, provider=ollama).profile.get("supports_json_schema_output", False)
-        return OllamaModel(model, provider=ollama, profile={**_ANY_SERVER, "supports_json_schema_output": schemas})
-    known = _OPENAI_LIKE.get(provider)
-    if known is not None:
-        profile = _WHOLE_TEXT if provider == "openai" else _ANY_SERVER
-        return OpenAIChatModel(model, provider=known(openai_client=openai), profile=profile)
-    compatible = OpenAICompatibleProvider(provider, openai_client=openai)
-    return OpenAIChatModel(model, provider=compatible, profile=_ANY_SERVER)
+    from llm_flock.llm.hosted_openai import build_openai_model
+
+    return build_openai_model(provider, model, options)

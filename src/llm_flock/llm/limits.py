@@ -25,12 +25,20 @@ class RetryPolicy:
     The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at most
     longest_wait_s: robots that were turned away together do not return together. A wait that the provider asks for by
     Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
+
+    A server that has answered with `max_garbage` responses in a row that are none of its protocol is neither busy nor
+    away, so waiting longer does not help: that was the last try.
     """
 
     max_tries: int = 8
+    max_garbage: int = 4
     first_wait_s: float = 0.5
     longest_wait_s: float = 30.0
     longest_retry_after_s: float = 60.0
+
+    def gives_up(self, faults: tuple[str, ...]) -> bool:
+        """Whether another try is of no use, by the kinds of all faults of a call so far."""
+        return len(faults) >= self.max_tries or faults[-self.max_garbage :] == ("garbage",) * self.max_garbage
 
     def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
         """Draw the wait before the next try, after `failed` >= 1 failed ones [s]."""
@@ -127,7 +135,7 @@ class BudgetMeter:
             self.known_cost_usd += reply.cost_usd
 
 
-class Gate(Protocol):
+class CallGate(Protocol):
     """Admits calls of many runs one by one; see `sharing.SharedGate`."""
 
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
@@ -161,7 +169,7 @@ class CallLimits:
     timeout_s: float = 120.0
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     meter: BudgetMeter = field(default_factory=BudgetMeter)
-    gate: Gate | None = None
+    gate: CallGate | None = None
     clock: Callable[[], float] = time.perf_counter
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     slots: asyncio.Semaphore = field(init=False)
@@ -222,7 +230,7 @@ class Limited:
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
             limits.meter.faults.update(outcome.faults or (outcome.kind,))
-            if outcome.kind in FINAL or len(faults) >= limits.retry.max_tries:
+            if outcome.kind in FINAL or limits.retry.gives_up(faults):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any, Self, get_args
 
 import numpy as np
 
-from llm_flock.errors import InputError
-from llm_flock.llm.client import CallSettings, Effort, PydanticModel
+from llm_flock.errors import InputError, unknown
+from llm_flock.extras import require
 from llm_flock.llm.local.model import EngineLeases, LocalModel
-from llm_flock.llm.port import Usage
+from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
-from llm_flock.llm.simulated.model import SimulatedModel
 from llm_flock.llm.simulated.profiles import parse_profile
 
 if TYPE_CHECKING:
@@ -49,11 +48,11 @@ def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
             raise InputError(field, part.strip(), "a value after '='")
         for robot in range(first, last + 1):
             if values[robot] is not None:
-                raise InputError(field, text, f"each robot once; robot {robot} is named twice")
+                raise InputError(field, text, says=f"robot {robot} is named twice")
             values[robot] = value.strip()
     gaps = [str(robot) for robot, value in enumerate(values) if value is None]
     if gaps:
-        raise InputError(field, text, f"a value for every robot; none for {', '.join(gaps[:8])}")
+        raise InputError(field, text, f"a value for every robot; there is none for {', '.join(gaps[:8])}")
     return tuple(value for value in values if value is not None)
 
 
@@ -75,20 +74,25 @@ def parse_settings(
 ) -> tuple[CallSettings, ...]:
     """Sampling settings of each of n robots, written as in `per_robot`; one cap on the tokens of an answer for all."""
     given = {"temperature": temperature, "seed": seed, "reasoning": reasoning}
-    spread = {field: per_robot(field, text, n) for field, text in given.items() if text is not None}
+    spread = {name: per_robot(_FIELDS[name], text, n) for name, text in given.items() if text is not None}
     return tuple(
-        CallSettings(max_tokens=max_tokens, **{f: _setting(f, values[robot]) for f, values in spread.items()})
+        CallSettings(max_tokens=max_tokens, **{name: _setting(name, values[robot]) for name, values in spread.items()})
         for robot in range(n)
     )
 
 
-def _setting(field: str, text: str) -> Any:
+_FIELDS = {"temperature": "temperature", "seed": "model_seed", "reasoning": "reasoning_effort"}
+"""Sampling settings by the field of the configuration that holds them."""
+
+
+def _setting(name: str, text: str) -> Any:
     """Read one sampling setting."""
-    if field == "reasoning":
+    field = _FIELDS[name]
+    if name == "reasoning":
         if text not in get_args(Effort):
-            raise InputError(field, text, f"one of {', '.join(get_args(Effort))}")
+            raise InputError(field, text, says=unknown("effort", text, get_args(Effort)))
         return text
-    warm = field == "temperature"
+    warm = name == "temperature"
     try:
         value = float(text) if warm else int(text)
     except ValueError:
@@ -101,7 +105,8 @@ def _setting(field: str, text: str) -> Any:
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
     """Refuse a money budget for models of unknown price: it would have no effect.
 
-    Simulated models, cassettes and geometry cost nothing. A provider behind another address may charge anything.
+    Simulated models, cassettes and geometry cost nothing. A provider behind another address may charge anything, and
+    so may a class of the user's own.
 
     Raises:
         InputError: for field `max_cost`, naming the models without a price.
@@ -109,24 +114,38 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
     if max_cost_usd is None:
         return
     one = Usage(input=1, output=1)
-    names = [name for name in map(parse_model, dict.fromkeys(models)) if name.kind == "provider"]
+    names = [name for name in map(parse_model, dict.fromkeys(models)) if name.kind in ("provider", "own")]
     unknown = [
-        name.text for name in names if name.provider in base_urls or cost_usd(name.provider, name.model, one) is None
+        name.text
+        for name in names
+        if name.kind == "own" or name.provider in base_urls or cost_usd(name.provider, name.model, one) is None
     ]
     if unknown:
         allowed = f"models with a known price, not {', '.join(unknown)}: use max_tokens or max_calls"
         raise InputError("max_cost", max_cost_usd, allowed)
 
 
+class _NeverAsked:
+    """Stands for a provider's model where a configuration is only checked."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    async def ask(self, call: Call) -> Reply:
+        raise AssertionError(f"{self.name} was to be checked, not asked")
+
+
 class ModelPool:
     """Builds models, one for each (provider, model), on one HTTP client or engine; an async context manager.
 
     Keys are read from the environment when a model is first needed, and removed from all texts of its replies.
+    A pool for which `asks` is false needs no keys: its models of providers check a configuration, and are never asked.
 
     Args:
         base_urls: addresses that replace the providers' own (`parse_base_urls`).
         timeout_s: longest wait for a response, should `limits` fail to end it [s].
         environ: environment variables with keys; those of the process by default.
+        asks: whether models of providers will be asked.
     """
 
     def __init__(
@@ -135,7 +154,9 @@ class ModelPool:
         base_urls: Mapping[str, str] | None = None,
         timeout_s: float = 600.0,
         environ: Mapping[str, str] | None = None,
+        asks: bool = True,
     ) -> None:
+        self._asks = asks
         self._base_urls = dict(base_urls or {})
         self._timeout_s = timeout_s
         self._environ = os.environ if environ is None else environ
@@ -159,7 +180,7 @@ class ModelPool:
 
     def model(
         self, text: str, *, robot: int, rng: np.random.Generator, settings: CallSettings | None = None
-    ) -> PydanticModel | LocalModel:
+    ) -> LanguageModel:
         """The language model of one robot.
 
         Args:
@@ -173,15 +194,23 @@ class ModelPool:
                 geometry, which other classes provide (`replay.ReplayModel`, `geometry.GeometryPlanner`).
         """
         name = parse_model(text)
-        if name.kind == "simulated":
-            stand_in = SimulatedModel(parse_profile(name.model), robot, rng)
-            return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
         if name.kind == "local":
             return LocalModel(name.text, self._leases, settings)
-        if name.kind != "provider":
+        if name.kind not in ("simulated", "provider"):
             raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
+        if name.kind == "provider" and not self._asks:
+            return _NeverAsked(name.text)
+        hosted = self._hosted(name) if name.kind == "provider" else None
+        # pydantic-ai takes about a second to import: wrong input is reported without it.
+        from llm_flock.llm.client import PydanticModel
+
+        if hosted is None:
+            from llm_flock.llm.simulated.model import SimulatedModel
+
+            stand_in = SimulatedModel(parse_profile(name.model), robot, rng)
+            return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
         return PydanticModel(
-            self._hosted(name),
+            hosted,
             name=name.text,
             settings=settings,
             secrets=self._secrets(),
@@ -197,10 +226,11 @@ class ModelPool:
         info = name.info
         key = self._environ.get(info.key_env, "").strip()
         if not key and info.key_required and name.provider not in self._base_urls:
-            raise InputError("model", name.text, f"usable only with the key in environment variable {info.key_env}")
+            raise InputError("model", name.text, says=f"needs a key: export {info.key_env}=...")
         address = self._base_urls.get(name.provider, info.base_url)
         if address is None:
             raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
+        require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")
         # The SDKs take most of a second to import: a run with simulated models needs none of them.
         from llm_flock.llm import hosted
 

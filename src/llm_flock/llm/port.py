@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias
 
 Role: TypeAlias = Literal["system", "user", "assistant"]
 Kind: TypeAlias = Literal["plan", "step"]
+Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
+"""Reasoning effort, as providers name it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +20,26 @@ class ChatMessage:
 
     role: Role
     text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CallSettings:
+    """Sampling settings; None leaves the provider's default.
+
+    Attributes:
+        temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
+        seed: for repeatable sampling, where the provider supports it.
+        max_tokens: longest answer, reasoning included.
+    """
+
+    temperature: float | None = None
+    seed: int | None = None
+    reasoning: Effort | None = None
+    max_tokens: int | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The settings without defaults, as they go into records."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +151,14 @@ class LanguageModel(Protocol):
             ModelError: there is no answer.
             ReplayDrift: a replayed conversation differs.
         """
+        ...
+
+
+class Answers(Protocol):
+    """All that a model of the user's own needs; it may also have `aclose`, and say that it is `simulated`."""
+
+    async def ask(self, call: Call) -> Reply | str:
+        """Answer one call. Whatever it raises counts as a failed call."""
         ...
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from genai_prices import calc_price
-from genai_prices.types import Usage as PricedUsage
-
 from llm_flock.llm.port import Usage
 
 LISTED = frozenset({"openai", "anthropic", "deepseek"})
@@ -19,6 +16,9 @@ def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
     provider = _SAME_LIST.get(provider or "", provider)
     if provider not in LISTED:
         return None
+    from genai_prices import calc_price
+    from genai_prices.types import Usage as PricedUsage
+
     tokens = PricedUsage(
         input_tokens=usage.input, output_tokens=usage.output, cache_read_tokens=min(usage.cached, usage.input)
     )

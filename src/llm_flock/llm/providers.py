@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, cast
 from urllib.parse import urlsplit
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
 from llm_flock.printable import hidden
 
 LONGEST_URL = 2_000
 """Longest address of a provider [characters]."""
 
-ModelKind: TypeAlias = Literal["provider", "local", "simulated", "replay", "geometry"]
+ModelKind: TypeAlias = Literal["provider", "local", "simulated", "replay", "geometry", "own"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,16 @@ PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 """The table of providers by name, in the order of the documentation."""
 
 
+MODEL_FORMS = (
+    f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or local:MODEL, simulated:PROFILE, replay:FILE, "
+    "geometry, or package.module:Class"
+)
+"""What a model string may be, in words."""
+
+_OWN = re.compile(r"(?:[^\W\d]\w*\.)+[^\W\d]\w*:[^\W\d][\w.<>]*|[^\W\d]\w*:(?:[\w.<>]+\.)?[A-Z]\w*|__main__:[\w.<>]+")
+"""A class of the user's own. Where the module has no dot, the class begins with a capital letter, so that a misspelt
+provider is no class."""
+
 _RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
 
 
@@ -82,8 +92,8 @@ class ModelName:
     Attributes:
         text: as written.
         provider: name in the table of providers; the kind for everything else.
-        model: the part after the first colon: model name, file of a model on board, profile of a simulated model, or
-            path of a cassette.
+        model: the part after the first colon: model name, file of a model on board, profile of a simulated model,
+            path of a cassette, or a class.
     """
 
     text: str
@@ -98,7 +108,9 @@ class ModelName:
 
 
 def parse_model(text: str) -> ModelName:
-    """Read `provider:model`, `local:MODEL`, `simulated:PROFILE`, `replay:FILE` or `geometry`.
+    """Read `provider:model`, `local:MODEL`, `simulated:PROFILE`, `replay:FILE`, `geometry` or `package.module:Class`.
+
+    Nothing is imported: the name may come from a record.
 
     Raises:
         InputError: for field `model`, with a list of the possibilities.
@@ -108,9 +120,12 @@ def parse_model(text: str) -> ModelName:
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
     others = {"local": "smollm2 or a GGUF file", "simulated": "a profile", "replay": "a file"}
+    if provider not in {*PROVIDERS, *others} and _OWN.fullmatch(text):
+        return ModelName(text=text, kind="own", provider="own", model=model)
     if not colon or provider not in {*PROVIDERS, *others}:
-        forms = "local:MODEL, simulated:PROFILE, replay:FILE, geometry"
-        raise InputError("model", text, f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or {forms}")
+        known = (*PROVIDERS, *others, "package.module:Class")
+        says = unknown(f"provider {provider!r}", provider, known) if colon else ""
+        raise InputError("model", text, MODEL_FORMS, says=says)
     if not model:
         raise InputError("model", text, f"{others.get(provider, 'a model name')} after '{provider}:'")
     if provider in PROVIDERS and re.search(r"[\s,=]", model):

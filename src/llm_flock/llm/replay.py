@@ -1,6 +1,7 @@
 """Cassettes: files with every conversation of a run, one attempt a line, and a model that answers from them.
 
-A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`; each further line is a `CassetteLine`.
+A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`, with `"simulated": true` where a stand-in may
+have answered; each further line is a `CassetteLine`.
 """
 
 from __future__ import annotations
@@ -74,20 +75,21 @@ class _Cassette:
 class CassetteWriter(_Cassette):
     """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
 
-    A run that is killed loses at most the line that was being written. An existing file is never touched.
+    A run that is killed loses at most the line that was being written. An existing file is never touched. `simulated`
+    tells whether a stand-in may answer: the names of models need not say so.
 
     Raises:
         InputError: for field `record_llm`: the file exists or cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, simulated: bool = False) -> None:
         try:
             self._file = path.open("x", encoding="ascii", newline="\n")
         except FileExistsError:
             raise InputError("record_llm", str(path), "a file that does not exist yet") from None
         except OSError as error:
             raise InputError("record_llm", str(path), f"a file that can be created ({error.strerror})") from None
-        self._write({HEADER: VERSION})
+        self._write({HEADER: VERSION, "simulated": True} if simulated else {HEADER: VERSION})
 
     def __call__(self, attempt: Attempt) -> None:
         """Write one line, the fields of a `CassetteLine`."""
@@ -139,6 +141,7 @@ class ReplayModel(_Cassette):
         self._path = path
         self.models: set[str] = set()
         """Names of the models that answered when the cassette was recorded."""
+        self._marked = False
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -148,6 +151,11 @@ class ReplayModel(_Cassette):
         except BaseException:
             self._file.close()
             raise
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulated stand-in answered when the cassette was recorded."""
+        return self._marked or any(model.startswith("simulated:") for model in self.models)
 
     async def ask(self, call: Call) -> Reply:
         """The recorded answer to this call.
@@ -218,8 +226,10 @@ class ReplayModel(_Cassette):
 
     def _check_header(self, raw: bytes) -> None:
         try:
-            version = json.loads(raw)[HEADER]
-        except (ValueError, TypeError, LookupError, RecursionError):
+            header = json.loads(raw)
+            version = header[HEADER]
+            self._marked = header.get("simulated") is True
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
             raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
         if version != VERSION:
             raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from llm_flock.errors import BudgetExceeded
-from llm_flock.llm.limits import Budget, Gate, Spent
+from llm_flock.llm.limits import Budget, CallGate, Spent
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Usage
@@ -79,7 +79,7 @@ class _Traffic:
 
 
 class SharedGate:
-    """A `Gate` within one process and event loop.
+    """A `CallGate` within one process and event loop.
 
     Calls count when they begin. Tokens and money are known with the answer; until then a call reserves its expected
     use, so that near the end of a budget calls wait for those under way, and it is overrun by about one call.
@@ -113,7 +113,7 @@ class SharedGate:
         self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
 
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
-        """See `Gate`. Calls of one provider go in the order of arrival."""
+        """See `CallGate`. Calls of one provider go in the order of arrival."""
         traffic = self._traffic[model.partition(":")[0]]
         tokens, cost = self._expected(model, chars)
         async with traffic.queue:
@@ -134,7 +134,7 @@ class SharedGate:
         return ticket
 
     def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
-        """See `Gate`."""
+        """See `CallGate`."""
         call = self._under_way.pop(ticket)
         self._traffic[call.model.partition(":")[0]].under_way -= 1
         if usage is not None:
@@ -187,13 +187,13 @@ class CallLane:
     turned away a call of this run.
     """
 
-    def __init__(self, gate: Gate | None = None, pools: Pools | None = None) -> None:
+    def __init__(self, gate: CallGate | None = None, pools: Pools | None = None) -> None:
         self.pools = pools
         self.cut = False
         self._gate = gate
 
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
-        """See `Gate`."""
+        """See `CallGate`."""
         if self._gate is None:
             return -1
         try:
@@ -203,22 +203,23 @@ class CallLane:
             raise
 
     def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
-        """See `Gate`."""
+        """See `CallGate`."""
         if self._gate is not None:
             self._gate.leave(ticket, usage, cost_usd)
 
 
 class Pools:
-    """Connections that many runs of one event loop share."""
+    """Connections that many runs of one event loop share; see `ModelPool` for `asks`."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, asks: bool = True) -> None:
+        self._asks = asks
         self._pools: dict[tuple[frozenset[tuple[str, str]], float], ModelPool] = {}
 
     def pool(self, base_urls: Mapping[str, str], timeout_s: float) -> ModelPool:
         """The pool for these addresses; `aclose` of this object closes it."""
         key = frozenset(base_urls.items()), timeout_s
         if key not in self._pools:
-            self._pools[key] = ModelPool(base_urls=base_urls, timeout_s=timeout_s)
+            self._pools[key] = ModelPool(base_urls=base_urls, timeout_s=timeout_s, asks=self._asks)
         return self._pools[key]
 
     async def aclose(self) -> None:

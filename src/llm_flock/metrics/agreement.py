@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
-from scipy.spatial.distance import cdist
 
 from llm_flock.arrays import Pairwise, Point, Points
 
@@ -48,7 +46,12 @@ Ways: TypeAlias = Callable[[Points, Points], Pairwise]
 """Lengths of the ways from each of some positions to each of some goals, shape (n, m) [units]."""
 
 
-def bottleneck_distance(start: ArrayLike, goals: ArrayLike, ways: Ways = cdist) -> float:
+def straight(start: Points, goals: Points) -> Pairwise:
+    """Straight distances from each of some positions to each of some goals, shape (n, m) [units]."""
+    return scipy.spatial.distance.cdist(start, goals)
+
+
+def bottleneck_distance(start: ArrayLike, goals: ArrayLike, ways: Ways = straight) -> float:
     """Smallest distance D for which all robots can have different goals within D [units], exactly.
 
     With more robots than goals, the smallest D for which all goals can have different robots. `ways` measures
@@ -65,7 +68,9 @@ def bottleneck_distance(start: ArrayLike, goals: ArrayLike, ways: Ways = cdist) 
     low, high = 0, len(candidates) - 1
     while low < high:
         middle = (low + high) // 2
-        partner = maximum_bipartite_matching(csr_array(apart <= candidates[middle]), perm_type="column")
+        partner = scipy.sparse.csgraph.maximum_bipartite_matching(
+            scipy.sparse.csr_array(apart <= candidates[middle]), perm_type="column"
+        )
         found = int((np.asarray(partner) >= 0).sum())
         low, high = (middle + 1, high) if found < wanted else (low, middle)
     return float(candidates[low])
@@ -78,7 +83,7 @@ def lower_bound_rounds(
     drift: Callable[[int], Point] | None = None,
     *,
     within: float = 0.0,
-    ways: Ways = cdist,
+    ways: Ways = straight,
 ) -> int:
     """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and nobody in the way.
 

@@ -21,9 +21,8 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import KDTree
 
 from llm_flock.arrays import Points
 
@@ -79,7 +78,7 @@ def longest(x: Complex, y: Complex, symmetry: int = 1) -> Correspondence:
     def corner(angle: float) -> _Corner:
         nonlocal best
         direction = cmath.rect(1.0, angle)
-        _, columns = linear_sum_assignment(squares - 2 * (direction.real * real + direction.imag * imag))
+        _, columns = scipy.optimize.linear_sum_assignment(squares - 2 * (direction.real * real + direction.imag * imag))
         z = complex(products[index, columns].sum())
         if abs(z) > abs(best.z):
             best = Correspondence(z=z, columns=columns)
@@ -159,7 +158,7 @@ def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Corresponde
     best = max(_candidates(x, y), key=lambda found: abs(found.z), default=None)
     if best is None:
         return None
-    reach, tree = np.abs(x), KDTree(_columns(y))
+    reach, tree = np.abs(x), scipy.spatial.KDTree(_columns(y))
     pieces = math.ceil(INTERVALS / symmetry)
     width = math.pi / (pieces * symmetry)
     intervals = [(k * 2 * width, width) for k in range(pieces)]
@@ -188,7 +187,7 @@ def _candidates(x: Complex, y: Complex) -> Iterator[Correspondence]:
     outermost = x[np.abs(x).argmax()]
     if outermost == 0.0:
         return
-    tree = KDTree(_columns(y))
+    tree = scipy.spatial.KDTree(_columns(y))
     partners = np.argsort(np.abs(np.abs(y) - abs(outermost)), kind="stable")[:ANCHORS]
     for partner in y[partners]:
         turn = complex(partner) / complex(outermost)

@@ -6,8 +6,8 @@ import functools
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from llm_flock import formations
 
@@ -65,7 +65,7 @@ def _near_pairs(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[N
     known = min(min_separation(start), min_separation(end))
     longest = float(np.linalg.norm(end - start, axis=1).max())
     reach = (known + longest) * (1 + 1e-9)
-    pairs = np.asarray(KDTree((start + end) / 2).query_pairs(reach, output_type="ndarray"))
+    pairs = np.asarray(scipy.spatial.KDTree((start + end) / 2).query_pairs(reach, output_type="ndarray"))
     return pairs[:, 0], pairs[:, 1]
 
 
@@ -91,7 +91,10 @@ class StartSeparation:
     def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
         """Add a round (0 is the start), its last positions, and the smallest distance in it, segments included."""
         if self._before is None:
-            self._before, self._together = positions, frozenset(KDTree(positions).query_pairs(self._limit))
+            self._before, self._together = (
+                positions,
+                frozenset(scipy.spatial.KDTree(positions).query_pairs(self._limit)),
+            )
             self.start_violations = len(self._together)
         if self._together:
             closest = segment_separation(self._before, positions, self._together)

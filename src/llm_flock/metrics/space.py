@@ -8,10 +8,11 @@ is near its shape, one of the latter is nearly right.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.transform import Rotation
 
 from llm_flock.arrays import Points
 
@@ -24,8 +25,11 @@ REFINED_STARTS = 6
 GAIN = 1e-12
 """Smallest gain for which a refinement continues, as a share."""
 
-CUBE_ROTATIONS = Rotation.create_group("O").as_matrix().round()
-"""The 24 rotations of a cube, shape (24, 3, 3): every rotation is within 63 degrees of one of them."""
+
+@cache
+def _cube_rotations() -> NDArray[np.float64]:
+    """The 24 rotations of a cube, shape (24, 3, 3): every rotation is within 63 degrees of one of them."""
+    return scipy.spatial.transform.Rotation.create_group("O").as_matrix().round()
 
 
 def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -35,7 +39,7 @@ def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArr
         rows: centred positions, shape (n, 3) [units].
         target: centred target points, shape (n, 3) [units].
     """
-    starts = [*CUBE_ROTATIONS, *_anchored(rows, target)]
+    starts = [*_cube_rotations(), *_anchored(rows, target)]
     fits = [_correspond(rows, target, rotation) for rotation in starts]
     order = sorted(range(len(fits)), key=lambda k: (-fits[k][0], k))
     best_fit, best = fits[order[0]]
@@ -67,7 +71,7 @@ def proper_rotation(rows: Points, target: Points) -> NDArray[np.float64]:
 def _correspond(rows: Points, target: Points, rotation: NDArray[np.float64]) -> tuple[float, NDArray[np.intp]]:
     """The largest sum of <R x_i, y_pi(i)>, and the correspondence pi that has it and so the least sum of squares."""
     gain = (rows @ rotation.T) @ target.T
-    index, columns = linear_sum_assignment(gain, maximize=True)
+    index, columns = scipy.optimize.linear_sum_assignment(gain, maximize=True)
     return float(gain[index, columns].sum()), columns
 
 

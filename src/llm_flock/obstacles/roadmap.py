@@ -14,9 +14,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from llm_flock.arrays import Pairwise, Point, Points, Vector
 from llm_flock.obstacles import polygons
@@ -43,6 +42,9 @@ SLACK = 1e-9
 HOP = 0.25
 """Each corner of a way counts like this share of a body's diameter: of two ways nearly as long, take the straighter."""
 
+MEETING = 1e-6
+"""Points nearer to each other than this are one [units]."""
+
 
 class Roadmap:
     """Ways between obstacles for bodies of one radius. Get it from `roadmap_of`: building it takes a while.
@@ -66,29 +68,40 @@ class Roadmap:
         dim = len(arena[0])
         self._centers = np.array([o.center for o in discs]).reshape(len(discs), dim)
         self._radii = np.array([o.radius or 0.0 for o in discs])
-        self._polygons = _united([o for o in self._obstacles if o.polygon is not None])
-        corners, normals, bends = self._corners(dim)
+        self._angular = [o for o in self._obstacles if o.polygon is not None]
+        self._polygons = _united(self._angular)
+        # Distances of corners from their discs' centres, and the largest from a polygon.
+        self._out: list[float] = []
+        self._out_angular = 0.0
+        corners, normals, bends = self._corners(dim, arena)
         low, high = np.array(arena)
-        inside = ((corners >= low) & (corners <= high)).all(axis=1)
+        inside = ((corners >= low - SLACK) & (corners <= high + SLACK)).all(axis=1)
         free = inside & self._clear(corners, corners, radius)
         self._nodes, self._normals, self._bends = corners[free], normals[free], bends[free]
         self._links = self._connected()
         self._left = lru_cache(maxsize=1024)(self._left_to)
 
-    def _corners(self, dim: int) -> tuple[Points, Points, Vector]:
+    def _corners(self, dim: int, arena: tuple[Point, Point]) -> tuple[Points, Points, Vector]:
         """Points round every obstacle, the directions away from it, and sines of the angles that each goes round."""
         found: list[tuple[Points, Points, Vector]] = [(np.empty((0, dim)), np.empty((0, dim)), np.empty(0))]
         for obstacle in self._obstacles:
             if obstacle.polygon is not None:
                 sector = self._sector(self._reach)
-                found.extend(_round_corner(at, self._reach, sector) for at in _turns(obstacle.polygon))
+                for at in _turns(obstacle.polygon):
+                    found.append(_round_corner(at, self._reach, sector))
+                    self._out_angular = max(self._out_angular, math.dist(found[-1][0][0], at[0]))
+                    found.append(_at_walls(at, self._reach, sector, arena))
                 continue
             assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a disc or a polygon"
             out = obstacle.radius + self._reach
             if dim == 2:
-                found.append(_round_corner((obstacle.center, 0.0, 2.0 * math.pi), out, self._sector(out)))
+                whole = (obstacle.center, 0.0, 2.0 * math.pi)
+                found.append(_round_corner(whole, out, self._sector(out)))
+                self._out.append(math.dist(found[-1][0][0], obstacle.center))
+                found.append(_at_walls(whole, out, self._sector(out), arena))
             else:
                 found.append(_round_ball(obstacle.center, out))
+                self._out.append(math.dist(found[-1][0][0], obstacle.center))
         corners, normals, bends = zip(*found, strict=True)
         return np.concatenate(corners), np.concatenate(normals), np.concatenate(bends)
 
@@ -114,12 +127,17 @@ class Roadmap:
         return clear
 
     def _touching(self, point: Vector) -> NDArray[np.bool_]:
-        """Corners past which a straight way from a point, perhaps nearer to an obstacle, can go on round theirs."""
-        slack = max(0.0, self._reach - clearance(tuple(point.tolist()), self._obstacles)) + SLACK
+        """Corners past which a straight way from a point can go on round theirs.
+
+        All of them from a point nearer to an obstacle than the obstacle's corners are: its ways bend at once.
+        """
+        near = np.linalg.norm(self._centers - point, axis=1) < np.array(self._out) - MEETING
+        if near.any() or clearance(tuple(point.tolist()), self._angular) < self._out_angular - MEETING:
+            return np.ones(len(self._nodes), dtype=np.bool_)
         towards = self._nodes - point
         gaps = np.linalg.norm(towards, axis=1)
         slant = np.abs((towards * self._normals).sum(axis=1))
-        return slant <= self._bends * gaps + slack
+        return slant <= self._bends * gaps + SLACK
 
     def _connected(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
         """Pairs of corners that see each other, and their distances."""
@@ -203,8 +221,8 @@ class Roadmap:
         rows = np.concatenate([first, np.full(len(seen), count)])
         columns = np.concatenate([second, seen])
         weights = np.concatenate([lengths, np.maximum(gaps, SLACK)]) + self._hop
-        linked = csr_array((weights, (rows, columns)), shape=(count + 1, count + 1))
-        return np.asarray(dijkstra(linked, directed=False, indices=[count]))[0, :count]
+        linked = scipy.sparse.csr_array((weights, (rows, columns)), shape=(count + 1, count + 1))
+        return np.asarray(scipy.sparse.csgraph.dijkstra(linked, directed=False, indices=[count]))[0, :count]
 
 
 @lru_cache(maxsize=64)
@@ -262,6 +280,24 @@ def _round_corner(at: tuple[Point, float, float], reach: float, sector: float) -
     angles = start + half * (2.0 * np.arange(count) + 1.0)
     away = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return np.array(corner) + reach / math.cos(half) * away, away, np.full(count, math.sin(half))
+
+
+def _at_walls(
+    at: tuple[Point, float, float], reach: float, sector: float, arena: tuple[Point, Point]
+) -> tuple[Points, Points, Vector]:
+    """Where the circle through those points meets walls: the ones beyond a wall are of no use to who stands at it."""
+    corner, start, turn = at
+    half = turn / math.ceil(turn / sector - 1e-9) / 2.0
+    far = reach / math.cos(half)
+    found: list[tuple[float, float]] = []
+    for axis, wall in ((axis, bound[axis]) for axis in (0, 1) for bound in arena):
+        gap = wall - corner[axis]
+        if abs(gap) < far:
+            side = math.sqrt(far * far - gap * gap)
+            met = [(gap, s) if axis == 0 else (s, gap) for s in (side, -side)]
+            found += [(x, y) for x, y in met if (math.atan2(y, x) - start) % (2.0 * math.pi) <= turn]
+    offsets = np.array(found, dtype=np.float64).reshape(len(found), 2)
+    return np.array(corner) + offsets, offsets / far, np.full(len(found), math.sin(half))
 
 
 def _round_ball(center: Point, out: float) -> tuple[Points, Points, Vector]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import replace
 from typing import assert_never
 
 from llm_flock.arrays import Point, moved
@@ -18,7 +17,7 @@ from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
 from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.protocol.agreement.messaging import Messaging
-from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback, QuestionKind
+from llm_flock.protocol.breaker import CircuitBreaker, Fallback, QuestionKind
 from llm_flock.protocol.events import (
     TRANSITIONS,
     AgreementEnded,
@@ -41,7 +40,6 @@ from llm_flock.protocol.events import (
     Sensed,
     Stopped,
 )
-from llm_flock.protocol.geometry import geometric_plan
 from llm_flock.protocol.membership.all_to_all import AllToAll
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
@@ -52,12 +50,13 @@ from llm_flock.protocol.messages.channel import Channel
 from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
 from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer
+from llm_flock.protocol.planning import NoAnswer, StepAnswer
+from llm_flock.protocol.proposals import Proposals
 from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import LIARS, Authenticator
 from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.evidence import Evidence
-from llm_flock.protocol.verification.validator import Validator, fallback_notes
+from llm_flock.protocol.verification.validator import Validator
 
 
 class IllegalEvent(AssertionError):
@@ -77,6 +76,7 @@ class Agent:
         on_event: let the planner answer with a path, and ask again only after an unforeseen event.
         fallback: what to do without a usable answer; see `llm_flock.protocol.breaker`.
         own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
+        apart: distance at which bodies can pass each other [units]; None for the safe distance.
         authenticator: signs this robot's messages and checks those of others; without one nothing is signed.
         liars: number of robots with keys that may lie together; one more must see that a place is free.
     """
@@ -96,15 +96,16 @@ class Agent:
         on_event: bool = False,
         fallback: Fallback = "hold",
         own_clock: bool = False,
+        apart: float | None = None,
         authenticator: Authenticator | None = None,
         liars: int = LIARS,
     ) -> None:
         self.robot = robot
         self.phase = Phase.IDLE
-        self._own_clock = own_clock
+        self._own_clock, self._period = own_clock, 0
         self._liveness = liveness = Liveness(robot, mission.n_robots, time_out)
         self._replanning = Replanning(robot, liveness, gaps)
-        self._validator = validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
+        validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
         all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
         channel = Channel(robot, mission)
         if authenticator is not None:
@@ -130,15 +131,18 @@ class Agent:
             noise_bound=noise_bound,
             on_event=on_event,
             fallback=fallback,
+            apart=apart,
         )
-        self._breaker = CircuitBreaker("plan", enabled=fallback != "hold")
-        self._breakers: dict[QuestionKind, CircuitBreaker] = {"plan": self._breaker, "step": self._pilot.breaker}
+        self._proposals = Proposals(robot, self._agreement, validator, self._replanning, fallback)
+        self._breakers: dict[QuestionKind, CircuitBreaker] = {
+            "plan": self._proposals.breaker,
+            "step": self._pilot.breaker,
+        }
         self._fallback: Fallback = fallback
         self._seeking = Seeking(robot)
         self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
-        self._asked: PlanQuestion | None = None
         self._asked_about: object = None
 
     @property
@@ -174,8 +178,7 @@ class Agent:
     @property
     def hopeless(self) -> NoAnswer | None:
         """Why its model's last plan was refused, for a robot without a plan whose model is not asked for one."""
-        breaker = self._breaker
-        return breaker.reason if self.plan is None and breaker.is_open and breaker.refusals else None
+        return self._proposals.hopeless
 
     @property
     def plan(self) -> Plan | None:
@@ -242,7 +245,7 @@ class Agent:
             case RoundBegan():
                 phase, effects = self._begin(event)
             case Planned():
-                phase, effects = Phase.AGREEING, self._take_plan(event.answer)
+                phase, effects = Phase.AGREEING, list[Effect](self._proposals.take(event.answer))
             case AgreementEnded():
                 phase, effects = self._decide()
             case Decided():
@@ -259,47 +262,12 @@ class Agent:
 
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
         listening = self._scene is None and event.round > 1 and event.neighbors > 0
-        agreement, mission = self._agreement, self.mission
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
-        places = self._replanning.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
-        if places is None or listening or not agreement.may_propose:
-            # A robot that joins a working team listens first, and only then proposes a plan.
-            return Phase.AGREEING, []
-        self._asked = PlanQuestion(
-            mission=mission.at(event.round).resized(places),
-            robot=self.robot,
-            round=event.round,
-            position=event.position,
-            neighbors=event.observed,
-            still=agreement.bodies,
-        )
-        self._asked_about = self._topic[:2]
-        if not self._breaker.asks(event.round):
-            failure = self._breaker.reason
-            assert failure is not None, "an open breaker has seen a refusal"
-            return Phase.AGREEING, [*self._plan_by_geometry(self._asked, failure)]
-        if self._breaker.state is BreakerState.HALF_OPEN:
-            self._asked = replace(self._asked, probe=True)
-        return Phase.PLANNING, [AskPlan(self._asked)]
-
-    def _plan_by_geometry(self, question: PlanQuestion, failure: NoAnswer) -> list[Note]:
-        """Propose geometry's plan in place of the model's, where geometry stands in for whole plans."""
-        answer = geometric_plan(question) if self._fallback == "geometry" else failure
-        answer = self._validator.plan(question, answer)
-        if isinstance(answer, NoAnswer):
-            return []
-        notes = fallback_notes("plan", "geometry", failure)
-        return [*notes, *self._agreement.propose(self._in_frame(answer), "geometry")]
-
-    def _in_frame(self, answer: PlanAnswer) -> PlanAnswer:
-        """A plan of the world frame in the frame of the mission."""
-        assert self._scene is not None, "a round has begun"
-        ahead = self._scene.ahead
-        if not ahead:
-            return answer
-        return replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
+        # A robot that joins a working team listens first, and only then proposes a plan.
+        effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
+        return (Phase.PLANNING if effects and isinstance(effects[-1], AskPlan) else Phase.AGREEING), effects
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
@@ -309,6 +277,7 @@ class Agent:
     def _begin_period(self, number: int) -> None:
         """Count a heartbeat, find silent robots, and greet neighbours."""
         assert self._seen is not None, "a robot looks before it greets"
+        self._period = number
         agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
@@ -356,6 +325,7 @@ class Agent:
             ahead=mission.drift(number) if moving else (),
             courses=self._messaging.courses,
             still=self._agreement.bodies,
+            period=self._period if self._own_clock else None,
         )
         self._seen = number, event
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
@@ -383,22 +353,11 @@ class Agent:
         for breaker in self._breakers.values():
             breaker.begin_mission()
 
-    def _take_plan(self, answer: PlanAnswer | NoAnswer) -> list[Effect]:
-        """Propose the answer, or say why there is none."""
-        assert self._asked is not None, "only a robot that asked is answered"
-        if self._topic[:2] != self._asked_about:
-            return [Note("stale_answer", {"about": "plan"})]
-        answer = self._validator.plan(self._asked, answer)
-        if isinstance(answer, PlanAnswer):
-            return [*self._breaker.usable(), *self._agreement.propose(self._in_frame(answer), "model")]
-        notes = [self._agreement.lack_plan(answer), *self._breaker.refused(self._asked.round, answer)]
-        return [*notes, *self._plan_by_geometry(self._asked, answer)]
-
     def _decide(self) -> tuple[Phase, list[Effect]]:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
         assert scene is not None, "a round has begun"
         effects, target, idle = list[Effect](), None, None
-        if plan is None and self._fallback != "hold" and self._breaker.refusals:
+        if plan is None and self._fallback != "hold" and self._proposals.breaker.refusals:
             # It goes where others will look for it, and takes the first acceptable plan that it hears.
             target = self._seeking.target(self.mission, scene.here)
             if target is not None:

@@ -179,6 +179,7 @@ class MoveTo(msgspec.Struct, frozen=True, kw_only=True):
 
 NOTES: Mapping[str, frozenset[str]] = {
     "proposed": frozenset({"plan", "slot", "by"}),
+    "enlarged": frozenset({"asked"}),
     "no_plan": frozenset({"cause", "reason"}),
     "adopted": frozenset({"plan", "from"}),
     "fallback": frozenset({"question", "by", "cause", "reason"}),

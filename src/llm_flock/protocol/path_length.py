@@ -12,8 +12,8 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import floyd_warshall
 
 from llm_flock import graph
 from llm_flock.arrays import Pairwise, Point, Points, Vector
@@ -104,7 +104,7 @@ def _between(plan: Plan, spacing: float, roadmap: Roadmap | None) -> Pairwise:
     apart = graph.distances(plan.array)
     if roadmap is not None:
         apart = np.array([ways(place, plan.array, roadmap) for place in plan.points])
-    return np.asarray(floyd_warshall(_counted(apart, spacing), directed=False))
+    return np.asarray(scipy.sparse.csgraph.floyd_warshall(_counted(apart, spacing), directed=False))
 
 
 def _counted(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:

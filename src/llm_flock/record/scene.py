@@ -32,9 +32,10 @@ _WHITE = rgba(NO_PLAN)
 _BLACK = rgba("#000000")
 _LINK = rgba("#7F7F7F", 0.5)
 _UPRIGHT = {"x": 0, "y": 0, "z": 0, "w": 1}
-_ORIGIN = {"position": {"x": 0, "y": 0, "z": 0}, "orientation": _UPRIGHT}
+ORIGIN: dict[str, Any] = {"position": {"x": 0, "y": 0, "z": 0}, "orientation": _UPRIGHT}
 _PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
-_LINE_LIST = 2
+LINE_STRIP, LINE_LOOP, LINE_LIST = 0, 1, 2
+"""Kinds of lines."""
 
 
 class SceneDrawer:
@@ -54,7 +55,7 @@ class SceneDrawer:
     def draw(self, state: State) -> bytes:
         """One scene: robots and their ids, goals, and radio links."""
         self.know(state.plan_ids)
-        points = [_xyz(row) for row in state.positions]
+        points = [xyz(row) for row in state.positions]
         colours = [None if p is None else self._plans[p] % len(PALETTE) for p in state.plan_ids]
         looks = [
             _BLACK if phase == DEAD else _WHITE if colour is None else _SOLID[colour]
@@ -62,7 +63,7 @@ class SceneDrawer:
         ]
         robots = [_sphere(point, self._diameter, look) for point, look in zip(points, looks, strict=True)]
         goals = [
-            _sphere(_xyz(goal), self._diameter / 2, _WHITE if colour is None else _FAINT[colour])
+            _sphere(xyz(goal), self._diameter / 2, _WHITE if colour is None else _FAINT[colour])
             for goal, colour in zip(state.goals, colours, strict=True)
             if goal is not None
         ]
@@ -79,9 +80,9 @@ class SceneDrawer:
         ]
         time = {"sec": state.round, "nsec": 0}
         entities = (
-            _entity("robots", time, spheres=robots, texts=ids),
-            _entity("goals", time, spheres=goals),
-            _entity("links", time, lines=self._links(state, points)),
+            entity("robots", time, spheres=robots, texts=ids),
+            entity("goals", time, spheres=goals),
+            entity("links", time, lines=self._links(state, points)),
         )
         return to_json({"deletions": (), "entities": entities})
 
@@ -94,8 +95,8 @@ class SceneDrawer:
             return []
         return [
             {
-                "type": _LINE_LIST,
-                "pose": _ORIGIN,
+                "type": LINE_LIST,
+                "pose": ORIGIN,
                 "thickness": 1,
                 "scale_invariant": True,
                 "points": points,
@@ -106,7 +107,8 @@ class SceneDrawer:
         ]
 
 
-def _xyz(row: list[float]) -> dict[str, float]:
+def xyz(row: list[float]) -> dict[str, float]:
+    """A position in Foxglove's form; a plane lies at height 0."""
     x, y, z = (round(value, DECIMALS) for value in (*row, 0.0)[:3])
     return {"x": x, "y": y, "z": z}
 
@@ -119,7 +121,7 @@ def _sphere(at: dict[str, float], diameter: float, color: dict[str, float]) -> d
     return {"pose": _pose(at), "size": {"x": diameter, "y": diameter, "z": diameter}, "color": color}
 
 
-def _entity(name: str, time: dict[str, int], **primitives: list[dict[str, Any]]) -> dict[str, Any]:
+def entity(name: str, time: dict[str, int], **primitives: list[dict[str, Any]]) -> dict[str, Any]:
     """An entity that replaces the last one of its name; viewers expect every list of primitives."""
     return {
         "timestamp": time,
@@ -148,7 +150,7 @@ def scene_schema() -> dict[str, Any]:
     shaft = {"shaft_length": number, "shaft_diameter": number, "head_length": number, "head_diameter": number}
     data = {"type": "string", "contentEncoding": "base64"}
     model = {"scale": vector, "color": color, "override_color": flag, "url": text, "media_type": text, "data": data}
-    entity = _object(
+    one_entity = _object(
         "foxglove.SceneEntity",
         timestamp=time,
         frame_id=text,
@@ -166,7 +168,7 @@ def scene_schema() -> dict[str, Any]:
         models=_array(_object("foxglove.ModelPrimitive", pose=pose, **model)),
     )
     deletion = _object("foxglove.SceneEntityDeletion", timestamp=time, type=_choice("MATCHING_ID", "ALL"), id=text)
-    return _object("foxglove.SceneUpdate", deletions=_array(deletion), entities=_array(entity))
+    return _object("foxglove.SceneUpdate", deletions=_array(deletion), entities=_array(one_entity))
 
 
 def _object(title: str, **properties: Any) -> dict[str, Any]:

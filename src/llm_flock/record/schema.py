@@ -59,6 +59,9 @@ class RunInfo(Entry):
     git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
     seed: Whole = Field(description="Seed of the run")
     simulated: bool = Field(description="Whether any language model was a simulated stand-in")
+    unrepeatable: list[str] | None = Field(
+        None, description="What of the run this configuration cannot repeat, in sentences; left out where it can"
+    )
     created_at: str = Field(description="Start of the run, UTC, ISO 8601", json_schema_extra=_VOLATILE)
     environment: dict[str, str] = Field(description="Interpreter and machine", json_schema_extra=_VOLATILE)
 

@@ -13,11 +13,12 @@ from typing import Any, cast
 import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
 import zstandard
 from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
-from mcap.records import Channel, Chunk, Footer, McapRecord, Message
+from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
 from llm_flock.errors import FlockError, RecordError
+from llm_flock.record import MAGIC
 from llm_flock.record.schema import (
     CHANNELS,
     FORMAT_VERSION,
@@ -44,6 +45,11 @@ DAMAGED = (
     ValueError,
 )
 """What the libraries raise on bytes that are no MCAP file."""
+
+ROS_PROFILE = "ros2"
+"""Profile of an MCAP file that is a bag of ROS 2."""
+
+ROS_BAG = "a bag of ROS 2, not a record of a run; `ros2 bag info` and Foxglove read it"
 
 MOST_UNPACKED, RATIO = 16 << 20, 50
 """Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
@@ -78,14 +84,14 @@ class _Team:
     def __init__(self) -> None:
         self._n: int | None = None
         self._dim: int | None = None
-        self._begun = False
+        self.begun = False
         self._states = self._rows = self._ends = 0
 
     def objection(self, entry: Entry) -> str | None:
         """Why an entry does not belong to a record with those before it; None if it does."""
-        if not self._begun:
-            self._begun = isinstance(entry, RunInfo)
-            return None if self._begun else "not a record of a run: /run comes first"
+        if not self.begun:
+            self.begun = isinstance(entry, RunInfo)
+            return None if self.begun else "not a record of a run: /run comes first"
         match entry:
             case MissionInfo(mission=fields):
                 return self._differs(fields["n_robots"], len(fields["arena"][0]), len(fields["arena"][1]))
@@ -147,6 +153,8 @@ class RecordStream:
         for message in self.messages():
             model = CHANNELS.get(message.topic)
             if model is None:
+                if not self._team.begun:
+                    raise RecordError(f"{self.path}: not a record of a run: {message.topic} comes before /run")
                 continue
             try:
                 if model is RunInfo and (version := message.decoded().get("format_version")) != FORMAT_VERSION:
@@ -175,6 +183,8 @@ class RecordStream:
             if self.ended or size <= self._position:
                 return
             with self.path.open("rb") as file:
+                if not MAGIC.startswith(file.read(len(MAGIC))):
+                    raise RecordError(f"{self.path}: not a readable MCAP file (it does not begin like one)")
                 file.seek(self._position)
                 # No record is longer than the file; without the limit, memory for a broken length would be requested.
                 stream = StreamReader(
@@ -185,6 +195,8 @@ class RecordStream:
                 )
                 for record in self._unpacked(stream.records, size):
                     self._position = file.tell()
+                    if isinstance(record, Header) and record.profile == ROS_PROFILE:
+                        raise RecordError(f"{self.path}: {ROS_BAG}")
                     if isinstance(record, Channel):
                         self._topics[record.id] = record.topic
                     elif isinstance(record, Message):

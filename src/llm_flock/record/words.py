@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from llm_flock.record.schema import LlmEntry
+if TYPE_CHECKING:
+    from llm_flock.record.schema import LlmEntry
 
 MOST_PLACES = 12
 """Number of places of a plan that are listed."""

@@ -2,6 +2,7 @@
 
 The file is unchunked: every message is a record of its own, so whatever reached the disk can be read. Each complete
 round is handed to the operating system, so a killed process loses no complete round. A machine that loses power may.
+The file is locked while it is written, so that nobody deletes the record of a run that still flies.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Protocol, Self
 from mcap.writer import IndexType, Writer
 
 from llm_flock.errors import InputError, RecordError
+from llm_flock.file_lock import lock_file
 from llm_flock.record.scene import SceneDrawer, scene_schema
 from llm_flock.record.schema import (
     CHANNELS,
@@ -68,6 +70,30 @@ class Tee:
             sink.write(entry)
 
 
+def both(first: RecordSink | None, second: RecordSink | None) -> RecordSink | None:
+    """One sink for two, each of which may be missing."""
+    return second if first is None else first if second is None else Tee(first, second)
+
+
+def check_new(path: Path) -> None:
+    """Refuse a place where no record can be written. Call it before others do what the record is to hold.
+
+    Missing folders are made.
+
+    Raises:
+        InputError: the file exists, or cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        allowed = os.access(path.parent, os.W_OK | os.X_OK)
+    except OSError as error:
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    if os.path.lexists(path):
+        raise InputError("out", str(path), "a place without a record: none is ever overwritten")
+    if not allowed:
+        raise InputError("out", str(path), "a place that can be written to (Permission denied)")
+
+
 class RecordWriter:
     """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
 
@@ -85,6 +111,7 @@ class RecordWriter:
             if os.path.lexists(path):  # says no where the system does not take the name at all
                 raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
             raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+        lock_file(self._file.fileno())
         self._mcap = Writer(
             self._file, use_chunking=False, index_types=IndexType.NONE, use_summary_offsets=False, enable_crcs=True
         )

@@ -59,13 +59,18 @@ def _draw_all(results: Results, reference: str, method: Method) -> Iterator[Draw
 
 
 def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
-    """The error over time: of each model under every protocol, and of each protocol with every model."""
+    """The error over time: of each model under every protocol, and of each protocol with every model.
+
+    Where only one model flew, or only one protocol was flown, the second figure would show the same curves again.
+    """
     model, protocol = attrgetter("model"), attrgetter("protocol")
     length = results.longest
     for by, title, series, series_of, row_of in (
         ("model", "Error over time, by model", results.models, model, protocol),
         ("protocol", "With and without consensus", results.protocols, protocol, model),
     ):
+        if len(series) == 1 and (by == "protocol" or len(results.protocols) > 1):
+            continue
         rows = list(dict.fromkeys((row_of(cell), cell.condition) for cell in results.cells))
         shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row[1] == results.conditions[0]]
         several = len({name for name, _ in rows}) > 1
@@ -105,9 +110,9 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
 
 
 def _curve(series: str, table: NDArray[np.float64], method: Method) -> Curve:
-    mean, low, high = mean_bands(table, method)
+    mean, low, high = mean_bands(table, method, least=0.0)
     x = np.arange(len(mean), dtype=np.float64)
-    return Curve(series=series, x=x, mean=mean, low=np.maximum(low, 0.0), high=high)
+    return Curve(series=series, x=x, mean=mean, low=low, high=high)
 
 
 def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
@@ -301,7 +306,7 @@ def _along(
     method: Method,
 ) -> Iterator[Drawing]:
     def mean(figure: Callable[[TrialRow], float | None]) -> Callable[[list[TrialRow]], Estimate | None]:
-        return lambda found: mean_interval(known(map(figure, found)), method=method)
+        return lambda found: mean_interval(known(map(figure, found)), method=method, least=0.0)
 
     kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
         ("formed", "formed [% of all trials]", lambda ts: _percent(wilson(sum(t.formed for t in ts), len(ts)))),

@@ -81,7 +81,7 @@ def cell_lines(results: Results, method: Method = "student") -> list[CellLine]:
 
 def _cell_line(cell: ResultCell, trials: Sequence[TrialRow], method: Method) -> CellLine:
     def mean(values: Iterable[float | None]) -> Estimate | None:
-        return mean_interval(known(values), method=method)
+        return mean_interval(known(values), method=method, least=0.0)
 
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
     alone = [bool(said) for trial in trials if (said := trial.figures.get("formed_by_models")) is not None]

@@ -120,7 +120,7 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         return None, f"No record was kept, and the trial was not flown again: {foreign}."
     config = config.model_copy(update={"trial": config.trial.model_copy(update={"out": str(folder)})})
     try:
-        summary: Mapping[str, Any] = run(config=config).summary.to_dict()
+        summary: Mapping[str, Any] = run(config=config, progress=False, trace=False).summary.to_dict()
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001 - it may be the error that ended the trial; the page says so

@@ -129,19 +129,27 @@ def _sheet(
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
-    """The most important numbers, each with its name."""
-    total = len(results.trials)
-    formed = results.outcomes()["formed"]
+    """The most important numbers, each with its name. No figure of success is pooled over protocols."""
     costs = [trial.figures["cost_usd"] for trial in results.trials if trial.figures["model_calls"] is not None]
-    ratio = median(known(trial.ratio for trial in results.trials))
     return [
-        (f"{total:,}", "trials"),
-        (f"{formed:,}", f"formed ({100 * formed / total:.1f} %)"),
-        (f"{sum(line.too_near for line in lines):,}", "with robots too near"),
-        (number(ratio, 2), "rounds over the bound (median)"),
+        (f"{len(results.trials):,}", "trials"),
+        *_success(results, lines),
         (_compact(sum(known(trial.figures["model_calls"] for trial in results.trials))), "model calls"),
         (_compact(sum(known(trial.figures["tokens"] for trial in results.trials))), "tokens"),
         (NOT_KNOWN if None in costs else f"{sum(known(costs)):,.2f} $", "cost"),
+    ]
+
+
+def _success(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
+    if len(results.protocols) > 1:
+        trials = {name: [t for t in results.trials if t.cell.protocol == name] for name in results.protocols}
+        formed = {name: sum(trial.outcome == "formed" for trial in flown) for name, flown in trials.items()}
+        return [(f"{formed[name]:,} of {len(trials[name]):,}", f"formed with {name}") for name in trials]
+    formed = results.outcomes()["formed"]
+    return [
+        (f"{formed:,}", f"formed ({100 * formed / len(results.trials):.1f} %)"),
+        (f"{sum(line.too_near for line in lines):,}", "with robots too near"),
+        (number(median(known(trial.ratio for trial in results.trials)), 2), "rounds over the bound (median)"),
     ]
 
 

@@ -6,8 +6,9 @@ returns what it really sent. Every driver must pass the conformance checks of `l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from llm_flock.errors import FlockError, InputError
 
@@ -27,6 +28,41 @@ class RobotError(FlockError):
         super().__init__(f"{name}: {what}")
 
 
+class TakenOver(RobotError):
+    """A pilot, or a failsafe of its own, flies the robot: it is out of this program's hands."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriverCheck:
+    """One check of a robot by its driver, for the preflight: the finding, and what is required (empty if obvious)."""
+
+    name: str
+    passed: bool
+    found: str
+    asked: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equipment:
+    """What a driver learned about its robot on connecting. None: it was not told.
+
+    Attributes:
+        controller: name of the controller that makes the robot follow its set-point.
+        estimator: name of the estimator of its position.
+        lag_s: how far the robot is behind a moving set-point with that controller [s]: distance over speed.
+        max_speed_m_s: above this speed of a set-point the controller falls behind without bound [m/s].
+        complaints: what keeps it from flying until it is changed, in words.
+        unwatched: what the robot does not report, in words.
+    """
+
+    controller: str | None = None
+    estimator: str | None = None
+    lag_s: float | None = None
+    max_speed_m_s: float | None = None
+    complaints: tuple[str, ...] = ()
+    unwatched: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotState:
     """The newest state of a robot that its driver knows.
@@ -37,9 +73,14 @@ class RobotState:
         battery_v: [V]; None if the robot does not report it.
         link: share of packets acknowledged, in [0, 1]; None if the link does not report it.
         link_lost: the driver gave the link up and sends no more commands; stays True until `connect`.
+        heard_s: arrival of the last packet of any kind, on the same clock; None if the driver does not tell.
         armed: motors may turn.
         flying: in the air, as far as the driver knows.
         settled: the robot's estimator has converged.
+        taken_over: why the robot obeys no more, in words: a pilot or a failsafe of its own flies it now, and the driver
+            does not fight them. None as long as it obeys; stays set until `connect`.
+        fault: why it cannot fly now, in words, such as "locked: restart it"; None if it can, or does not tell.
+        equipment: what the driver learned on connecting.
     """
 
     position: Position
@@ -47,9 +88,13 @@ class RobotState:
     battery_v: float | None = None
     link: float | None = None
     link_lost: bool = False
+    heard_s: float | None = None
     armed: bool = False
     flying: bool = False
     settled: bool = True
+    taken_over: str | None = None
+    fault: str | None = None
+    equipment: Equipment = Equipment()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +162,15 @@ class Robot(Protocol):
 
     async def close(self) -> None:
         """Close the link. Sends nothing to the robot; harmless when called twice or never connected."""
+        ...
+
+
+@runtime_checkable
+class SelfChecked(Protocol):
+    """A robot whose driver has checks of its own for the preflight. Optional."""
+
+    def checks(self) -> Sequence[DriverCheck]:
+        """The checks, once it is connected."""
         ...
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
+from llm_flock.extras import require
 from llm_flock.robots.base import MotionLimits, Position
 from llm_flock.robots.point_mass import FALL_HEIGHT, Mode, PointMass
 from llm_flock.robots.segment import Segment
@@ -86,14 +87,13 @@ class PhysicsWorld:
     def __init__(
         self, homes: Sequence[Position], *, drone: str = DRONE, clock: Callable[[], float] = time.monotonic
     ) -> None:
+        require("physics", "simulated physics")
         try:
             control: Any = import_module("crazyflow.control")  # untyped, and too large to be installed for type checks
             simulation: Any = import_module("crazyflow.sim")
-        except ImportError:
-            raise InputError("physics", "not installed", "possible with: pip install 'llm-flock[physics]'") from None
         except RuntimeError as error:
             # It needs scipy's array API, which the environment selects when scipy is first imported.
-            raise InputError("physics", str(error), "possible with SCIPY_ARRAY_API=1 in the environment") from None
+            raise InputError("physics", str(error), says="set SCIPY_ARRAY_API=1 in the environment") from None
         freq = round(SUBSTEPS / STEP_S)
         try:
             self._sim: Any = simulation.Sim(

@@ -11,6 +11,9 @@ import math
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from llm_flock.robots.base import Position
 
 HOLD_S = 1.0
@@ -81,6 +84,12 @@ class Segment:
             rows.append((position, velocity / time, acceleration / (time * time)))
         x, y, z = rows
         return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+
+
+def share(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shares of a segment from rest to rest, flown in parts of its duration; 0 before it begins, 1 after it ends."""
+    u = np.clip(parts, 0.0, 1.0)
+    return u**4 * (35.0 + u * (-84.0 + u * (70.0 - 20.0 * u)))
 
 
 def stopping_point(segment: Segment, now_s: float, within_s: float) -> Position | None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
+from llm_flock.robots.base import Commanded, Equipment, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
@@ -15,7 +15,8 @@ from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 class SimulatedRobot:
     """One point mass in this process, before take-off at `home` [m].
 
-    `clock` returns the time [s], `time.monotonic` if not given. Tests that make the robot fail give its `body`.
+    `clock` returns the time [s], `time.monotonic` if not given. Tests that make the robot fail give its `body`,
+    and its `equipment`.
     """
 
     def __init__(
@@ -26,11 +27,13 @@ class SimulatedRobot:
         limits: MotionLimits | None = None,
         clock: Callable[[], float] | None = None,
         body: PointMass | None = None,
+        equipment: Equipment | None = None,
     ) -> None:
         self.body = body or PointMass(home=home)
         self.name = name
         self._limits = limits or MotionLimits()
         self._clock = clock or time.monotonic
+        self._equipment = equipment or Equipment()
         self._set_point = home
         self._segment: Segment | None = None
         self._seen: RobotState | None = None
@@ -63,6 +66,8 @@ class SimulatedRobot:
             armed=self.body.armed,
             flying=self.body.flying,
             settled=self.body.variance(now) < 0.001,
+            fault="locked" if self.body.locked else None,
+            equipment=self._equipment,
         )
         return self._seen
 

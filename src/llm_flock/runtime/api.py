@@ -2,62 +2,59 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from llm_flock.errors import FlockError, InputError
+from llm_flock.errors import FieldError, FlockError, InputError
+from llm_flock.llm.own import split_choice
 from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
-from llm_flock.protocol.agreement.assignment import AssignmentRule
-from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.loops import wait_for
+from llm_flock.runtime.notebook import notebook_progress
+from llm_flock.runtime.parameters import parameters, plain, takes
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
-from llm_flock.runtime.rules import assignment_rule, consensus_rule
+from llm_flock.runtime.rules import assignment_rule, consensus_rule, own_rules
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.trial import Steer, Trial, TrialProgress
 
 __all__ = ["RECORD_NAME", "open_outputs", "run", "run_async"]
 
-
-def run(mission: Mission | None = None, **options: Any) -> RunResult:
-    """Run one trial and wait for it; takes what `run_async` takes."""
-    return asyncio.run(run_async(mission, **options))
+CHECKS: dict[str, Callable[[Any], Any]] = {"consensus": consensus_rule, "assignment": assignment_rule}
+"""Fields that take objects, also beside a whole configuration."""
 
 
-async def run_async(
-    mission: Mission | None = None,
-    *,
-    consensus: str | ConsensusRule | None = None,
-    assignment: str | AssignmentRule | None = None,
-    config: RunConfig | None = None,
-    on_round: Callable[[TrialProgress], None] | None = None,
-    sink: RecordSink | None = None,
-    lane: CallLane | None = None,
-    steer: Steer | None = None,
-    **options: Any,
-) -> RunResult:
-    """Run one trial.
+@takes(parameters)
+def run(mission: Mission | None = None, **given: Any) -> RunResult:
+    """Fly one mission, and wait for its end; works in scripts, notebooks and threads.
+
+    Where an event loop is running already, as in a notebook, the run gets a thread of its own. There,
+    `await run_async(...)` leaves the loop free.
 
     Args:
         mission: the team's task; the paper's circle of ten if left out.
-        consensus: name of a rule, or a rule object.
-        assignment: name of a rule, or a rule object.
-        config: a whole configuration instead of a mission and options.
-        on_round: called after each round.
+        config: a whole configuration (`RunConfig`), instead of a mission and fields.
+        on_round: called after each round, in the thread that flies.
+        progress: shows a line of progress in notebooks, when the run takes longer than half a second.
+        trace: keeps what the result needs to draw itself and to give frames; a few hundred bytes a robot and round.
         sink: takes every message of a record, whether a record is written or not.
         lane: access to what this run shares with others: a budget, rates of providers, connections.
         steer: awaited before each round, and free to change the schedule, the links and the planners.
-        options: any field of the configuration by its name (`model=`, `rounds=`, `seed=`, `loss=`, `out=`, ...).
+        consensus: name of a rule, or a rule object.
+        assignment: name of a rule, or a rule object.
+        model: `provider:model` or another name for all robots or by id (`0-4=A,5-9=B`); an object with
+            `async def ask(self, call)`, which all robots share; or a list with a name or an object for each robot.
+        given: every other parameter is a field of the configuration (`docs/reference/configuration.md`). Those of the
+            mission override the fields of `mission`. None means not given.
 
     Returns:
         Arrays and figures of the trial. With `out`, the record is written to `out/run.mcap` as it happens.
@@ -65,22 +62,52 @@ async def run_async(
     Raises:
         InputError: a value is not allowed; nothing has been written then.
         ReplayDrift: a replayed conversation differs from the recorded one.
+        KeyboardInterrupt: after the record was brought to a readable end.
+    """
+    return wait_for(_fly(mission, **given))
+
+
+@takes(parameters)
+async def run_async(mission: Mission | None = None, **given: Any) -> RunResult:
+    """Fly one mission: as `run`, within the running event loop.
+
+    Raises:
         asyncio.CancelledError: after the record was brought to a readable end.
     """
+    return await _fly(mission, **given)
+
+
+async def _fly(
+    mission: Mission | None,
+    *,
+    config: RunConfig | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
+    progress: bool = True,
+    trace: bool = True,
+    sink: RecordSink | None = None,
+    lane: CallLane | None = None,
+    steer: Steer | None = None,
+    **fields: Any,
+) -> RunResult:
+    fields = {field: value for field, value in fields.items() if value is not None}
+    if config is not None and (mission is not None or fields.keys() - CHECKS.keys()):
+        raise FieldError("config", says="give either config, or mission and options, not both")
+    if config is not None and not isinstance(cast(object, config), RunConfig):
+        raise InputError("config", config, "a RunConfig; load_config reads one from a file")
+    rules = {field: fields.pop(field) for field in CHECKS.keys() & fields.keys()}
+    objects = {field: CHECKS[field](rule) for field, rule in rules.items() if not isinstance(rule, str)}
+    choice, own = split_choice(fields.pop("model", ""))
     if config is None:
-        names = {
-            field: rule if rule is None or isinstance(rule, str) else rule.name
-            for field, rule in (("consensus", consensus), ("assignment", assignment))
-        }
+        if mission is not None and not isinstance(cast(object, mission), Mission):
+            raise InputError("mission", mission, "a Mission; fields are given by their names, such as shape='circle'")
+        names = rules | {field: rule.name for field, rule in objects.items()}
         base = {} if mission is None else {"mission": mission.model_dump(exclude_none=True)}
-        config = RunConfig.build(base, **names, **options)
-    elif mission is not None or options:
-        raise InputError("config", "given", "either config, or mission and options")
+        plain_fields = {field: plain(field, value) for field, value in fields.items()}
+        config = RunConfig.build(base, model=choice or None, **names, **plain_fields)
+        rules = objects  # names are in the configuration now, old ones under their current name
     protocol = config.protocol
-    if consensus is None or isinstance(consensus, str):
-        consensus = consensus_rule(protocol.consensus or "")
-    if assignment is None or isinstance(assignment, str):
-        assignment = assignment_rule(protocol.assignment or "")
+    consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""))
+    assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""))
 
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
     warn_of_mission(config.mission)
@@ -88,8 +115,13 @@ async def run_async(
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
     bodies = InstantBodies(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
-    planners = TeamPlanners(config, lane)
-    with open_outputs(config, planners, sink) as (journal, record):
+    planners = TeamPlanners(config, lane, own)
+    code = own_rules((consensus, assignment))
+    with ExitStack() as stack:
+        outputs = open_outputs(config, planners, sink, trace=trace, unrepeatable=code)
+        journal, record = stack.enter_context(outputs)
+        if progress:
+            on_round = stack.enter_context(notebook_progress(config.mission.shape, on_round))
         trial = Trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
         try:
             await trial.run()
@@ -104,9 +136,16 @@ async def run_async(
 
 @contextmanager
 def open_outputs(
-    config: RunConfig, planners: TeamPlanners, sink: RecordSink | None = None
+    config: RunConfig,
+    planners: TeamPlanners,
+    sink: RecordSink | None = None,
+    *,
+    trace: bool = False,
+    unrepeatable: Sequence[str] = (),
 ) -> Generator[tuple[Journal, str | None]]:
-    """Open the files that a run writes: its journal, and the path of its record.
+    """Open the files that a run writes: its journal, which keeps a trace or not, and the path of its record.
+
+    `unrepeatable` says what the configuration cannot repeat, besides the models.
 
     Raises:
         InputError: a file exists already, or cannot be made.
@@ -114,7 +153,7 @@ def open_outputs(
     with ExitStack() as stack:
         path, cassette = config.record, config.model.record_llm
         if cassette is not None:
-            planners.listen(stack.enter_context(CassetteWriter(Path(cassette))))
+            planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
         try:
             writer = NullWriter() if path is None else stack.enter_context(RecordWriter(path))
         except InputError:
@@ -122,9 +161,19 @@ def open_outputs(
                 Path(cassette).unlink()  # created just now, and still empty
             raise
         journal = Journal(
-            config.mission, writer if sink is None else Tee(writer, sink), replans=config.protocol.gaps == "replan"
+            config.mission,
+            writer if sink is None else Tee(writer, sink),
+            replans=config.protocol.gaps == "replan",
+            trace=trace,
         )
+        journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
         planners.listen(journal.attempt)
         if path is not None:  # only a record needs it, and asking git takes longer than many rounds
-            writer.write(run_info(config, simulated=planners.simulated, weights=planners.weights))
+            about = run_info(
+                config,
+                simulated=planners.simulated,
+                weights=planners.weights,
+                unrepeatable=journal.unrepeatable,
+            )
+            writer.write(about)
         yield journal, None if path is None else str(path)

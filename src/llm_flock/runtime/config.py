@@ -14,17 +14,19 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import renamed
-from llm_flock.errors import InputError
+from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.llm.frame import FrameName
 from llm_flock.metrics import deadline
-from llm_flock.mission import Coordinate, Mission, input_error
+from llm_flock.mission import Coordinate, Mission
 from llm_flock.protocol.breaker import Fallback
 from llm_flock.protocol.membership.liveness import TIME_OUT
 from llm_flock.protocol.membership.occupancy import in_radio_contact
 from llm_flock.protocol.plan import Plan
+from llm_flock.record import RECORD_NAME
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.schedule import MOST_ROUNDS, Change, Schedule, build_schedule, load_points
 from llm_flock.transport.memory import LinkFaults
+from llm_flock.validation import fields_of, input_error, unknown_section
 
 logger = logging.getLogger(__name__)
 
@@ -41,11 +43,11 @@ _NO_NAME = re.compile("[\0\ud800-\udfff]")
 DEEPEST = 32
 """Deepest nesting of values in a configuration file; fields need a third of it."""
 
+LONGEST_SHOWN = 256
+"""Longest whole number that an error shows [bits]."""
+
 _DEEP_KEY = re.compile(rf"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
 """A dotted key so deep that `tomllib` would take memory with the square of its depth."""
-
-RECORD_NAME = "run.mcap"
-"""Name of a record in its folder."""
 
 
 class ConfigSection(BaseModel):
@@ -99,7 +101,7 @@ class ProtocolConfig(ConfigSection):
             if getattr(self, field) is None:
                 object.__setattr__(self, field, value if field != "fallback" or self.verify else "hold")
         if self.fallback != "hold" and not self.verify:
-            raise InputError("fallback", self.fallback, "hold while verify is off")
+            raise InputError("fallback", self.fallback, "'hold' while verify is off")
         return self
 
     def rules(self) -> Rules:
@@ -111,7 +113,8 @@ class ModelConfig(ConfigSection):
     """Language models that plan for the robots, and how they are asked."""
 
     model: str = Field(
-        default="simulated:ideal", description="provider:model or local:MODEL for all robots, or by id: 0-4=A,5-9=B"
+        default="simulated:ideal",
+        description="provider:model, local:MODEL or package.module:Class for all robots, or by id: 0-4=A,5-9=B",
     )
     base_url: str | None = Field(default=None, description="Address of an OpenAI-compatible server")
     answers: Literal["text", "json"] = Field(
@@ -243,11 +246,10 @@ class RunConfig(ConfigSection):
     def section_of(cls, field: str) -> str:
         """The section that holds a field; `InputError` if none does."""
         for name, info in cls.model_fields.items():
-            section = info.annotation
-            assert isinstance(section, type) and issubclass(section, BaseModel)
-            if field in section.model_fields:
+            if field in fields_of(info.annotation):
                 return name
-        raise InputError(field, "...", "a field of the configuration; `llm-flock run --help` lists them")
+        known = [name for info in cls.model_fields.values() for name in fields_of(info.annotation)]
+        raise FieldError(field, says=unknown(f"field {field!r}", field, known))
 
     @classmethod
     def build(cls, base: Mapping[str, Any] | None = None, /, **overrides: Any) -> Self:
@@ -263,9 +265,9 @@ class RunConfig(ConfigSection):
         check_values("config", overrides)
         for name, section in (base or {}).items():
             if name not in cls.model_fields:
-                raise InputError(name, "...", f"one of the sections {', '.join(cls.model_fields)}")
+                raise unknown_section(name, cls)
             if not isinstance(section, Mapping):
-                raise InputError(name, section, "a table")
+                raise InputError(name, section, f"a section: [{name}], and below it FIELD = VALUE")
             data[name] = renamed.current(cast("Mapping[str, Any]", section))
         for field, value in renamed.current(overrides).items():
             if value is not None:
@@ -276,11 +278,11 @@ class RunConfig(ConfigSection):
             mission.setdefault("n_robots", len(points))
             if points and "center" not in mission and len(points[0]) != 2:
                 allowed = f"a centre with {len(points[0])} coordinates, as the points have"
-                raise InputError("center", "not given", allowed)
+                raise InputError("center", None, allowed)
         try:
             return cls(**data)
         except ValidationError as error:
-            raise input_error(error) from None
+            raise input_error(error, cls) from None
 
     @classmethod
     def load(cls, path: Path | None, **overrides: Any) -> Self:
@@ -304,9 +306,9 @@ def read_toml(field: str, path: Path) -> dict[str, Any]:
             raise InputError(field, str(path), f"keys of at most {DEEPEST} parts")
         found = tomllib.loads(text)
     except OSError as error:
-        raise InputError(field, str(path), f"a readable file ({error.strerror})") from None
+        raise InputError(field, str(path), f"a file that can be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
-        raise InputError(field, str(path), f"TOML ({error})") from None
+        raise InputError(field, str(path), says=f"this is not TOML: {error}") from None
     check_values(field, found)
     return found
 
@@ -319,13 +321,14 @@ def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
     """
     if isinstance(value, Mapping | list | tuple):
         if depth == 0:
-            raise InputError(field, "...", f"values in at most {DEEPEST} levels")
+            raise InputError(field, None, f"values in at most {DEEPEST} levels")
         named = isinstance(value, Mapping)
         items = cast("Mapping[str, object]", value).items() if named else [(field, v) for v in cast("list[Any]", value)]
         for name, item in items:
             check_values(str(name), item, depth - 1)
-    elif isinstance(value, int) and abs(value) >= 2**64:
-        raise InputError(field, f"a number of {value.bit_length()} bits", "a number of at most 64 bits")
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        allowed = f"less than {2**63}" if value > 0 else f"at least {-(2**63)}"
+        raise InputError(field, value if value.bit_length() <= LONGEST_SHOWN else None, allowed)
     elif isinstance(value, str) and _NO_NAME.search(value) is not None:
         raise InputError(field, value, "text without the character NUL, and without half characters")
 

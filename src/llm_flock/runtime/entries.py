@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -19,8 +19,16 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.roster import Roster
 
 
-def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None) -> RunInfo:
+def run_info(
+    config: RunConfig,
+    *,
+    simulated: bool,
+    weights: Mapping[str, str] | None = None,
+    unrepeatable: Sequence[str] = (),
+) -> RunInfo:
     """The origin of a run: configuration, versions (also of weights on board), and machine without any name or path.
+
+    `unrepeatable` says what the configuration alone cannot repeat.
 
     Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
@@ -32,6 +40,7 @@ def run_info(config: RunConfig, *, simulated: bool, weights: Mapping[str, str] |
         git_revision=versions.git_revision(),
         seed=config.trial.seed,
         simulated=simulated,
+        unrepeatable=list(unrepeatable) or None,
         created_at=datetime.now(UTC).isoformat(timespec="seconds"),
         environment=machine,
     )

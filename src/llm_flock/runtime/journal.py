@@ -13,7 +13,7 @@ from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.events import MoveTo, Note, Origin
-from llm_flock.record.schema import MetricsRow, PlanInfo, ProtocolEvent, RoundEnd
+from llm_flock.record.schema import Entry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd
 from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.entries import finite, llm_entry, mission_info, state_entry
@@ -33,14 +33,16 @@ class Journal:
     answer must not show in the record, which is the same for the same seed.
 
     Where the team `replans` when robots die, only such a plan counts as formed then. For a `NullWriter` no entries are
-    built.
+    built. With `trace`, missions, plans, states and figures are also kept, for whoever draws the run.
     """
 
-    def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False) -> None:
+    def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False, trace: bool = False) -> None:
         self.mission = mission
         self._replans = replans
         self.writer = writer
         self._recording = not isinstance(writer, NullWriter)
+        self.trace: list[Entry] | None = [] if trace else None
+        self.unrepeatable: list[str] = []
         self.calls = 0
         self.calls_rejected = 0
         self.calls_failed = 0
@@ -75,7 +77,7 @@ class Journal:
     def mission_given(self, mission: Mission, flown: int, positions: Points) -> None:
         """A mission is in force from the next round on; its measurements start now."""
         first = flown + 1 if self.episodes else 0
-        self.writer.write(mission_info(mission, len(self.episodes), first))
+        self._put(mission_info(mission, len(self.episodes), first))
         self.episodes.append(Episode(mission, flown, positions))
 
     def close_episode(self, roster: Roster) -> None:
@@ -126,7 +128,7 @@ class Journal:
         if plan.digest not in self._known_plans:
             self._known_plans.add(plan.digest)
             points = [list(point) for point in plan.points]
-            self.writer.write(PlanInfo(round=round_number, plan_id=plan.digest, proposer=agent.robot, points=points))
+            self._put(PlanInfo(round=round_number, plan_id=plan.digest, proposer=agent.robot, points=points))
 
     def end_round(
         self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic
@@ -144,11 +146,17 @@ class Journal:
         self.robot_rounds += len(flown)
         self.waypoints.update(move.origin.value for move in flown.values())
         positions = team.positions
-        if self._recording:
+        if self._recording or self.trace is not None:
             idle = Origin.START if moves is None else Origin.HOLD
-            self.writer.write(state_entry(round_number, positions, team, roster, flown, idle))
+            self._put(state_entry(round_number, positions, team, roster, flown, idle))
         self._measure(round_number, positions, team, roster, traffic)
-        self.writer.write(RoundEnd(round=round_number))
+        self._put(RoundEnd(round=round_number))
+
+    def _put(self, entry: Entry) -> None:
+        """Write an entry that belongs to the trace too."""
+        self.writer.write(entry)
+        if self.trace is not None:
+            self.trace.append(entry)
 
     def measure_error(self, roster: Roster) -> None:
         """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet.
@@ -199,8 +207,8 @@ class Journal:
             residual=residual,
             usable=usable,
         )
-        if self._recording:
-            self.writer.write(
+        if self._recording or self.trace is not None:
+            self._put(
                 MetricsRow(
                     round=round_number,
                     procrustes_mean=None if error is None else error[0],

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from llm_flock.llm.frame import trained_for
@@ -11,12 +12,13 @@ from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Meter
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings
+from llm_flock.llm.own import OwnModel
 from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
-from llm_flock.llm.sharing import CallLane
+from llm_flock.llm.sharing import CallLane, Pools
 from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
@@ -28,18 +30,23 @@ from llm_flock.runtime.seeds import Stream, stream
 class TeamPlanners:
     """The planners of a team, by robot, with the connections, budget and listeners that they share.
 
-    A `lane` is access to what this run shares with others.
+    A `lane` is access to what this run shares with others; `own` are models that were handed over as objects, by
+    robot, -1 for all robots.
 
     Raises:
         InputError: a model cannot work, as far as that is known before asking it.
     """
 
-    def __init__(self, config: RunConfig, lane: CallLane | None = None) -> None:
+    def __init__(
+        self, config: RunConfig, lane: CallLane | None = None, own: Mapping[int, OwnModel] | None = None
+    ) -> None:
         model, limits, n = config.model, config.limits, config.mission.n_robots
         self.names = parse_models(model.model, n)
         self._replaced: dict[int, str] = {}
         self._sinks: list[AttemptSink] = []
         self._replays: dict[str, ReplayModel] = {}
+        self._own: dict[str, OwnModel] = {}
+        self._handed = dict(own or {})
         self._meter = BudgetMeter(
             Budget(max_calls=limits.max_calls, max_tokens=limits.max_tokens, max_cost_usd=limits.max_cost)
         )
@@ -102,6 +109,8 @@ class TeamPlanners:
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
                 asked = Metered(self._replays[text], self._meter)
+            elif name.kind == "own":
+                asked = Limited(self._own_model(robot, text), self._limits)
             else:
                 remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
                 asked = Limited(remote, on_board if name.kind == "local" else self._limits)
@@ -142,12 +151,32 @@ class TeamPlanners:
             self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
 
+    def _own_model(self, robot: int, text: str) -> OwnModel:
+        """The object that was handed over, or the one that all robots share which name its class."""
+        handed = self._handed.get(robot, self._handed.get(-1))
+        if handed is not None and handed.name == text:
+            return handed
+        if text not in self._own:
+            self._own[text] = OwnModel.load(text)
+        return self._own[text]
+
     @property
     def simulated(self) -> bool:
         """Whether any answer comes from a simulated stand-in, now or when it was recorded."""
-        return any(parse_model(name).kind == "simulated" for name in self.names) or any(
-            model.startswith("simulated:") for replay in self._replays.values() for model in replay.models
+        return (
+            any(parse_model(name).kind == "simulated" for name in self.names)
+            or any(replay.simulated for replay in self._replays.values())
+            or any(own.simulated for own in self._own_models)
         )
+
+    @property
+    def _own_models(self) -> Sequence[OwnModel]:
+        return [*self._own.values(), *dict.fromkeys(self._handed.values())]
+
+    @property
+    def unrepeatable(self) -> list[str]:
+        """What of the models a record's configuration cannot repeat, in sentences."""
+        return [own.unrepeatable for own in self._own_models]
 
     @property
     def weights(self) -> Mapping[str, str]:
@@ -174,3 +203,19 @@ class TeamPlanners:
             await self._pool.aclose()
         for replay in self._replays.values():
             replay.close()
+        for own in self._own.values():
+            await own.aclose()
+
+
+def check_planners(config: RunConfig, *, asks: bool = True) -> None:
+    """Refuse a configuration whose models cannot work, as a run of it would. Call where no event loop runs.
+
+    Args:
+        config: the run.
+        asks: whether its models will be asked. Without that, providers need neither a key nor their library.
+
+    Raises:
+        InputError: a model cannot work, as far as that is known before asking it.
+    """
+    lane = None if asks else CallLane(pools=Pools(asks=False))
+    asyncio.run(TeamPlanners(config, lane).close())

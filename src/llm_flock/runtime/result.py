@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.plan import Plan
+from llm_flock.record.reader import RunRecord, gather_record
+from llm_flock.record.schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
+from llm_flock.record.tables import TableName
 from llm_flock.runtime.config import RunConfig
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingTypeStubs]
+    import polars
+
+    from llm_flock.viz.inline import Animation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,9 +47,13 @@ class FlightFigures:
     safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut
     air_s: float  # from the first take-off until the last drone was down
     min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
-    tracking_rms_m: float | None  # distance of the drones from their moving set-points, root of the mean square
+    tracking_rms_m: (
+        float | None
+    )  # distance of drones from their set-points `lag_s` ago at most, root of the mean square
     tracking_max_m: float | None  # the largest of these distances
     fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
+    poses_refused: dict[str, int] | None = None  # poses from outside that were not sent, by drone and reason
+    lag_s: float = 0.0  # longest delay of the drones behind their set-points, the same for all in a motion
 
 
 def by_origin(counts: Mapping[str, int]) -> dict[str, int]:
@@ -177,7 +192,7 @@ class Summary:
         return asdict(self)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RunResult:
     """One finished trial.
 
@@ -190,6 +205,10 @@ class RunResult:
             shape, and in teams over 300 while not all were at their goals.
         plans: each robot's plan at the end.
         slots: each robot's slot in its plan.
+        trace: missions, plans, states and figures of every round; None if the run did not keep them.
+        unrepeatable: what the configuration alone cannot repeat, in sentences.
+
+    A notebook shows it as a picture and a table.
     """
 
     mission: Mission
@@ -198,9 +217,69 @@ class RunResult:
     positions: NDArray[np.float64] = field(repr=False)
     errors: NDArray[np.float64] = field(repr=False)
     plans: tuple[Plan | None, ...] = field(repr=False)
-    slots: tuple[int | None, ...]
+    slots: tuple[int | None, ...] = field(repr=False)
+    trace: tuple[Entry, ...] | None = field(default=None, repr=False)
+    unrepeatable: tuple[str, ...] = field(default=(), repr=False)
 
     @property
     def formed(self) -> bool:
         """Whether the formation was built, as `Summary.formed` defines it."""
         return self.summary.formed
+
+    def record(self) -> RunRecord:
+        """The run as a record in memory, for figures of one's own: without conversations, events and versions.
+
+        Raises:
+            InputError: the run has kept no trace.
+        """
+        if self.trace is None:
+            raise InputError("trace", False, "true, for a result that draws itself and gives tables")
+        return trace_record(self.config, self.trace, self.summary, self.unrepeatable)
+
+    def animate(self, *, fps: int = 12) -> Animation:
+        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
+        return self.record().animate(fps=fps)
+
+    def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
+        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
+
+        Raises:
+            InputError: there is no such table, or the run has kept no trace.
+        """
+        return self.record().to_polars(table)
+
+    def to_pandas(self, table: TableName = "rounds") -> pandas.DataFrame:
+        """As `to_polars`, for pandas, which `pip install 'llm-flock[notebook]'` installs."""
+        return self.record().to_pandas(table)
+
+    def __repr__(self) -> str:
+        summary = self.summary
+        simulated = ", simulated language models" if summary.simulated else ""
+        end = f"formed in round {summary.rounds_to_formed}" if summary.formed else f"not formed: {summary.stopped}"
+        return f"RunResult({summary.shape}, {summary.n_robots} robots, seed {summary.seed}, {end}{simulated})"
+
+    def _repr_html_(self) -> str | None:
+        """The picture and the table that a notebook shows; None without a trace."""
+        from llm_flock.viz.inline import record_html
+
+        return None if self.trace is None else record_html(self.record())
+
+
+def trace_record(
+    config: RunConfig, trace: Iterable[Entry], summary: Summary | None = None, unrepeatable: Sequence[str] = ()
+) -> RunRecord:
+    """A record in memory of the entries that a run has kept; without a summary, it is still under way."""
+    about = RunInfo(
+        format_version=FORMAT_VERSION,
+        config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
+        versions={},
+        git_revision=None,
+        seed=config.trial.seed,
+        simulated=summary is not None and summary.simulated,
+        unrepeatable=list(unrepeatable) or None,
+        created_at="",
+        environment={},
+    )
+    end = () if summary is None else (SummaryMessage(result=summary.to_dict()),)
+    path = Path("" if summary is None else summary.record or "")
+    return gather_record(path, (about, *trace, *end))

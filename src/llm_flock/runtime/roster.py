@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable
 
 from llm_flock.protocol.agent import Agent
@@ -10,6 +11,15 @@ from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.rules import Rules
+
+SOLVERS = ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial")
+"""What agents compute with. scipy imports each at its first use, which takes up to half a second."""
+
+
+def load_solvers() -> None:
+    """Import the solvers now: an agent that waits for one in flight would miss its deadlines."""
+    for name in SOLVERS:
+        importlib.import_module(name)
 
 
 def make_agent(
@@ -20,11 +30,14 @@ def make_agent(
     own_clock: bool = False,
     authenticator: Authenticator | None = None,
     liars: int = LIARS,
+    apart: float | None = None,
 ) -> Agent:
     """A new agent; heartbeats come from lockstep rounds or its robot's `own_clock`, its keys from `authenticator`.
 
-    With keys, `liars` robots of the team may lie together.
+    With keys, `liars` robots of the team may lie together. Bodies pass each other if they are `apart` [units], the safe
+    distance if not given.
     """
+    load_solvers()
     protocol = config.protocol
     return Agent(
         robot,
@@ -40,6 +53,7 @@ def make_agent(
         own_clock=own_clock,
         authenticator=authenticator,
         liars=liars,
+        apart=apart,
     )
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
+from llm_flock.own_code import load_own
 from llm_flock.protocol.agreement.assignment import (
     AssignmentRule,
     IndexAssignment,
@@ -61,27 +61,47 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 )
 
 
-def consensus_rule(name: str) -> ConsensusRule:
-    """The consensus rule of this name; `InputError` for an unknown one."""
+def consensus_rule(name: str | ConsensusRule) -> ConsensusRule:
+    """The consensus rule of this name, or this object itself; `InputError` for what is none."""
     return _rule("consensus", name, CONSENSUS, ("choose",))
 
 
-def assignment_rule(name: str) -> AssignmentRule:
-    """The assignment rule of this name; `InputError` for an unknown one."""
+def assignment_rule(name: str | AssignmentRule) -> AssignmentRule:
+    """The assignment rule of this name, or this object itself; `InputError` for what is none."""
     return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 
-def _rule(field: str, name: str, known: Mapping[str, Callable[[], Any]], methods: tuple[str, ...]) -> Any:
+def own_rules(rules: Rules) -> list[str]:
+    """Which of these rules a record cannot repeat, because they are code of the user's own, in sentences."""
+    known = {*CONSENSUS.values(), *ASSIGNMENT.values()}
+    return [
+        f"The rule {type(rule).__module__}:{type(rule).__qualname__} is code of the user's own, of which only the name "
+        "is recorded."
+        for rule in rules
+        if type(rule) not in known
+    ]
+
+
+def _rule(field: str, name: Any, known: Mapping[str, Callable[[], Any]], methods: tuple[str, ...]) -> Any:
+    if not isinstance(name, str):
+        return _checked(field, name, methods)
     if name in known:
         return known[name]()
-    allowed = f"one of {', '.join(known)}, or package.module:Class"
-    module, colon, attribute = name.partition(":")
-    if not colon:
-        raise InputError(field, name, allowed)
+    if ":" not in name:
+        raise InputError(field, name, says=unknown("rule", name, (*known, "package.module:Class")))
+    allowed = "package.module:Class that can be imported"
+    found = load_own(field, name, allowed)
     try:
-        rule = getattr(importlib.import_module(module), attribute)()
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise InputError(field, name, f"{allowed} ({error})") from None
-    if not isinstance(getattr(rule, "name", None), str) or not all(callable(getattr(rule, m, None)) for m in methods):
-        raise InputError(field, name, f"a class with a name and {' and '.join(methods)}; see llm_flock.testing")
+        rule = found()
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(field, name, f"{allowed} ({error})") from error
+    return _checked(field, rule, methods)
+
+
+def _checked(field: str, rule: Any, methods: tuple[str, ...]) -> Any:
+    complete = isinstance(getattr(rule, "name", None), str) and all(callable(getattr(rule, m, None)) for m in methods)
+    if isinstance(rule, type) or not complete:
+        raise InputError(
+            field, rule, f"a name, or an object with a name and {' and '.join(methods)}; see llm_flock.testing"
+        )
     return rule

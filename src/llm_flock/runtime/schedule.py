@@ -97,7 +97,7 @@ def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Tur
         turns.append((int(robot), int(when)))
     for robot, when in turns:
         if robot >= n_robots:
-            raise InputError(field, text, f"robots from 0 to {n_robots - 1}; there is no robot {robot}")
+            raise InputError(field, text, says=f"there is no robot {robot}, only robots 0 to {n_robots - 1}")
         if not 1 <= when <= rounds:
             raise InputError(field, text, f"rounds from 1 to {rounds}, the most that are flown; not {when}")
     return turns
@@ -150,18 +150,30 @@ def _missions(
         fields = dict(change.set)
         try:
             if "since" in fields:
-                reason = "not given: a changed mission counts from the round of the change"
-                raise InputError("since", fields["since"], reason)
+                reason = "cannot be given: a changed mission counts from the round of the change"
+                raise InputError("since", fields["since"], says=reason)
             load_points(fields)
             new = mission.at(when).change(**fields, since=when)
         except InputError as error:
-            raise InputError("changes", value, str(error)) from None
+            raise InputError("changes", value, says=str(error)) from error
         for field in Mission.model_fields:  # a robot's limits and surroundings are fixed
             if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
                 allowed = f"only fields that a robot accepts by radio ({', '.join(sorted(MISSION_FIELDS - {'since'}))})"
                 raise InputError("changes", value, f"{allowed}, not {field}")
         found[when], mission = (*found.get(when, ()), (robot, new)), new
     return found
+
+
+def points_file(shape: str) -> Path:
+    """The file of a shape `points:FILE`.
+
+    Raises:
+        InputError: it has no name.
+    """
+    name = shape.partition(":")[2].strip()
+    if not name:
+        raise InputError("shape", shape, "points:FILE, with the name of a file")
+    return Path(name)
 
 
 def load_points(fields: dict[str, Any]) -> bool:
@@ -173,7 +185,7 @@ def load_points(fields: dict[str, Any]) -> bool:
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False
-    fields.update(shape="points", points=formations.load_points(Path(shape.removeprefix("points:"))))
+    fields.update(shape="points", points=formations.load_points(points_file(shape), "shape"))
     return True
 
 

@@ -19,7 +19,7 @@ from llm_flock.protocol import events
 from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.messages.order_time import order_time
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.schema import SummaryMessage
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
@@ -92,6 +92,7 @@ class Trial:
         self.reason: str | None = None
         self._on_round = on_round
         self._steer = steer
+        self._moves: dict[int, MoveTo] = {}
         self._began = time.perf_counter()
 
     @property
@@ -114,15 +115,8 @@ class Trial:
                 if self._steer is not None:
                     await self._steer(self)
                 await self._fly_round(self.round + 1)
-                self.round += 1
                 self._report()
-                if self._done:
-                    self.stopped = "formed"
-                    break
-                if self.planners.exhausted:
-                    self.stopped = "budget"
-                    break
-                if self._find_hopeless():
+                if self.find_end():
                     break
         except asyncio.CancelledError:
             self.stopped = "interrupted"
@@ -138,6 +132,16 @@ class Trial:
         """Record the start positions. Call before the first round; further calls do nothing."""
         if not self.journal.positions:
             self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
+
+    def find_end(self) -> bool:
+        """Whether the run is over before its last round: formed, out of budget, or of no hope. Call after a round."""
+        if self._done:
+            self.stopped = "formed"
+        elif self.planners.exhausted:
+            self.stopped = "budget"
+        else:
+            return self._find_hopeless()
+        return True
 
     def _find_hopeless(self) -> bool:
         """Whether the run cannot succeed any more, and why: nobody has a plan, and no model gives one."""
@@ -188,22 +192,24 @@ class Trial:
             self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
 
     async def _fly_round(self, number: int) -> None:
-        self._let_happen(number)
-        await self._think_plans(number)
-        for comm_round in range(self.config.protocol.comm_rounds or 1):
-            self._exchange(comm_round)
-        moves = await self._think_steps()
+        questions = self.plan_questions(number)
+        plans = await _all({robot: self.planners[robot].plan(asked) for robot, asked in questions.items()})
+        self.journal.flush_attempts()
+        self.take_plans(plans)
+        asking = self.step_questions()
+        steps = await _all({robot: self.planners[robot].step(asked) for robot, asked in asking.items()})
+        self.journal.flush_attempts()
+        moves = self.take_steps(steps)
         for robot, move in moves.items():
             if move.origin is Origin.MODEL and self.planners.model_of(robot) == "geometry":
                 moves[robot] = msgspec.structs.replace(move, origin=Origin.GEOMETRY)
-        await self._move(moves)
-        for robot in self.roster.awake:
-            self._tell(robot, events.Arrived())
-        self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
+        await self.bodies.fly(self.displacements(moves))
+        self.end_round(number, moves)
 
-    async def _think_plans(self, number: int) -> None:
-        """Sense; robots without a plan ask for one, all at once."""
-        asking: dict[int, Coroutine[Any, Any, PlanAnswer | NoAnswer]] = {}
+    def plan_questions(self, number: int) -> dict[int, PlanQuestion]:
+        """Begin a round: its schedule happens, all robots sense, and those without a plan ask for one."""
+        self._let_happen(number)
+        asking: dict[int, PlanQuestion] = {}
         everybody = self.config.model.observe == "all"
         for robot in self.roster.awake:
             seen = self.bodies.sense(robot)
@@ -217,11 +223,15 @@ class Trial:
             )
             for effect in self._tell(robot, began):
                 if isinstance(effect, AskPlan):
-                    asking[robot] = self.planners[robot].plan(effect.question)
-        answers = await _all(asking)
-        self.journal.flush_attempts()
+                    asking[robot] = effect.question
+        return asking
+
+    def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:
+        """Give the robots that asked their answers; then all robots exchange messages."""
         for robot, answer in answers.items():
             self._tell(robot, events.Planned(answer))
+        for comm_round in range(self.config.protocol.comm_rounds or 1):
+            self._exchange(comm_round)
 
     def _exchange(self, comm_round: int) -> None:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
@@ -236,30 +246,39 @@ class Trial:
         for robot in awake:
             self._tell(robot, events.CommRoundEnded(), comm_round)
 
-    async def _think_steps(self) -> dict[int, MoveTo]:
-        """Robots with a goal ask for a waypoint, all at once; returns the move of each that is awake."""
-        asking: dict[int, Coroutine[Any, Any, StepAnswer | NoAnswer]] = {}
-        moves: dict[int, MoveTo] = {}
+    def step_questions(self) -> dict[int, StepQuestion]:
+        """End the exchange: robots with a goal ask for a waypoint, those that need none decide by themselves."""
+        asking: dict[int, StepQuestion] = {}
+        self._moves.clear()
         for robot in self.roster.awake:
             for effect in self._tell(robot, events.AgreementEnded()):
                 if isinstance(effect, AskStep):
-                    asking[robot] = self.planners[robot].step(effect.question)
+                    asking[robot] = effect.question
                 elif isinstance(effect, MoveTo):
-                    moves[robot] = effect
-        answers = await _all(asking)
-        self.journal.flush_attempts()
+                    self._moves[robot] = effect
+        return asking
+
+    def take_steps(self, answers: Mapping[int, StepAnswer | NoAnswer]) -> dict[int, MoveTo]:
+        """Give the robots that asked their answers; returns the move of each robot that is awake."""
         for robot, answer in answers.items():
             for effect in self._tell(robot, events.Decided(answer)):
                 if isinstance(effect, MoveTo):
-                    moves[robot] = effect
-        return dict(sorted(moves.items()))
+                    self._moves[robot] = effect
+        return dict(sorted(self._moves.items()))
 
-    async def _move(self, moves: Mapping[int, MoveTo]) -> None:
-        """Move each body by its command, from where its robot believed it was; bodies of silent robots stay."""
+    def displacements(self, moves: Mapping[int, MoveTo]) -> Points:
+        """How each body moves, shape (n, d) [units]: from where its robot believed it was; silent robots stay."""
         displacements: Points = np.zeros_like(self.bodies.positions)
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
-        await self.bodies.fly(displacements)
+        return displacements
+
+    def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:
+        """Tell the robots that they have arrived, and record the round. Call when the bodies have moved."""
+        for robot in self.roster.awake:
+            self._tell(robot, events.Arrived())
+        self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
+        self.round = number
 
     def _tell(self, robot: int, event: Event, comm_round: int | None = None) -> list[Effect]:
         """Give a robot's mind an event of the next round; record the notes among its effects, and return the rest."""
@@ -311,6 +330,8 @@ class Trial:
             errors=np.array([np.nan if e is None else e[0] for e in self.journal.errors]),
             plans=tuple(a.plan for a in self.roster.agents),
             slots=tuple(a.claim.slot for a in self.roster.agents),
+            trace=None if self.journal.trace is None else tuple(self.journal.trace),
+            unrepeatable=tuple(self.journal.unrepeatable),
         )
 
 

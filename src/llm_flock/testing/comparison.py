@@ -11,6 +11,7 @@ import numpy as np
 
 from llm_flock import formations
 from llm_flock.errors import InputError
+from llm_flock.llm.port import Answers
 from llm_flock.llm.prompt_values import number_text, place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
@@ -90,21 +91,22 @@ def check_prompts(folder: Path | str) -> None:
         _expect(prompts.retry(reason, asked), reason, "the reason", "retry")
 
 
-def check_model(model: str, **options: Any) -> None:
+def check_model(model: str | Answers, **options: Any) -> None:
     """Check that a model can take part: it answers, and its answers can be read and used.
 
     A triangle of three flies three rounds: about a dozen calls, which a provider may charge for.
 
     Args:
-        model: `provider:model` to ask.
+        model: `provider:model` or `package.module:Class` to ask, or an object with `ask`.
         options: any other field of the configuration: base_url, answers, temperature, prompts, ...
     """
-    settings = {"shape": "triangle", "n_robots": 3, "rounds": 3, **options}
+    settings: dict[str, Any] = {"shape": "triangle", "n_robots": 3, "rounds": 3, **options}
     try:
-        result = run(config=load_config(None, **settings, model=model))
+        result = run(**settings, model=model)
     except InputError as error:
         raise AssertionError(f"{model} is refused: {error}") from None
     summary = result.summary
+    model = summary.models[0]
     assert summary.model_calls > 0, f"{model} was never asked"
     assert summary.calls_failed == 0, (
         f"{model} gave no answer to {summary.calls_failed} of {summary.model_calls} calls: {summary.reason}"

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
+from llm_flock.extras import require
 from llm_flock.transport.seal import Seal
 
 if TYPE_CHECKING:
@@ -98,10 +99,9 @@ def open_session(values: Mapping[str, Any]) -> zenoh.Session:
         InputError: zenoh is not installed, or does not take the configuration (an endpoint that is in use, say).
     """
     os.environ.setdefault("ZENOH_RUNTIME", THREADS)
-    try:
-        import zenoh
-    except ImportError:
-        raise InputError("network", "not installed", "with the extra: pip install 'llm-flock[network]'") from None
+    require("network", "a swarm")
+    import zenoh
+
     config: Any = zenoh.Config()  # its types are unknown in part
     try:
         for path, value in values.items():

@@ -117,7 +117,8 @@ def load_public_keys(folder: Path) -> PublicKeys:
         public = {j: Ed25519PublicKey.from_public_bytes(key) for j, key in keys.items()}
         known = team["version"] == 1 and len(swarm) == 16
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("keys", str(path), f"the public keys that `llm-flock keys` writes ({error!r})") from None
+        why = getattr(error, "strerror", None) or repr(error)
+        raise InputError("keys", str(path), f"the public keys that `llm-flock keys` writes ({why})") from None
     if not known:
         raise InputError("keys", str(path), "keys of version 1")
     return PublicKeys(swarm=swarm, public=public)
@@ -138,7 +139,8 @@ def load_keyring(folder: Path, member: int) -> Keyring:
         _check_private(path)
         secret = serialization.load_pem_private_key(path.read_bytes(), password=None)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError("keys", str(path), f"the secret key that `llm-flock keys` writes ({error!r})") from None
+        why = getattr(error, "strerror", None) or repr(error)
+        raise InputError("keys", str(path), f"the secret key that `llm-flock keys` writes ({why})") from None
     if not isinstance(secret, Ed25519PrivateKey) or secret.public_key() != public[member]:
         raise InputError("keys", str(path), f"the secret half of {member_name(member)}'s key in team.json")
     return Keyring(swarm=swarm, member=member, public=public, _secret=secret)
@@ -195,7 +197,7 @@ def tls_config(folder: Path, member: int) -> dict[str, Any]:
 
 
 def _check_private(path: Path) -> None:
-    if path.stat().st_mode & 0o077:
+    if os.name == "posix" and path.stat().st_mode & 0o077:  # elsewhere, the mode does not tell
         raise InputError("keys", str(path), "a file that nobody else may read: chmod 600")
 
 

@@ -8,18 +8,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from llm_flock.errors import InputError
+from llm_flock.listening import ListeningPort
 from llm_flock.viewer.data import answer
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.paths import title_of
 from llm_flock.viewer.recording import Recording
 from llm_flock.viewer.server import Address
-from llm_flock.viewer.startup import OPEN
 
 if TYPE_CHECKING:
-    from fastapi import FastAPI
-
     from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.viewer.launcher import Launcher
+    from llm_flock.viewer.mission_text import MissionReader
+    from llm_flock.viewer.swarm import SwarmSource
+
+MOST_ROBOTS = 250
+"""Team size for which Foxglove's queue is sized: the viewer's runs are not known yet."""
 
 
 def run_viewer(
@@ -31,6 +34,8 @@ def run_viewer(
     runs: Path,
     models: Sequence[str],
     base_url: str | None,
+    reader: MissionReader | None = None,
+    foxglove: ListeningPort | None = None,
 ) -> None:
     """Serve the viewer until the process is stopped.
 
@@ -42,9 +47,8 @@ def run_viewer(
         runs: folder for the records of runs that are started from the page.
         models: models, other than simulated ones, that runs started from the page may ask.
         base_url: address that replaces the provider's own.
-
-    Raises:
-        InputError: a model cannot be asked, or NiceGUI is missing.
+        reader: reads missions in words; without one the page takes none.
+        foxglove: where the newest run is served to Foxglove as well.
     """
     library = Library()
     found = [library.add(title_of(path), path, live=live) for path in records]
@@ -53,67 +57,43 @@ def run_viewer(
         threading.Thread(target=_load_all, args=(batch,), daemon=True).start()
     address.startup.answer_data(partial(answer, library))
     # The heavy libraries come last: the startup server answers meanwhile.
-    try:
-        import uvicorn
-        from fastapi import FastAPI
-        from nicegui import ui
-    except ImportError as error:
-        allowed = f'the viewer\'s libraries ({error.name} is missing): pip install "llm-flock[view]"'
-        raise InputError("view", "not installed", allowed) from None
+    import uvicorn
+    from starlette.applications import Starlette
+
     from llm_flock.viewer.guard import RequestGuard
     from llm_flock.viewer.launcher import Launcher
-    from llm_flock.viewer.pages import Pages
+    from llm_flock.viewer.orders import PageOrders
+    from llm_flock.viewer.routes import Routes
 
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.add_middleware(RequestGuard, hosts=address.hosts, token=address.token)
-    _serve_data(app, library)
-    reader = source = None
-    if models:
-        from llm_flock.viewer.mission_text import MissionReader
-
-        reader = MissionReader(models[0], base_url)
+    source = None
     if swarm is not None:
         from llm_flock.viewer.swarm import SwarmSource
 
         source = SwarmSource(swarm, library.add(f"swarm {swarm.network.swarm}"))
-    Pages(library, Launcher(library, runs, models, base_url, reader), source).register()
-    ui.run_with(  # pyright: ignore[reportUnknownMemberType]
-        app,
-        title="LLM-Flock",
-        dark=None,
-        language="en-US",
-        tailwind=False,
-        show_welcome_message=False,
-        reconnect_timeout=10.0,
-        binding_refresh_interval=None,
-    )
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
+    launcher = Launcher(library, runs, models, base_url, reader)
+    if foxglove is not None:
+        _serve_foxglove(foxglove, library, launcher, source)
+    app = Starlette(routes=Routes(library, launcher, PageOrders(library, launcher, source)).routes())
+    guarded = RequestGuard(app, hosts=address.hosts, token=address.token)
+    server = uvicorn.Server(uvicorn.Config(guarded, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
     if source is not None:
         threading.Thread(target=source.watch, daemon=True).start()
     address.startup.stop()
     server.run(sockets=[address.sock])
 
 
+def _serve_foxglove(port: ListeningPort, library: Library, launcher: Launcher, swarm: SwarmSource | None) -> None:
+    """Serve the newest run to Foxglove until the process ends."""
+    from llm_flock.foxglove.server import FoxgloveServer
+    from llm_flock.viewer.foxglove_feed import Feed, ViewerOrders
+
+    orders = ViewerOrders(launcher, swarm).orders
+    server = FoxgloveServer(port, orders, MOST_ROBOTS)
+    if swarm is not None:
+        swarm.also = server
+    threading.Thread(target=Feed(library, server).run, daemon=True).start()
+
+
 def _load_all(runs: Sequence[Recording]) -> None:
     for run in runs:
         load(run)
-
-
-def _serve_data(app: FastAPI, library: Library) -> None:
-    from starlette.requests import Request
-    from starlette.responses import Response
-
-    uncached = {"cache-control": "no-store"}
-
-    async def is_open(request: Request) -> Response:
-        return Response(status_code=204, headers=uncached)
-
-    # Not a coroutine, so that it runs in a thread: a thousand robots take a while, and other pages go on meanwhile.
-    def data(request: Request) -> Response:
-        text = answer(library, request.url.path, request.query_params)
-        if text is None:
-            return Response("no such run", status_code=404)
-        return Response(text, media_type="application/json", headers=uncached)
-
-    app.add_route(OPEN, is_open)
-    app.add_route("/data/{key}/{what}", data)

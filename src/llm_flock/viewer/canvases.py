@@ -1,9 +1,16 @@
-"""The canvases of a page and their options. Imports nothing heavy: the first page waits for it."""
+"""What the canvases of a page show: tracks, layers and charts. Imports nothing heavy: the first page waits for it."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
+
+from llm_flock.printable import printable
+from llm_flock.viewer.paths import RECORD_NAME
+
+TOO_CLOSE = "too close"
+"""Track of the timeline that counts pairs nearer than the safe distance."""
 
 TRACKS: tuple[dict[str, str], ...] = (
     {"name": "plans", "mark": "circle", "about": "A robot proposed a plan or took over another's"},
@@ -16,6 +23,7 @@ TRACKS: tuple[dict[str, str], ...] = (
     },
     {"name": "shield", "mark": "cross", "about": "A way was bent, held or given up for safety"},
     {"name": "faults", "mark": "bolt", "about": "A robot died or joined, a call failed, a message was refused"},
+    {"name": TOO_CLOSE, "mark": "pair", "about": "Pairs of robots nearer than the safe distance, counted"},
     {"name": "missions", "mark": "flag", "about": "A robot heard of another mission"},
 )
 """Rows of marks on the timeline; the shape of a mark tells them apart without colour."""
@@ -43,24 +51,27 @@ CHARTS: tuple[dict[str, Any], ...] = (
 )
 
 
-class Canvas(NamedTuple):
-    """A canvas: arena, timeline or plots, and its options; canvases of one page share a clock."""
-
-    kind: str
-    options: dict[str, Any]
+PAGE_NAME = "replay.html"
 
 
-def arena(key: str, title: str) -> Canvas:
-    """The team from above."""
-    layers = {name: on for name, _, on in LAYERS}
-    return Canvas("arena", {"keys": [key], "clock": "main", "title": title, "layers": layers})
+def export_kinds() -> list[tuple[str, str]]:
+    """Labels and file names of what this machine can make of a record."""
+    found = [
+        ("Record (MCAP)", RECORD_NAME),
+        ("Replay (HTML)", PAGE_NAME),
+        ("Figure (PNG)", "snapshots.png"),
+        ("Animation (GIF)", "animation.gif"),
+    ]
+    return [*found, ("Animation (MP4)", "animation.mp4")] if shutil.which("ffmpeg") else found
 
 
-def timeline(keys: Sequence[str]) -> Canvas:
-    """Rounds, marks and the cursor."""
-    return Canvas("timeline", {"keys": list(keys), "clock": "main", "tracks": TRACKS})
-
-
-def plots(keys: Sequence[str]) -> Canvas:
-    """Measurements over rounds."""
-    return Canvas("plots", {"keys": list(keys), "clock": "main", "charts": CHARTS})
+def player_options(runs: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Options of the page of one run or two: key and title of each."""
+    return {
+        "page": "player",
+        "runs": [{"key": key, "title": printable(title)} for key, title in runs],
+        "tracks": TRACKS,
+        "layers": LAYERS,
+        "charts": CHARTS,
+        "exports": export_kinds(),
+    }

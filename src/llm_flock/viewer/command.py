@@ -1,20 +1,20 @@
-"""`llm-flock view`: shows runs in a browser. A module of its own, so that it need not load the other commands."""
+"""`llm-flock view`: shows runs in a browser."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from llm_flock.errors import InputError
-from llm_flock.printable import printable
+from llm_flock.extras import require
+from llm_flock.foxglove.options import Service, with_foxglove
 
 DEFAULT_PORT = 8765
-EXIT_INPUT = 2
 
 
+@with_foxglove
 def view(
     records: Annotated[
         list[Path] | None,
@@ -43,7 +43,8 @@ def view(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Model that runs from the page may ask, PROVIDER:MODEL; the first reads missions in words; may repeat",
+            help="Model that runs from the page may ask, PROVIDER:MODEL or local:MODEL; the first reads missions in "
+            "words; may repeat",
             show_default=False,
         ),
     ] = None,
@@ -62,18 +63,26 @@ def view(
         ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")] = True,
+    *,
+    service: Service,
 ) -> None:
     """Watch runs in a browser: replay records, follow one that is being written, watch a swarm, or fly simulated runs.
 
     Without a record, the page opens with the form that starts runs.
     """
-    from llm_flock.viewer.paths import FIRST_KEY, RECORD_NAME, newest_in, records_in, title_of
-    from llm_flock.viewer.preview import preview_page
+    require("view", "view")
+    from llm_flock.viewer.canvases import player_options
+    from llm_flock.viewer.page import html
+    from llm_flock.viewer.paths import FIRST_KEY, growing_in, newest_in, records_in, title_of
     from llm_flock.viewer.server import listen
 
+    if swarm is not None and connect is None and config is None:
+        raise InputError("swarm", swarm, says="has no effect without --connect or --config")
+    if base_url is not None and not model:
+        raise InputError("base_url", base_url, says="has no effect without --model")
     found = list(records or [])
     if live:
-        found = [path if path.suffix == ".mcap" else path / RECORD_NAME for path in found] or [newest_in(runs)]
+        found = growing_in(found) or [newest_in(runs)]
     else:
         found = records_in(found)
     watched = None
@@ -81,11 +90,21 @@ def view(
         from llm_flock.runtime.network.config import SwarmConfig
 
         watched = SwarmConfig.load(config, connect=connect, swarm=swarm)
+    # Whatever can fail does so before an address is shown.
+    models, reader = tuple(model or ()), None
+    if models:
+        from llm_flock.viewer.mission_text import MissionReader
+
+        reader = MissionReader(models[0], base_url)
+    foxglove = service.listen()
     address = listen(host, port, token)
     if len(found) == 1 and watched is None and address.token is None:
         # A single run is drawn at once. With a token, nothing is shown before the browser has shown it.
-        address.startup.show(preview_page(FIRST_KEY, title_of(found[0])), address.hosts)
+        title = title_of(found[0])
+        address.startup.show(html(title, player_options([(FIRST_KEY, title)])).encode(), address.hosts)
     typer.echo(address.url)
+    if foxglove is not None:
+        typer.echo(f"Foxglove: {foxglove.url('ws')}", err=True)
     typer.echo("Ctrl-C ends the viewer", err=True)
     if browser:
         import threading
@@ -95,17 +114,14 @@ def view(
     # The heavy libraries come last: the browser starts meanwhile, and the startup server answers it.
     from llm_flock.viewer.app import run_viewer
 
-    models = tuple(model or ())
-    run_viewer(address, records=found, live=live, swarm=watched, runs=runs, models=models, base_url=base_url)
-
-
-def main() -> None:
-    """Entry point of this command alone; it reports errors as the other commands do."""
-    app = typer.Typer(pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]})
-    app.command("view")(view)
-    app.callback()(lambda: None)
-    try:
-        app(prog_name="llm-flock")
-    except InputError as error:
-        typer.echo(printable(f"error: {error}"), err=True)
-        sys.exit(EXIT_INPUT)
+    run_viewer(
+        address,
+        records=found,
+        live=live,
+        swarm=watched,
+        runs=runs,
+        models=models,
+        base_url=base_url,
+        reader=reader,
+        foxglove=foxglove,
+    )

@@ -6,13 +6,18 @@ The startup server and the web application answer with the same bytes, so this m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from pydantic_core import to_json
 
+from llm_flock.printable import one_line, printable
 from llm_flock.record.schema import ASLEEP, DEAD, State
+from llm_flock.viewer.events import in_words
 from llm_flock.viewer.library import Library
-from llm_flock.viewer.recording import Recording
+from llm_flock.viewer.mind import mind, prompt
+from llm_flock.viewer.outcome import outcome
+from llm_flock.viewer.recording import Recording, box
+from llm_flock.viewer.run_rows import run_row
 from llm_flock.viz.style import plan_look
 
 DECIMALS = 3
@@ -20,6 +25,12 @@ BENT = frozenset({"clipped", "shield", "yield", "detour", "geometry"})
 """Origins of waypoints that differ from what the model asked for."""
 
 MOST_FRAMES = 256
+MOST_EVENTS = 100
+"""Most events of a round that are listed."""
+
+MOST_WORDS, LONGEST_TOLD = 400, 4_000
+"""Longest event in a page that holds its run, and in the viewer [characters]."""
+
 LARGEST = 10_000_000
 """Largest number that a request may contain."""
 
@@ -40,6 +51,8 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
     A number of the query that is missing or not valid has its default.
     """
     parts = path.strip("/").split("/")
+    if parts == ["data", "runs"]:
+        return to_json([run_row(run) for run in list(library.runs.values())])
     run = library.runs.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
     if run is None:
         return None
@@ -49,6 +62,14 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         return min(int(given), LARGEST) if given.isascii() and given.isdigit() and len(given) < 20 else default
 
     match parts[2]:
+        case "mind" | "events" | "prompt" if not run.ready:
+            return b"null"
+        case "mind":
+            return to_json(mind(run, number("robot"), number("round")))
+        case "prompt":
+            return to_json(prompt(run, number("robot"), number("round"), number("call")))
+        case "events":
+            return to_json(event_lines(run, number("round"), LONGEST_TOLD))
         case "about":
             return to_json(about(run))
         case "news":
@@ -67,6 +88,9 @@ def about(run: Recording) -> dict[str, Any]:
     return {
         "ready": True,
         "live": run.live,
+        "about": run.description,
+        "simulated": run.simulated,
+        "export": run.path is not None,
         "robots": run.n_robots,
         **{name: fields[name] for name in ("safe_distance", "comm_range")},
         "arena": [list(corner)[:2] for corner in fields["arena"]],
@@ -82,9 +106,13 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
         "last": last,
         "open": run.open,
         "failure": run.failure,
+        "extent": run.extent,
+        "formation": box([*run.states[last].positions, *run.states[last].goals]) if last >= 0 else [],
+        "outcome": _printable(outcome(run)) if run.ready else None,
+        "steer": None if run.steer is None else run.steer(),
         "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
         "missions": [
-            {"round": m.round, "text": f"{m.mission['shape']} of {m.mission['n_robots']}"}
+            {"round": m.round, "text": printable(f"{m.mission['shape']} of {m.mission['n_robots']}")}
             for m in run.missions[missions:]
         ],
         "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
@@ -104,12 +132,34 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
         "x": [_from_above(row) for row in state.positions],
         "g": [None if row is None else _from_above(row) for row in state.goals],
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
+        "s": list(state.slots),
         "i": [round(share, 2) for share in state.influence],
         "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],
         "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
         "h": [robot for robot, origin in enumerate(state.origins) if origin in BENT],
         "b": [k for k, kinds in enumerate(state.open_breakers) if "step" in kinds or (kinds and not state.plan_ids[k])],
     }
+
+
+def event_lines(run: Recording, number: int, most: int = MOST_WORDS) -> dict[str, Any]:
+    """The events of a round, each its robot and a sentence of at most `most` letters without its subject.
+
+    At most MOST_EVENTS of `total` are listed.
+    """
+    listed = run.events(number)
+    lines = [[f"robot {event.robot}", one_line(in_words(event, run.plan_name), most)] for event in listed[:MOST_EVENTS]]
+    return {"round": number, "total": len(listed), "lines": lines}
+
+
+def _printable(value: Any) -> Any:
+    """The same value with every text in it printable."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict):
+        return {str(name): _printable(one) for name, one in cast("dict[object, Any]", value).items()}
+    if isinstance(value, list):
+        return [_printable(one) for one in cast("list[Any]", value)]
+    return value
 
 
 def _from_above(row: Sequence[float]) -> list[float]:

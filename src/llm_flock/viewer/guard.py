@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Iterable
-from urllib.parse import parse_qsl, urlencode
+from urllib.parse import parse_qsl, quote, unquote, urlencode
 
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 POLICY = "; ".join(
     (
         "default-src 'self'",
-        "script-src 'self' 'unsafe-inline' 'unsafe-eval'",  # Vue compiles templates in the page
+        "script-src 'self' 'unsafe-inline'",  # a page's one script is in the page
         "style-src 'self' 'unsafe-inline'",
         "img-src 'self' data: blob:",
         "font-src 'self' data:",
@@ -67,6 +67,14 @@ class RequestGuard:
             await refused(scope, receive, _with_headers(send))
 
     def _refused(self, asked: HTTPConnection) -> Response | None:
+        refused = self._not_admitted(asked)
+        # Every page's order names its origin; what names none comes from no page.
+        reads = asked.scope["type"] == "websocket" or asked.scope["method"] in ("GET", "HEAD")
+        if refused is None and not reads and asked.headers.get("origin") is None:
+            return PlainTextResponse("no origin", status_code=403)
+        return refused
+
+    def _not_admitted(self, asked: HTTPConnection) -> Response | None:
         scope, headers = asked.scope, asked.headers
         host = headers.get("host", "").lower()
         if self._hosts and host not in self._hosts:
@@ -78,23 +86,22 @@ class RequestGuard:
             return PlainTextResponse("no origin", status_code=403)
         if self._token is None:
             return None
-        if self._is_token(asked.cookies.get(COOKIE)):
+        if self._is_token(unquote(asked.cookies.get(COOKIE, ""))):
             return None
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
-        if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(dict(query).get("token")):
+        given = dict(query).get("token", "")
+        if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
             rest = urlencode([(name, value) for name, value in query if name != "token"])
             # Two slashes at the beginning of a path would name another server.
             path = "/" + scope["path"].lstrip("/\\")
             # Addresses are copied, logged and kept in histories, so the token is taken out of this one.
             answer = RedirectResponse(path + (f"?{rest}" if rest else ""), status_code=303)
-            answer.set_cookie(COOKIE, self._token, httponly=True, samesite="strict", path="/")
+            answer.set_cookie(COOKIE, quote(given, safe=""), httponly=True, samesite="strict", path="/")
             return answer
         return PlainTextResponse("This viewer needs the address with its token, as the command printed it.", 401)
 
-    def _is_token(self, given: str | None) -> bool:
-        return (
-            given is not None and self._token is not None and hmac.compare_digest(given.encode(), self._token.encode())
-        )
+    def _is_token(self, given: str) -> bool:
+        return self._token is not None and hmac.compare_digest(given.encode(), self._token.encode())
 
 
 def _with_headers(send: Send) -> Send:

@@ -12,10 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm.limits import CallLimits, Limited, RetryPolicy
+from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.providers import parse_base_urls, parse_model
-from llm_flock.mission import build_mission, input_error
+from llm_flock.mission import build_mission
+from llm_flock.validation import input_error
 
 LONGEST = 2000
 """Most letters of a mission in plain words."""
@@ -51,8 +53,11 @@ class MissionReader:
     """
 
     def __init__(self, model: str, base_url: str | None = None) -> None:
-        if parse_model(model).kind != "provider":
-            raise InputError("model", model, "PROVIDER:MODEL: a stand-in cannot read")
+        kind = parse_model(model).kind
+        if kind not in ("provider", "local"):
+            raise InputError("model", model, "PROVIDER:MODEL or local:MODEL, as a stand-in cannot read")
+        if kind == "local":
+            find_weights(model.partition(":")[2])
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(
@@ -67,20 +72,43 @@ class MissionReader:
             AnswerError: the answer is not in the fixed form.
             ModelError: no answer came.
         """
-        text = text.strip()
-        if not text or len(text) > LONGEST:
-            raise InputError("words", f"{len(text)} letters", f"from 1 to {LONGEST} letters")
-        shapes = "; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in formations.shapes())
-        schema = MissionAnswer.model_json_schema()
-        messages = (
-            ChatMessage("system", INSTRUCTION.format(shapes=shapes, schema=json.dumps(schema))),
-            ChatMessage("user", text),
-        )
+        call = mission_call(text)
         async with ModelPool(base_urls=self._base_urls, timeout_s=2 * TIMEOUT_S) as pool:
             model = Limited(pool.model(self.model, robot=0, rng=np.random.default_rng(0)), self._limits)
-            call = Call(robot=0, round=0, kind="plan", attempt=0, messages=messages, schema=schema)
             reply = await model.ask(call)
         return draft_of(reply.text)
+
+
+def mission_call(text: str) -> Call:
+    """The question to a model: its rules, the form of the answer, and the text.
+
+    Raises:
+        InputError: for field `words`: the text is empty or too long.
+    """
+    text = text.strip()
+    if not text or len(text) > LONGEST:
+        raise InputError("words", f"{len(text)} letters", f"from 1 to {LONGEST} letters")
+    shapes = "; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in formations.shapes())
+    schema = MissionAnswer.model_json_schema()
+    messages = (
+        ChatMessage("system", INSTRUCTION.format(shapes=shapes, schema=json.dumps(schema))),
+        ChatMessage("user", text),
+    )
+    return Call(robot=0, round=0, kind="plan", attempt=0, messages=messages, schema=schema)
+
+
+def answer_of(answer: str) -> MissionAnswer:
+    """The fields in an answer of the model, not yet checked as a mission.
+
+    Raises:
+        AnswerError: it is not in the fixed form.
+    """
+    start, end = answer.find("{"), answer.rfind("}")
+    try:
+        return MissionAnswer.model_validate_json(answer[start : end + 1])
+    except ValidationError as error:
+        wrong = input_error(error, MissionAnswer)
+        raise AnswerError(f"the model's answer is not of the form that was asked for: {wrong}") from None
 
 
 def draft_of(answer: str) -> MissionDraft:
@@ -90,11 +118,7 @@ def draft_of(answer: str) -> MissionDraft:
         AnswerError: it is not in the fixed form.
         InputError: it is no mission that can be flown.
     """
-    start, end = answer.find("{"), answer.rfind("}")
-    try:
-        parsed = MissionAnswer.model_validate_json(answer[start : end + 1])
-    except ValidationError as error:
-        raise AnswerError(f"the model's answer is not of the form that was asked for: {input_error(error)}") from None
+    parsed = answer_of(answer)
     fields = parsed.model_dump(exclude_none=True)
     if parsed.shape.startswith("points"):
         raise InputError("shape", parsed.shape, "a shape with a name")

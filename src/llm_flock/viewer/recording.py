@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from llm_flock.printable import printable
 from llm_flock.record.schema import (
     SILENT,
     Entry,
@@ -23,6 +26,7 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
+from llm_flock.viewer.canvases import TOO_CLOSE
 from llm_flock.viewer.events import breaker_text, track_of_event
 from llm_flock.viz.style import plan_look, rules
 
@@ -30,6 +34,35 @@ logger = logging.getLogger(__name__)
 
 ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "landed"})
 """Flight events that belong to every flight."""
+
+
+ROUNDING = 1e-6
+"""A pair that is nearer by less than this keeps its distance [units]."""
+
+
+def close_pairs(positions: Sequence[Sequence[float]], safe: float) -> int:
+    """Number of pairs nearer than the safe distance [units]; boxes of that width make a thousand robots quick."""
+    boxes: defaultdict[tuple[int, int], list[Sequence[float]]] = defaultdict(list)
+    found = 0
+    for row in positions:
+        column, line = math.floor(row[0] / safe), math.floor(row[1] / safe)
+        for i in (column - 1, column, column + 1):
+            for j in (line - 1, line, line + 1):
+                found += sum(math.dist(row, other) < safe - ROUNDING for other in boxes.get((i, j), ()))
+        boxes[column, line].append(row)
+    return found
+
+
+def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
+    """Lower left and upper right of some points, seen from above [units]; None stands for no point."""
+    seen = [row for row in rows if row is not None]
+    columns, lines = [row[0] for row in seen], [row[1] for row in seen]
+    return [min(columns), min(lines), max(columns), max(lines)]
+
+
+def version_of(found: os.stat_result) -> tuple[int, ...]:
+    """Numbers that differ between two files, and between a file and what it is after it was written to."""
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 class PlanOrigin(NamedTuple):
@@ -42,6 +75,35 @@ class PlanOrigin(NamedTuple):
     robot: int
     source: int | None
     by: str = "model"
+
+
+@dataclass(slots=True)
+class CallCounts:
+    """What became of the calls of one robot's model by now; `last` is the newest reason why an answer was no use."""
+
+    asked: int = 0
+    refused: int = 0
+    failed: int = 0
+    helped: int = 0
+    opened: int = 0
+    last: str = ""
+
+    @property
+    def unusable(self) -> int:
+        """Calls without a usable answer."""
+        return self.refused + self.failed
+
+    @property
+    def trouble(self) -> int:
+        """How much there is to look at; an open circuit breaker counts for many refusals."""
+        return self.unusable + self.helped + 5 * self.opened
+
+    @property
+    def words(self) -> str:
+        """What there is, in words."""
+        parts = [(self.refused, "refused"), (self.failed, "failed"), (self.helped, "times helped")]
+        told = [f"{count} {what}" for count, what in parts if count]
+        return ", ".join([*told, "circuit breaker opened"] if self.opened else told)
 
 
 class HeardClaim(NamedTuple):
@@ -69,9 +131,14 @@ class Recording:
         live: whether the run goes on while it is watched.
         open: whether more may come.
         failure: why there is nothing (more) to show.
+        version: of the file as it was read; see `version_of`.
         rounds: last complete round, -1 before the start.
         plan_numbers: number of each plan, in the order in which plans were first seen.
         marks: number of marks on each timeline track, by round.
+        disturbed: last round in which a robot died or joined, 0 before any did.
+        tallies: what became of the calls of each robot's model.
+        steer: what can be ordered of it now, for runs that take orders.
+        extent: lower left and upper right of where robots and goals have been, seen from above [units].
     """
 
     def __init__(self, key: str, title: str, path: Path | None, *, live: bool) -> None:
@@ -81,6 +148,7 @@ class Recording:
         self.live = live
         self.open = True
         self.failure: str | None = None
+        self.version: tuple[int, ...] | None = None
         self.info: RunInfo | None = None
         self.missions: list[MissionInfo] = []
         self.result: Mapping[str, Any] | None = None
@@ -89,6 +157,10 @@ class Recording:
         self.rounds = -1
         self.plan_numbers: dict[str, int] = {}
         self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
+        self.disturbed = 0
+        self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
+        self.extent: list[float] = []
+        self.steer: Callable[[], dict[str, Any]] | None = None
         self._events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
         self._breakers: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
         self._calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)
@@ -108,6 +180,11 @@ class Recording:
                 self._mark(entry.round, track_of_event(entry))
                 if entry.kind == "breaker":
                     self._breakers[entry.robot].append(entry)
+                    self.tallies[entry.robot].opened += entry.detail.get("state") == "open"
+                if entry.kind in ("killed", "joined"):
+                    self.disturbed = max(self.disturbed, entry.round)
+                if entry.kind == "fallback":
+                    self.tallies[entry.robot].helped += 1
                 if entry.kind in ("proposed", "adopted"):
                     by = str(entry.detail.get("by", "model"))
                     origin = PlanOrigin(entry.round, entry.robot, entry.detail.get("from"), by)
@@ -119,11 +196,7 @@ class Recording:
                     listed = ProtocolEvent(round=number, comm_round=None, robot=robot, kind=kind, detail=detail)
                     self._events[number].append(listed)
             case LlmEntry():
-                self._calls[entry.round, entry.robot].append(entry)
-                if entry.error is not None:
-                    self._mark(entry.round, "faults")
-                elif entry.rejected is not None:
-                    self._mark(entry.round, "retries")
+                self._called(entry)
             case State():
                 for plan_id in entry.plan_ids:
                     if plan_id is not None:
@@ -132,6 +205,7 @@ class Recording:
             case MetricsRow():
                 self.rows.append(entry)
             case RoundEnd():
+                self._measure(entry.round)
                 self.rounds = entry.round
             case SummaryMessage():
                 self.result = entry.result
@@ -142,9 +216,36 @@ class Recording:
         if track is not None:
             self.marks[number][track] += 1
 
+    def _called(self, entry: LlmEntry) -> None:
+        self._calls[entry.round, entry.robot].append(entry)
+        tally = self.tallies[entry.robot]
+        tally.asked += 1
+        if entry.error is not None:
+            self._mark(entry.round, "faults")
+            tally.failed += 1
+            tally.last = entry.error
+        elif entry.rejected is not None:
+            self._mark(entry.round, "retries")
+            tally.refused += 1
+            tally.last = entry.rejected
+
+    def _measure(self, number: int) -> None:
+        """Count the pairs that are too close, and widen the extent."""
+        if not self.missions or number >= len(self.states):
+            return
+        state, mission = self.states[number], self.mission_at(number).mission
+        safe = float(mission["safe_distance"])
+        near = self.rows[number].min_separation if number < len(self.rows) else None
+        if near is not None and near < safe:
+            pairs = close_pairs(state.positions, safe)
+            if pairs:
+                self.marks[number][TOO_CLOSE] = pairs
+        known = [self.extent[:2], self.extent[2:]] if self.extent else []
+        self.extent = box([*known, *state.positions, *state.goals])
+
     def fail(self, error: Exception) -> None:
         """Show why no more comes, and log it."""
-        self.failure = str(error)
+        self.failure = printable(str(error))
         logger.warning("%s", error)
 
     @property
@@ -170,7 +271,7 @@ class Recording:
         config, shape = self.info.config, self.missions[0].mission["shape"]
         model = config.get("model", {}).get("model", "")
         parts = (f"{shape} of {self.n_robots}", rules(config), model, f"seed {self.info.seed}")
-        return " · ".join(str(part) for part in parts if part)
+        return printable(" · ".join(str(part) for part in parts if part))
 
     def mission_at(self, number: int) -> MissionInfo:
         """The mission in force in a round."""

@@ -31,7 +31,8 @@ body { margin: 0; padding: 12px; background: #f6f7f9; color: #1d232a; font: 14px
 b { font-size: 16px; }
 </style></head>
 <body><b>LLM-Flock</b> the viewer is starting &hellip;
-<script>fetch("/data/open").catch(() => 0).then(() => location.reload());</script></body></html>
+<script>fetch("/data/open").then((answer) => answer.text()).catch(() => 0).then(() => location.reload());</script>
+</body></html>
 """
 
 _HEADERS = (

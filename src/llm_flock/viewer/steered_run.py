@@ -8,14 +8,15 @@ import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from llm_flock.errors import FlockError, InputError
+from llm_flock.errors import FieldError, FlockError, InputError, unknown
 from llm_flock.llm.local.weights import is_packaged
 from llm_flock.protocol.events import Note
+from llm_flock.record.schema import DEAD
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.api import run_async
 from llm_flock.runtime.config import RunConfig, build_config
+from llm_flock.runtime.orders import RunOrders, check_shape
 from llm_flock.runtime.planners import TeamPlanners
-from llm_flock.runtime.schedule import Change, build_schedule
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.trial import Trial
 from llm_flock.viewer.library import load
@@ -57,7 +58,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     given = {name: value for name, value in fields.items() if value not in (None, "")}
     for name in given:
         if name not in FIELDS:
-            raise InputError(name, given[name], f"one of the fields of this page: {', '.join(FIELDS)}")
+            raise FieldError(name, given[name], says=unknown(f"field {name!r}", name, FIELDS))
     check_shape(given.get("shape"))
     model = given.get("model")
     # A list of models by robot ("0=...,1=...") is not split here: it must be allowed as a whole.
@@ -72,21 +73,21 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     return config
 
 
-def check_shape(shape: object) -> None:
-    """Refuse a shape that is read from a file.
-
-    Raises:
-        InputError: it is one.
-    """
-    if isinstance(shape, str) and shape.strip().startswith("points:"):
-        raise InputError("shape", shape, "a shape with a name; pages read no files")
-
-
 def _free(model: str) -> bool:
     """Whether a page may use a model: it costs nothing, uses no network, and reads no file outside the package."""
     provider, _, name = model.partition(":")
     packaged = provider == "local" and is_packaged(name)
     return "=" not in model and (model == "geometry" or provider == "simulated" or packaged)
+
+
+def check_pace(pace: float) -> None:
+    """Refuse a pace [rounds a second] that nobody can watch.
+
+    Raises:
+        InputError: it is one.
+    """
+    if not 0.1 <= pace <= 100:
+        raise InputError("pace", pace, "from 0.1 to 100 rounds a second")
 
 
 class SteeredRun:
@@ -95,7 +96,9 @@ class SteeredRun:
     Attributes:
         pace: rounds a second.
         paused: set it to hold the run before its next round.
-        round: the round in flight.
+        loss: share of messages that are lost.
+        confused: robots whose models answer nonsense by order.
+        orders: kills robots, and gives missions.
     """
 
     def __init__(self, config: RunConfig, recording: Recording, pace: float) -> None:
@@ -103,11 +106,11 @@ class SteeredRun:
         self.recording = recording
         self.pace = pace
         self.paused = False
-        self.round = 0
+        self.orders = RunOrders(config)
         self.over = False
-        self._kills: list[str] = []
-        self._changes: list[Change] = []
-        self._schedule = config.schedule()
+        self.loss = config.links.loss
+        self.confused: set[int] = set()
+        self._killed: set[int] = set()
         self._hallucinating: list[int] = []
         self._loss: float | None = None
         self._lock = threading.Lock()
@@ -120,62 +123,111 @@ class SteeredRun:
         threading.Thread(target=load, args=(self.recording, lambda: self.over), daemon=True).start()
 
     def end(self) -> None:
-        """End the run, paused or not; its record can be read."""
+        """End the run, paused or not; its record can be read.
+
+        Raises:
+            InputError: it is over.
+        """
+        self._check("end")
         self.paused = False
         self._end.set()
 
-    def kill(self, robot: int) -> None:
-        """Kill a robot.
+    @property
+    def round(self) -> int:
+        """The round in flight."""
+        return self.orders.round
+
+    @property
+    def dead(self) -> frozenset[int]:
+        """Robots that are dead, or will be with the next round."""
+        states = self.recording.states
+        phases = states[-1].phases if states else ()
+        return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
+
+    def refusal(self, order: str, robot: int | None = None) -> str | None:
+        """Why an order makes no sense now, as a sentence; None if it does. Pages switch its button off with it.
+
+        Orders are `end`, `pause`, `pace`, `change` and `lose`; `kill` and `hallucinate` name a robot.
+        """
+        if self.over or self._end.is_set():
+            return "The run is over: it takes no more orders."
+        if robot is None:
+            return None
+        if not 0 <= robot < self.config.mission.n_robots:
+            return f"There is no robot {robot}: the team has robots 0 to {self.config.mission.n_robots - 1}."
+        if robot in self.dead:
+            return f"Robot {robot} is dead."
+        if order == "hallucinate" and robot in self.confused:
+            return f"The model of robot {robot} answers nonsense already."
+        if order == "kill" and len(self.dead) == self.config.mission.n_robots - 1:
+            return f"Robot {robot} is the last one alive."
+        return None
+
+    def _check(self, order: str, robot: int | None = None) -> None:
+        says = self.refusal(order, robot)
+        if says is not None:
+            raise FieldError("run" if robot is None else "robot", robot, says=says)
+
+    def hold(self, paused: bool) -> None:
+        """Hold the run before its next round, or let it go on.
 
         Raises:
-            InputError: there is no such robot, it is dead, or it is the last one.
+            InputError: it is over.
         """
-        with self._lock:
-            self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
+        self._check("pause")
+        self.paused = paused
+
+    def set_pace(self, pace: float) -> None:
+        """Change the rounds a second.
+
+        Raises:
+            InputError: it is over, or that is no pace.
+        """
+        self._check("pace")
+        check_pace(pace)
+        self.pace = pace
+
+    def kill(self, robot: int) -> None:
+        """Kill a robot; see `RunOrders.kill`.
+
+        Raises:
+            InputError: there is no such robot, it is dead or the last one, or the run is over.
+        """
+        self._check("kill", robot)
+        self.orders.kill(robot)
+        self._killed.add(robot)
 
     def change(self, fields: dict[str, Any]) -> int:
-        """Change fields of the mission of one robot, and return that robot; the others hear of it from there.
+        """Give one robot another mission, and return that robot; see `RunOrders.change`.
 
         Raises:
-            InputError: the mission cannot be changed like that.
+            InputError: the mission cannot be changed like that, or the run is over.
         """
-        check_shape(fields.get("shape"))
-        with self._lock:
-            dead = {int(kill.partition("@")[0]) for kill in self._kills}
-            taker = next(k for k in range(self.config.mission.n_robots) if k not in dead)
-            change = Change(round=self.round + 1, robot=taker, set=fields)
-            # A second mission for the next round replaces the first.
-            before = [one for one in self._changes if one.round <= self.round]
-            self._reschedule(self._kills, [*before, change])
-            return taker
+        self._check("change")
+        return self.orders.change(fields)
 
     def lose(self, share: float) -> None:
         """Lose this share of the messages.
 
         Raises:
-            InputError: it is no share.
+            InputError: it is no share, or the run is over.
         """
+        self._check("lose")
         if not 0.0 <= share <= 1.0:
             raise InputError("loss", share, "a share from 0 to 1")
         with self._lock:
-            self._loss = share
+            self._loss = self.loss = share
 
     def hallucinate(self, robot: int) -> None:
         """Replace a robot's model by one that answers nonsense.
 
         Raises:
-            InputError: there is no such robot.
+            InputError: there is no such robot, it is dead, it does so already, or the run is over.
         """
-        if not 0 <= robot < self.config.mission.n_robots:
-            raise InputError("robot", robot, f"robots from 0 to {self.config.mission.n_robots - 1}")
+        self._check("hallucinate", robot)
         with self._lock:
             self._hallucinating.append(robot)
-
-    def _reschedule(self, kills: list[str], changes: list[Change]) -> None:
-        """Take everything that happened and is ordered, if it is as the command line allows it."""
-        events = {"kill": ",".join(kills), "join": None, "kill_random": 0, "join_random": 0, "changes": tuple(changes)}
-        self._schedule = build_schedule(self.config.mission, self.config.trial.model_copy(update=events))
-        self._kills, self._changes = kills, changes
+            self.confused.add(robot)
 
     def _fly(self) -> None:
         try:
@@ -186,7 +238,7 @@ class SteeredRun:
             self.over = True
 
     async def _run(self) -> None:
-        work = asyncio.create_task(run_async(config=self.config, steer=self._steer))
+        work = asyncio.create_task(run_async(config=self.config, steer=self._steer, progress=False, trace=False))
         while not work.done():
             await asyncio.wait({work}, timeout=0.1)
             if self._end.is_set():
@@ -199,9 +251,8 @@ class SteeredRun:
         while time.monotonic() < self._due or self.paused:  # noqa: ASYNC110 - `paused` is set in another thread
             await asyncio.sleep(POLL_S)
         self._due = time.monotonic() + 1.0 / self.pace
+        self.orders.carry_out(trial)
         with self._lock:
-            self.round = trial.round + 1
-            trial.schedule = self._schedule
             hallucinating, self._hallucinating = self._hallucinating, []
             loss, self._loss = self._loss, None
         for robot in hallucinating:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 from llm_flock.errors import FlockError, InputError
+from llm_flock.record.writer import RecordSink, Tee
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.watch import give_mission, look, observing
@@ -17,6 +19,8 @@ class SwarmSource:
     def __init__(self, config: SwarmConfig, recording: Recording) -> None:
         self.config = config
         self.recording = recording
+        recording.steer = self._steer
+        self.also: RecordSink | None = None  # takes every entry as well
 
     def watch(self) -> None:
         """Listen until the process ends. Call it in a thread."""
@@ -28,9 +32,19 @@ class SwarmSource:
             self.recording.open = False
 
     async def _watch(self) -> None:
-        self.recording.write(run_info(self.config, simulated=self.config.simulated))
-        with observing(self.config, self.recording) as observer:
+        sink = self.recording if self.also is None else Tee(self.recording, self.also)
+        sink.write(run_info(self.config, simulated=self.config.simulated, unrepeatable=self.config.unrepeatable))
+        with observing(self.config, sink) as observer:
             await look(observer)
+
+    def _steer(self) -> dict[str, Any]:
+        """What can be ordered: another mission, while anybody may answer."""
+        mission = self.config.mission
+        return {
+            "kind": "swarm",
+            "run": None if self.recording.open else "The swarm is no longer watched.",
+            "mission": {"shape": mission.shape, "center": list(mission.center)},
+        }
 
     async def change(self, fields: dict[str, object]) -> int:
         """Give the swarm another mission; returns the robot that took it.
@@ -41,5 +55,5 @@ class SwarmSource:
         self.config.mission.change(**fields)
         taker = await give_mission(self.config, fields, None)
         if taker is None:
-            raise InputError("connect", self.config.network.connect, "where a swarm runs; no robot answered")
+            raise InputError("connect", self.config.network.connect, says="no robot answers there")
         return taker

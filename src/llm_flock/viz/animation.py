@@ -1,10 +1,11 @@
-"""Animates a record: GIF by Pillow, MP4 by ffmpeg where it is installed."""
+"""Animates a record: GIF by Pillow, MP4 and WebM by ffmpeg where it is installed."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
 
 from __future__ import annotations
 
+import io
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -20,69 +21,96 @@ from PIL import Image
 from scipy.spatial import KDTree
 
 from llm_flock.errors import InputError
+from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
+from llm_flock.viz.labels import size_of
 from llm_flock.viz.panel import Panel
-from llm_flock.viz.style import heading, house_style, line_colour
+from llm_flock.viz.style import MOST_TITLE, heading, house_style, line_colour
 
-STEPS_A_ROUND = 2
-"""Frames of each round; robots fly straight between rounds."""
+STEPS_A_ROUND = 4
+"""Most frames of a round; robots fly straight between rounds, from rest to rest."""
+
+LARGEST_GIF = 2_000_000
+"""A GIF that would be larger has fewer frames [bytes]."""
+
+FPS = 12
+"""Frames per second."""
+
+CODECS = {".mp4": ("libx264", "-movflags", "+faststart"), ".webm": ("libvpx-vp9", "-crf", "34", "-b:v", "0")}
+"""ffmpeg's coder for each kind of video, and its settings."""
 
 HOLD_S = 2.0
 """Time that the end is shown [s]."""
 
 INCHES = 4.8
-HEAD_INCHES = 0.5
+HEAD_INCHES = KEY_INCHES = 0.6
 WIDTH = 0.88
 """Share of the picture's width that the arena takes."""
 
 DPI = 100
 
+TITLE_POINTS = 8.0
+"""Size of the title; a longer one is smaller, so that it keeps to one line."""
 
-def animate(record: RunRecord, path: Path, *, fps: int = 6) -> None:
-    """Write a record as an animation; the file's ending decides: .gif or .mp4. Missing folders are made.
+MOST_LETTERS = 120
+"""Longest title [characters]."""
 
-    It shows `fps` frames per second; a round takes two.
+
+def animate(record: RunRecord, path: Path, *, fps: int = FPS) -> None:
+    """Write a record as an animation; the file's ending decides: .gif, .mp4 or .webm. Missing folders are made.
+
+    It shows `fps` frames per second; a round takes four. A GIF of a long run gets fewer, until it is below 2 MB or
+    shows each round once.
 
     Raises:
-        InputError: another ending, a rate below 1, no ffmpeg for .mp4, or a place that cannot be written to.
+        InputError: another ending, a rate below 1, no ffmpeg for videos, or a place that cannot be written to.
     """
     if fps < 1:
         raise InputError("fps", fps, "at least 1 frame per second")
     kind = path.suffix.lower()
-    if kind not in (".gif", ".mp4"):
-        raise InputError("out", str(path), "a file that ends in .gif or .mp4")
-    ffmpeg = shutil.which("ffmpeg") if kind == ".mp4" else None
-    if kind == ".mp4" and ffmpeg is None:
-        raise InputError("out", str(path), "a .gif file, or an .mp4 file once ffmpeg is installed")
+    if kind != ".gif" and kind not in CODECS:
+        raise InputError("out", str(path), f"a file that ends in {', '.join(['.gif', *CODECS])}")
+    ffmpeg = shutil.which("ffmpeg") if kind in CODECS else None
+    if kind in CODECS and ffmpeg is None:
+        raise InputError("out", str(path), f"a .gif file, or a {kind} file once ffmpeg is installed")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if ffmpeg is None:
-            _write_gif(record, path, fps)
+            path.write_bytes(gif(record, fps))
         else:
-            _write_mp4(record, path, fps, ffmpeg)
+            _write_video(record, path, fps, ffmpeg)
     except OSError as error:
         raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
 
 
-def frames(record: RunRecord) -> Iterator[Image.Image]:
-    """The run in pictures of one size: the start, then `STEPS_A_ROUND` of each round."""
+def last_frame(record: RunRecord) -> Image.Image:
+    """The team at the end of a record, in the size of all frames."""
+    return next(frames(record, last=True))
+
+
+def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False) -> Iterator[Image.Image]:
+    """The run in pictures of one size: the start, then this many `steps` of each round; or only the last of them."""
     panel = Panel(record, width=WIDTH * INCHES * 72)
+    tall = HEAD_INCHES + WIDTH * INCHES + KEY_INCHES
     with house_style():
-        figure = Figure(figsize=(INCHES, INCHES + HEAD_INCHES), dpi=DPI)
+        figure = Figure(figsize=(INCHES, tall), dpi=DPI)
         canvas = FigureCanvasAgg(figure)
-        axes = figure.add_axes((0.09, 0.05, WIDTH, WIDTH * INCHES / (INCHES + HEAD_INCHES)))
-        figure.suptitle(heading(record, INCHES), y=0.965, fontsize=8)
+        axes = figure.add_axes((0.09, KEY_INCHES / tall, WIDTH, WIDTH * INCHES / tall))
+        title = one_line(heading(record, MOST_TITLE), MOST_LETTERS)
+        fits = 0.96 * INCHES * 72 / size_of(title, TITLE_POINTS)[0]
+        figure.suptitle(title, y=1 - 0.09 / tall, va="top", fontsize=TITLE_POINTS * min(1.0, fits))
+        figure.legend(handles=panel.key(), loc="lower center", ncols=2, fontsize=6.5, borderaxespad=0.2)
         panel.frame(axes)
         canvas.draw()
         # The background is drawn once; each frame starts from a copy of it.
         background: Any = canvas.copy_from_bbox(figure.bbox)  # pyright: ignore[reportUnknownVariableType]
-        caption = figure.text(0.5, 0.875, "", ha="center", fontsize=8.5)
-    for k in range(record.rounds + 1):
-        steps = 1 if k == 0 else STEPS_A_ROUND
-        for step in range(1, steps + 1):
+        caption = figure.text(0.5, 1 - 0.48 / tall, "", ha="center", fontsize=8.5)
+    for k in range(record.rounds if last else 0, record.rounds + 1):
+        count = 1 if k == 0 else steps
+        for step in range(count if last else 1, count + 1):
             with house_style():
-                panel.draw_team(axes, k, step / steps)
+                panel.draw_team(axes, k, eased(step / count))
                 caption.set_text(_caption(record, k))
                 canvas.restore_region(background)
                 drawn = sorted([*axes.collections, *axes.texts], key=Artist.get_zorder)
@@ -93,6 +121,11 @@ def frames(record: RunRecord) -> Iterator[Image.Image]:
             yield Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3])
 
 
+def eased(part: float) -> float:
+    """Share of the way after a part of the time, from rest to rest."""
+    return part * part * (3.0 - 2.0 * part)
+
+
 def _caption(record: RunRecord, k: int) -> str:
     row = record.metrics[k]
     n = record.positions.shape[1]
@@ -101,11 +134,23 @@ def _caption(record: RunRecord, k: int) -> str:
     return f"round {k} of {record.rounds} · {plans} · {row.robots_at_goal} of {n} at their goal{error}"
 
 
-def _write_gif(record: RunRecord, path: Path, fps: int) -> None:
-    pictures = list(frames(record))
-    indexed = _same_palette(pictures)
+def gif(record: RunRecord, fps: int = FPS) -> bytes:
+    """A record as an animated GIF, with as many frames a round as LARGEST_GIF has room for."""
+    for steps in (STEPS_A_ROUND, 2, 1):
+        data = _gif(record, fps * steps / STEPS_A_ROUND, steps)
+        if len(data) <= LARGEST_GIF:
+            break
+    return data
+
+
+def _gif(record: RunRecord, fps: float, steps: int) -> bytes:
+    indexed = _same_palette(list(frames(record, steps=steps)))
     shown_ms = [round(1000 / fps)] * (len(indexed) - 1) + [round(1000 * HOLD_S)]
-    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=shown_ms, loop=0, optimize=False)
+    file = io.BytesIO()
+    indexed[0].save(
+        file, format="GIF", save_all=True, append_images=indexed[1:], duration=shown_ms, loop=0, optimize=False
+    )
+    return file.getvalue()
 
 
 def _same_palette(pictures: Sequence[Image.Image]) -> list[Image.Image]:
@@ -135,10 +180,11 @@ def _shades() -> NDArray[np.float64]:
     return np.round(np.concatenate([greys, *paler, *darker]))
 
 
-def _write_mp4(record: RunRecord, path: Path, fps: int, ffmpeg: str) -> None:
-    size = f"{round(INCHES * DPI)}x{round((INCHES + HEAD_INCHES) * DPI)}"
+def _write_video(record: RunRecord, path: Path, fps: int, ffmpeg: str) -> None:
+    size = f"{round(INCHES * DPI)}x{round((HEAD_INCHES + WIDTH * INCHES + KEY_INCHES) * DPI)}"
+    coder, *settings = CODECS[path.suffix.lower()]
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"]
-    target = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    target = ["-an", "-c:v", coder, "-pix_fmt", "yuv420p", *settings, str(path)]
     command = [ffmpeg, "-y", "-loglevel", "error", *source, *target]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         pipe = process.stdin

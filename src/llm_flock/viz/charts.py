@@ -268,11 +268,12 @@ def _lined(
     limits: tuple[float, float],
     draw: Callable[[Axes, Any, float, Look], None],
 ) -> Figure:
-    """Panels side by side with the same rows, in each row a line for every series."""
+    """Panels side by side with the same rows, in each row a line for every series; a single row names the series."""
     with house_style():
         names = list(dict.fromkeys(mark.row for facet in panels for mark in facet.marks))
         labelled = names != [""]
-        left = 0.3 + LETTER_INCHES * min(26, max(map(len, names), default=0)) if labelled else 0.3
+        shown = names if labelled else list(series) if len(series) > 1 else []
+        left = 0.3 + LETTER_INCHES * min(26, max(map(len, shown), default=0))
         # A gap of half a line between rows.
         step = len(series) + 0.8
         tall = max(0.95, 0.18 * step * len(names) + 0.15)
@@ -285,7 +286,8 @@ def _lined(
                 line = names.index(mark.row) * step + series.index(mark.series)
                 draw(axes, mark, line * 0.2, look_of(series, mark.series))
             middles = [(k * step + (len(series) - 1) / 2) * 0.2 for k in range(len(names))]
-            axes.set_yticks(middles if labelled else [], [folded(n, 26) for n in names] if labelled else [])
+            places = middles if labelled else [0.2 * k for k in range(len(shown))]
+            axes.set_yticks(places, [folded(name, 26) for name in shown])
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.charts import DPI, new_figure
-from llm_flock.viz.panel import Box, Panel, view
+from llm_flock.viz.panel import Box, Panel, close_up, view
 from llm_flock.viz.style import GRID, INK, LINES, MARKERS, fitted, heading, house_style, model_names, shapes
 
 PANELS_A_ROW = 4
@@ -45,21 +46,34 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
     last = record.rounds
     chosen = sorted({0, min(1, last), last // 2, last}) if rounds is None else list(rounds)
     if not chosen or any(not 0 <= k <= last for k in chosen):
-        raise InputError("rounds", chosen, f"rounds of this record: 0 to {last}")
+        raise InputError("rounds", chosen, f"rounds of this record, 0 to {last}")
     with house_style():
-        columns = min(PANELS_A_ROW, len(chosen))
-        rows = -(-len(chosen) // columns)
-        panel = Panel(record)
+        rows = -(-len(chosen) // PANELS_A_ROW)
+        columns = -(-len(chosen) // rows)
+        whole = view(record)
         width = max(columns * PANEL_INCHES, 5.5)
-        figure = new_figure(width, rows * PANEL_INCHES * _tallness(panel.window) + 0.85)
-        grid: list[Axes] = list(figure.subplots(rows, columns, squeeze=False).ravel())
-        for axes, k in zip(grid, chosen, strict=False):
-            panel.draw(axes, k)
-            axes.set_title(_moment(record, k))
-        for axes in grid[len(chosen) :]:
-            axes.set_axis_off()
+        figure = new_figure(width, rows * PANEL_INCHES * _tallness(whole) + 0.85)
+        # Two columns a panel: a last row with fewer panels stands in the middle.
+        grid = figure.add_gridspec(rows, 2 * columns)
+        known = all(record.metrics[k].procrustes_mean is not None for k in chosen)
+        panels: list[tuple[Panel, Axes, int]] = []
+        for place, k in enumerate(chosen):
+            row, column = divmod(place, columns)
+            first = 2 * column + columns - min(columns, len(chosen) - row * columns)
+            axes = figure.add_subplot(grid[row, first : first + 2])
+            near = close_up(record, k)
+            panel = Panel(record, window=near or whole)
+            panel.frame(axes)
+            if near is not None:
+                panel.inset(axes, k, view(record, 0.0))
+            axes.set_title(_moment(record, k, with_error=known))
+            axes.set_xlabel("x [units]")
+            if column == 0:
+                axes.set_ylabel("y [units]")
+            panels.append((panel, axes, k))
         figure.suptitle(heading(record, 0.8 * width), fontsize=10)
-        figure.legend(handles=panel.key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
+        figure.legend(handles=panels[0][0].key(), loc="outside lower center", ncols=max(2, columns))
+        _draw_teams(figure, panels)
         return figure
 
 
@@ -92,17 +106,25 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
     _check_labels(records, labels)
     known = all(_error_known(record) for record in records)
     with house_style():
-        lefts, rights, bottoms, tops = zip(*(view(record) for record in records), strict=True)
-        window = (min(lefts), max(rights), min(bottoms), max(tops))
+        whole = _around([view(record) for record in records])
+        near = [box for record in records if (box := close_up(record, record.rounds)) is not None]
+        window = _around(near) if len(near) == len(records) else whole
         columns = len(records)
         tall = PANEL_INCHES * _tallness(window)
         width = max(columns * (PANEL_INCHES + 0.2), 5.5)
         figure = new_figure(width, tall + (3.3 if known else 1.2))
         grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1]) if known else figure.add_gridspec(1, columns)
         panels = [Panel(record, window=window) for record in records]
+        teams: list[tuple[Panel, Axes, int]] = []
         for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):
             axes = figure.add_subplot(grid[0, column])
-            panel.draw(axes, panel.record.rounds)
+            panel.frame(axes)
+            if window is not whole:
+                panel.inset(axes, panel.record.rounds, view(panel.record, 0.0))
+            axes.set_xlabel("x [units]")
+            if column == 0:
+                axes.set_ylabel("y [units]")
+            teams.append((panel, axes, panel.record.rounds))
             axes.set_title(f"{fitted(label, PANEL_INCHES)}\n{outcome(panel.record)}", linespacing=1.4)
         if known:
             below = figure.add_subplot(grid[1, :])
@@ -111,7 +133,8 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
-        figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=4 if columns > 2 else 2)
+        figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=max(2, columns))
+        _draw_teams(figure, teams)
         return figure
 
 
@@ -132,6 +155,14 @@ def save(figure: Figure, path: Path) -> None:
         raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
 
 
+def png(figure: Figure) -> bytes:
+    """A figure as a picture for a page."""
+    file = io.BytesIO()
+    with house_style():
+        figure.savefig(file, format="png", dpi=DPI)
+    return file.getvalue()
+
+
 def outcome(record: RunRecord) -> str:
     """How a run ended, in a few words."""
     last = record.metrics[-1]
@@ -144,12 +175,13 @@ def outcome(record: RunRecord) -> str:
 
 
 def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]:
-    """Mean of runs of different length, and the ends of its 95 % Student-t interval (NaN for one run).
+    """Mean of runs of different length, and the ends of its 95 % Student-t interval, cut at 0 (NaN for one run).
 
     Each curve has an error a round, shape (rounds + 1,) [units]; a run that ended early keeps its last one.
     """
     longest = max(len(curve) for curve in curves)
-    return mean_bands(np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves]))
+    table = np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves])
+    return mean_bands(table, least=0.0)
 
 
 def _curves(axes: Axes, groups: dict[str, list[Column]]) -> None:
@@ -207,10 +239,23 @@ def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, li
     return groups
 
 
-def _moment(record: RunRecord, k: int) -> str:
-    error = record.metrics[k].procrustes_mean
+def _draw_teams(figure: Figure, panels: Sequence[tuple[Panel, Axes, int]]) -> None:
+    """Draw the teams once all else is in its place: words are placed by what is where on the page."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for panel, axes, k in panels:
+        panel.draw_team(axes, k)
+
+
+def _moment(record: RunRecord, k: int, *, with_error: bool) -> str:
     name = "start" if k == 0 else f"round {k}"
-    return name if error is None else f"{name} · error {error:.2f}"
+    return f"{name} · error {record.metrics[k].procrustes_mean:.2f}" if with_error else name
+
+
+def _around(windows: Sequence[Box]) -> Box:
+    """The smallest window that holds all of these."""
+    lefts, rights, bottoms, tops = zip(*windows, strict=True)
+    return (min(lefts), max(rights), min(bottoms), max(tops))
 
 
 def _tallness(window: Box) -> float:

@@ -20,14 +20,27 @@ from llm_flock import graph
 from llm_flock.record.palette import NO_PLAN
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
+from llm_flock.viz.labels import beside, size_of
 from llm_flock.viz.style import FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
 
 MOST_LABELLED = 30
 SMALLEST_LABELLED = 6.5
-"""With more robots, or smaller discs [points], letters and numbers are left out: they would cover each other."""
+"""With more robots, or smaller discs [points], words are left out: there is no room for them."""
 
 DISC_SHARE = 0.62
 """Diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart."""
+
+MOST_OF = 0.7
+"""A team that takes more of the view than this share is not shown any closer."""
+
+ROOM = (1.5, 2.1)
+"""Widths of a close-up in widths of what it shows: the second where the first leaves no corner for the inset."""
+
+MARGIN = 0.02
+"""Between the inset and the middle of a disc, as a share of the panel's width."""
+
+INSET = 0.24
+"""Width and height of the inset that shows the whole view, as a share of the panel's."""
 
 Box = tuple[float, float, float, float]
 """Left, right, bottom, top [units]."""
@@ -52,11 +65,7 @@ class Panel:
         self._font = min(7.5, 0.6 * self._disc)
         self.labelled = n <= MOST_LABELLED and self._disc >= SMALLEST_LABELLED
         self._path = record.positions[:, :, :2]
-
-    def draw(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
-        """Draw the team on clean axes, after a `part` of the round; robots fly straight from round to round."""
-        self.frame(axes)
-        self.draw_team(axes, round_number, part)
+        self._offsets: dict[int, tuple[float, float] | None] = {}
 
     def frame(self, axes: Axes) -> None:
         """Prepare the axes: this panel's window, the arena's walls, and the obstacles."""
@@ -76,8 +85,22 @@ class Panel:
             else:
                 axes.add_patch(Circle(obstacle["center"][:2], obstacle["radius"], facecolor=FAINT, **look))
 
+    def inset(self, axes: Axes, round_number: int, whole: Box) -> None:
+        """A small map of the whole view in the corner with the fewest robots; shows this window and every robot."""
+        left, right, bottom, top = self.window
+        at = self.record.positions[round_number, :, :2]
+        small = axes.inset_axes((*_corner(at, self.window)[0], INSET, INSET), zorder=7)
+        Panel(self.record, window=whole).frame(small)
+        small.set_xticks([])
+        small.set_yticks([])
+        small.scatter(at[:, 0], at[:, 1], s=1.5, c=INK, linewidths=0, zorder=5)
+        small.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, ec=INK, lw=0.7, zorder=6))
+
     def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
-        """As `draw`, on axes that `frame` has prepared."""
+        """Draw the team on axes that `frame` has prepared and whose place in the figure is final.
+
+        After a `part` of the round; robots fly straight from round to round.
+        """
         state = self.record.states[round_number]
         before = self.record.positions[max(0, round_number - 1)]
         positions = before + part * (self.record.positions[round_number] - before)
@@ -94,7 +117,7 @@ class Panel:
         silent = [robot for robot, phase in enumerate(state.phases) if phase in SILENT]
         adjacent[silent, :] = adjacent[:, silent] = False
         pairs = np.argwhere(np.triu(adjacent))
-        axes.add_collection(LineCollection(list(positions[:, :2][pairs]), colors=FAINT, linewidths=0.8, zorder=1))
+        axes.add_collection(LineCollection(list(positions[:, :2][pairs]), colors=FAINT, linewidths=0.8, zorder=2))
 
     def _trails(self, axes: Axes, round_number: int, places: NDArray[np.float64]) -> None:
         """Each leg in the colour of the plan that was followed on it."""
@@ -104,7 +127,7 @@ class Panel:
         for k in range(1, round_number + 1):
             legs.extend(path[k - 1 : k + 1].transpose(1, 0, 2))
             colours.extend(self.looks[plan_id].line for plan_id in self.record.states[k].plan_ids)
-        axes.add_collection(LineCollection(legs, colors=colours, linewidths=0.9, alpha=0.8, zorder=2))
+        axes.add_collection(LineCollection(legs, colors=colours, linewidths=0.9, alpha=0.8, zorder=1))
         start = self._path[0]
         axes.scatter(start[:, 0], start[:, 1], s=min(3.0, 0.25 * self._disc), c=INK, linewidths=0, zorder=2)
 
@@ -131,35 +154,60 @@ class Panel:
             self._discs(axes, places[alive], [looks[robot] for robot in alive], 4.0)
             return
         for robot in alive:
-            look = looks[robot]
-            # Each disc lies wholly above the last, so that no letter shows on another disc.
+            # Each disc lies wholly above the last, so that no number shows on another disc.
             above = 4.0 + robot / len(looks)
-            at = (float(places[robot, 0]), float(places[robot, 1]))
-            self._discs(axes, places[robot : robot + 1], [look], above)
-            letter = self._font * (1.1 if len(look.name) == 1 else 0.8)
+            self._discs(axes, places[robot : robot + 1], [looks[robot]], above)
             axes.annotate(
-                look.name,
-                at,
-                size=letter,
+                str(robot),
+                (float(places[robot, 0]), float(places[robot, 1])),
+                size=self._font * (1.1 if robot < 10 else 0.95),
                 weight="bold",
-                color=look.ink,
+                color=looks[robot].ink,
                 ha="center",
                 va="center_baseline",
                 zorder=above,
             )
-            if state.phases[robot] == ASLEEP:
-                continue
-            axes.annotate(
-                short(state.influence[robot]),
-                at,
-                xytext=(0, 0.72 * self._disc),
-                textcoords="offset points",
-                size=self._font,
-                ha="center",
-                va="bottom",
-                path_effects=[withStroke(linewidth=0.25 * self._font, foreground=PAPER)],
-                zorder=6,
-            )
+        self._words(axes, state, places, looks, alive)
+
+    def _words(
+        self,
+        axes: Axes,
+        state: State,
+        places: NDArray[np.float64],
+        looks: Sequence[PlanLook],
+        alive: Sequence[int],
+    ) -> None:
+        """Letter of the plan and influence, beside every robot that has begun."""
+        begun = [robot for robot in alive if state.phases[robot] != ASLEEP]
+        words = {robot: f"{looks[robot].name} {short(state.influence[robot])}".strip() for robot in begun}
+        figure = axes.figure
+        assert figure is not None, "axes are part of a figure"
+        points = 72.0 / figure.dpi
+        order = [*begun, *(robot for robot in range(len(places)) if robot not in words)]
+        (left, bottom), (right, top) = points * axes.transAxes.transform([(0, 0), (1, 1)])
+        inset = [points * child.get_window_extent().get_points() for child in axes.child_axes]
+        discs = points * np.asarray(axes.transData.transform(places[order]))
+        found = beside(
+            discs,
+            0.72 * self._disc,  # with the ring of a goal
+            [size_of(word, self._font) for word in words.values()],
+            (left, right, bottom, top),
+            [(low[0], high[0], low[1], high[1]) for low, high in inset],
+            [self._offsets.get(robot) for robot in begun],
+        )
+        self._offsets = dict(zip(begun, found, strict=True))
+        for disc, word, offset in zip(discs, words.values(), found, strict=False):
+            if offset is not None:
+                axes.annotate(
+                    word,
+                    (disc[0] + offset[0], disc[1] + offset[1]),
+                    xycoords="figure points",
+                    size=self._font,
+                    ha="center",
+                    va="center",
+                    path_effects=[withStroke(linewidth=0.25 * self._font, foreground=PAPER)],
+                    zorder=6,
+                )
 
     def _discs(self, axes: Axes, places: NDArray[np.float64], looks: Sequence[PlanLook], above: float) -> None:
         axes.scatter(
@@ -176,7 +224,7 @@ class Panel:
     def key(self) -> list[Line2D | Patch]:
         """Entries of a legend."""
         look = next((look for plan_id, look in self.looks.items() if plan_id is not None), WITHOUT_PLAN)
-        what = " (letter and colour: its plan; number above: its influence)" if self.labelled else " (colour: plan)"
+        what = ", coloured by its plan; beside it: plan, influence" if self.labelled else ", coloured by its plan"
         phases = {phase for state in self.record.states for phase in state.phases}
         silent: list[Line2D | Patch] = []
         if DEAD in phases:
@@ -196,6 +244,35 @@ class Panel:
 def short(share: float) -> str:
     """A number from 0 to 1 with two decimals in as few characters as possible: 0, .25, 1."""
     return f"{share:.0f}" if share in (0.0, 1.0) else f"{share:.2f}".removeprefix("0")
+
+
+def close_up(record: RunRecord, round_number: int) -> Box | None:
+    """A window on the team and its goals in one round; None where they fill most of the whole view anyway."""
+    state, whole = record.states[round_number], view(record)
+    goals = [goal[:2] for goal in state.goals if goal is not None]
+    points = np.concatenate([record.positions[round_number, :, :2], np.array(goals).reshape(-1, 2)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    tall = (whole[3] - whole[2]) / (whole[1] - whole[0])
+    wide = max(float(high[0] - low[0]), float(high[1] - low[1]) / tall)
+    wide = max(wide, 4.0 * float(record.mission.mission["spacing"]))
+    x, y = ((low + high) / 2).tolist()
+    for room in ROOM:
+        half, up = room * wide / 2, tall * room * wide / 2
+        window = (x - half, x + half, y - up, y + up)
+        if 2.0 * half > MOST_OF * (whole[1] - whole[0]):
+            break
+        if room == ROOM[-1] or _corner(points, window)[1] > 0.0:
+            return window
+    return None
+
+
+def _corner(points: NDArray[np.float64], window: Box) -> tuple[tuple[float, float], float]:
+    """The lower left corner of an inset where it is farthest from all points, and how far, in shares of the window."""
+    left, right, bottom, top = window
+    share = (points - [left, bottom]) / [right - left, top - bottom]
+    corners = [(x, y) for y in (0.99 - INSET, 0.01) for x in (0.99 - INSET, 0.01)]
+    room = np.abs(share[None] - (np.array(corners)[:, None] + INSET / 2)).max(axis=2).min(axis=1) - INSET / 2
+    return corners[int(room.argmax())], float(room.max()) - MARGIN
 
 
 def view(record: RunRecord, margin: float = 0.08) -> Box:

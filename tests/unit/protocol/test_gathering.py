@@ -70,6 +70,7 @@ def test_who_cannot_get_to_the_centre_stops_as_well() -> None:
     assert rounds == math.ceil((math.dist(FAR, LINE.center) + reach) / LINE.max_step) + WAIT + 1
 
 
+@pytest.mark.no_cover
 def test_sparse_formations_form_soon() -> None:
     """Without gathering the mean was 1.65 times the lower bound in these flights."""
     ratios = list[float]()

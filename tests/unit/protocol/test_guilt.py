@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import pytest
-from lies import LIES, Gang
+from gang import Gang
+from lies import LIES, round_of_lies
 from signed_team import SignedTeam, line_up
 from toy_keys import ToyKeys
 
@@ -74,7 +76,7 @@ def test_lies_are_shown_and_nothing_is_shown_about_the_honest(lie: str) -> None:
         for _ in range(5):
             for payload in said:
                 gang.hear(payload)
-            lies = gang.says(lie)
+            lies = round_of_lies(gang, lie)
             reasons |= {found(payload, sender) for sender, payload, _ in lies}
             said = team.comm_round(said_by=lies)
             for sender, payload in enumerate(said):
@@ -98,3 +100,21 @@ def test_a_word_in_the_name_of_another_is_shown() -> None:
     forged = type(word)(0, word.slot, word.version, word.owner, word.signature)
     assert found(gang.message(N - 1, words=(word,))[1], N - 1) is None
     assert found(gang.message(N - 1, words=(forged,))[1], N - 1) == "uncertified"
+
+
+@pytest.mark.parametrize("first", [-0.0, 0.0])
+def test_no_honest_robot_passes_on_what_shows_it_to_lie_to_those_who_read_another_zero(first: float) -> None:
+    """One liar claims a place with a bid of 0.0 and one of -0.0, each rightly signed: equal, but not the same bytes."""
+    team = SignedTeam(MISSION, line_up(N))
+    gang = Gang({N - 1: ToyKeys(N - 1)}, MISSION)
+    team.begin()
+    for payload in team.comm_round():
+        gang.hear(payload)
+    slot = 3
+    for bid in (first, -first):
+        lie = gang.message(N - 1, {slot: gang.claim(N - 1, slot, bid=bid)}, slot=slot)
+        shown = found(lie[1], N - 1)
+        assert shown == ("uncertified" if math.copysign(1.0, bid) < 0.0 else None)
+        for _ in range(3):
+            for sender, payload in enumerate(team.comm_round(said_by=[lie])):
+                assert found(payload, sender) is None

@@ -202,6 +202,17 @@ def test_a_full_table_of_a_large_team_fits() -> None:
     assert decode(encode(message), n, 2) == message
 
 
+@pytest.mark.parametrize("first", [-0.0, 0.0])
+def test_a_bid_of_zero_has_no_sign_whichever_was_read_first(first: float) -> None:
+    """Otherwise the digest of a table, and whether a signature fits, would depend on what a robot has heard before."""
+    version = int(math.copysign(77, first)) + 100  # not in the cache yet
+    for bid in (first, -first):
+        heard = decode(spoiled(claims=[[0, version, bid, 1]], offer=[*OFFER[:5], bid]), 2, 2)
+        assert heard.table is not None and heard.offer is not None
+        assert math.copysign(1.0, heard.table[0][1]) == math.copysign(1.0, heard.offer.bid) == 1.0
+    assert heard.table == ((version, 0.0, 1), UNSAID) and heard.offer.bid == 0.0
+
+
 def test_equal_plans_are_equal_after_rounding() -> None:
     assert Plan.of([[0.1 + 0.2, -0.0]]) == Plan.of([[0.3, 0.0]])
     assert Plan.of([[1.0, 2.0]]) != Plan.of([[2.0, 1.0]])

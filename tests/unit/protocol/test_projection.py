@@ -1,4 +1,4 @@
-"""The nearest move that keeps all sides, and what is left of it where sides are violated."""
+"""The nearest move that keeps all sides, and the one that remains where sides are violated."""
 
 import math
 

@@ -94,6 +94,52 @@ def test_claims_have_an_end(team: SignedTeam, liar: Liar) -> None:
     assert team.counts("many_claims") > 0
 
 
+def test_a_claim_made_again_counts_by_its_higher_number(team: SignedTeam, liar: Liar) -> None:
+    slot, bid = free_slot(team), -0.5
+    last = [evidence_of(agent)._last for agent in team.agents]
+    team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=bid, number=2)}, slot=slot)])
+    assert {of[team.liar] for of in last} == {(2, slot)}
+    team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=bid, number=7)}, slot=slot)])
+    assert {of[team.liar] for of in last} == {(7, slot)}
+    team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=bid, number=5)}, slot=slot)])
+    team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=bid, number=most_claims(5) + 1)}, slot=slot)])
+    assert {of[team.liar] for of in last} == {(7, slot)}
+    assert team.counts("uncertified") == 0
+
+
+def test_a_claim_is_made_again_after_an_offer_of_which_nothing_came(team: SignedTeam) -> None:
+    """Whoever accepted it, unheard, takes the maker to be elsewhere under the offer's number."""
+    agent = team.agents[0]
+    evidence, claim, slot = evidence_of(agent), agent.claim, agent.claim.slot
+    assert claim.table is not None
+    assert slot is not None
+    offer = Offer(to=1, give=slot, take=(slot + 1) % 5, give_version=0, take_version=0, bid=-1.0)
+    offered = evidence._offer(offer)
+    assert offered is not None
+    evidence.attest(msgspec.structs.replace(claim, offer=offer))
+    assert evidence.precedence(slot, claim.table[slot])[0] < offered[0]
+    evidence.attest(msgspec.structs.replace(claim, offer=None))
+    assert evidence.precedence(slot, claim.table[slot])[0] > offered[0]
+    team.fly(2)
+    assert {evidence_of(other)._last[0] for other in team.agents} == {evidence.precedence(slot, claim.table[slot])}
+
+
+def test_of_two_places_none_is_claimed_again(team: SignedTeam, liar: Liar) -> None:
+    slot = free_slot(team)
+    evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table
+    assert table is not None
+    other = next(a for a in range(5) if a != slot)
+    first, second = liar.claim(slot, number=2), liar.claim(other, number=3)
+    evidence._keep(slot, *first)
+    evidence._keep(other, *second)
+    again = liar.claim(slot, number=4)[1]
+    both = tuple({slot: first[0], other: second[0]}.get(a, entry) for a, entry in enumerate(table))
+    evidence._renew(slot, both, again)
+    assert evidence._last[team.liar] == (3, other)
+    evidence._renew(slot, tuple(first[0] if a == slot else entry for a, entry in enumerate(table)), again)
+    assert evidence._last[team.liar] == (4, slot)
+
+
 @pytest.mark.parametrize("version", [1, 7, 2**39])
 def test_nobody_raises_a_version_alone(team: SignedTeam, liar: Liar, version: int) -> None:
     before = team.slots

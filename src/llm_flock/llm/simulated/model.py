@@ -23,6 +23,7 @@ from pydantic_ai.usage import RequestUsage
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.llm.answer_forms import REASONING
+from llm_flock.llm.simulated.avoidance import clear_of_robots, keeps_away, step_aside
 from llm_flock.llm.simulated.profiles import FAILURES, Profile
 from llm_flock.llm.simulated.prompt_reader import (
     PLAN_MARK,
@@ -34,6 +35,7 @@ from llm_flock.llm.simulated.prompt_reader import (
     numbers,
     read_plan,
     read_step,
+    read_still,
     read_task,
     sensible_decimals,
 )
@@ -43,8 +45,11 @@ from llm_flock.protocol.geometry import turned
 CHARS_PER_TOKEN = 4
 """Tokens are only estimated here."""
 
-LATER = 2
+LATER = 4
 """Number of failures that were added after the first results were published, the last ones of `FAILURES`."""
+
+CHANCE_WITHIN = 10.0
+"""Coordinates by chance are at most this far from the centre [spacings] or the own position [step limits]."""
 
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 """Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
@@ -98,22 +103,29 @@ class Responder:
             if role == "user" and STEP_MARK in text:
                 return self._step(read_task(system), read_step(text), failures)
             if role == "user" and PLAN_MARK in text:
-                return self._plan(read_task(system), *read_plan(text), failures)
+                task = read_task(system)
+                still = read_still(text, len(task.center)) if "careful" in failures else []
+                return self._plan(task, *read_plan(text), failures, still)
         last = conversation[-1][1] if conversation else ""
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
 
-    def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str]) -> str:
+    def _plan(
+        self, task: Task, robot: int, as_json: bool, failures: frozenset[str], still: Sequence[Point] = ()
+    ) -> str:
         angle_rad, points = self._rng.uniform(0.0, 2 * math.pi), formation(task)
-        for k in range(ORIENTATIONS if task.obstacles else 1):
+        for k in range(ORIENTATIONS if task.obstacles or still else 1):
             points = turned(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
-            if clear_of_obstacles(points, task):
+            if clear_of_obstacles(points, task) and clear_of_robots(points, still, task.safe_distance):
                 break
         if "distorted" in failures:
             stretch = self._rng.uniform(0.6, 1.4, len(task.center))
             noise = self._rng.normal(0.0, 0.2 * task.spacing, points.shape)
             points = task.center + (points - task.center) * stretch + noise
-        rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
         index, cut = robot % task.n_places, False
+        if "random" in failures:
+            points = task.center + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, points.shape) * task.spacing
+            index = int(self._rng.integers(task.n_places))
+        rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
         if "malformed" in failures:
             match int(self._rng.integers(5)):
                 case 0:
@@ -154,12 +166,34 @@ class Responder:
 
     def _waypoint(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
         """The next waypoint, the reason for it, and whether the path ends there."""
-        if failures:
+        if "random" in failures:
+            here = np.array(prompt.position)
+            there = here + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, here.shape) * task.max_step
+            said: list[float] = there.round(sensible_decimals(task.max_step)).tolist()
+            return repr(said), "I go somewhere.", True
+        if failures - {"careful"}:
             return self._faulty_step(task, prompt, failures)
+        if "careful" in failures:
+            aside = self._aside(task, prompt)
+            if aside is not None:
+                return aside
         if math.dist(prompt.position, prompt.goal) <= _reach(task):
             return prompt.goal_text, "I reach my goal within one step, so I go exactly there.", True
         waypoint = repr(list(_towards(prompt.goal, task, prompt)))
         return waypoint, "My goal is farther away than one step, so I take a full step straight towards it.", False
+
+    def _aside(self, task: Task, prompt: StepPrompt) -> tuple[str, str, bool] | None:
+        """A step aside where the straight one ends too near to another robot, or none; None where it does not."""
+        here, goal = prompt.position, prompt.goal
+        others, reach, places = prompt.seen(), _reach(task), sensible_decimals(task.max_step)
+        arrives = math.dist(here, goal) <= reach
+        end = goal if arrives else _towards(goal, task, prompt)
+        if keeps_away(here, end, others, task.safe_distance):
+            return None
+        there = step_aside(here, goal, others, reach=reach, safe_distance=task.safe_distance, decimals=places)
+        if there is None:
+            return repr([round(x, places) for x in here]), "Others are in my way on all sides, so I wait.", True
+        return repr(list(there)), "Another robot is in my way, so I step aside or shorter.", False
 
     def _faulty_step(self, task: Task, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
         """A step with a wrong target, of a wrong length, or both."""

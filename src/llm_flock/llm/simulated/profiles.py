@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
 
 PROFILES: Mapping[str, str] = {
     "ideal": "nothing: exact formations in a random orientation, straight steps that end at the goal",
@@ -18,6 +18,8 @@ PROFILES: Mapping[str, str] = {
     "flaky": "the call fails as a provider's would: 429 with Retry-After, 500 or a time-out",
     "brisk": "no answer is wrong, but it takes a moment (log-normal, median 0.3 s, spread factor 1.8)",
     "overlong": "steps: towards the goal, but three times the limit while that is farther than one step",
+    "careful": "no answer is wrong: it also keeps away from the robots that the prompt names, in steps and plans",
+    "random": "all answers: numbers by chance, in the form that was asked for",
 }
 """Every profile, and its failure."""
 
@@ -46,9 +48,9 @@ def parse_profile(text: str) -> Profile:
     for part in text.split(","):
         name, at, rate = part.strip().partition("@")
         if name not in PROFILES:
-            raise InputError("model", f"simulated:{text}", f"profiles of {', '.join(PROFILES)}, separated by commas")
+            raise InputError("model", f"simulated:{text}", says=unknown(f"profile {name!r}", name, PROFILES))
         if name in rates:
-            raise InputError("model", f"simulated:{text}", f"each profile once; {name} is there twice")
+            raise InputError("model", f"simulated:{text}", says=f"profile {name!r} is there twice")
         if name == "ideal" and at:
             raise InputError("model", f"simulated:{text}", "ideal without a rate")
         rates[name] = _rate(text, name, rate) if at else 1.0

@@ -27,6 +27,7 @@ _POLYGON = re.compile(r"a regular polygon with ([0-9]+) sides")
 _ROUND = re.compile(r"of radius ([0-9.]+) around \[([^\]]+)\]")
 _CORNERS = re.compile(r"with the corners \[((?:\[[^\]]+\],? ?)+)\]")
 _CORNER = re.compile(r"\[([^\]]+)\]")
+_STILL = re.compile(r"^Robots that do not move any more stand at (\[\[.+\]\]): ", re.MULTILINE)
 _GIVEN = "relative to its centre its places are [["
 
 PLAN_MARK = "Work out a plan:"
@@ -39,7 +40,10 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The content of the system message: the shape in words, lengths [units], obstacles, and how far to keep away."""
+    """The content of the system message: the shape in words, lengths [units], obstacles, and how far to keep away.
+
+    `safe_distance` is that from other robots, `clearance` that from obstacles; 0 where the message has none.
+    """
 
     shape: str
     n_places: int
@@ -48,6 +52,7 @@ class Task:
     max_step: float
     obstacles: tuple[Obstacle, ...] = ()
     clearance: float = 0.0
+    safe_distance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,8 +75,13 @@ class StepPrompt:
 
     def seen(self) -> list[Point]:
         """Read the positions of the other robots."""
-        dim, values = len(self.position), numbers(self.neighbors)
-        return [values[i : i + dim] for i in range(0, len(values), dim)]
+        return _points(self.neighbors, len(self.position))
+
+
+def _points(text: str, dim: int) -> list[Point]:
+    """All points of a text, in order."""
+    values = numbers(text)
+    return [values[i : i + dim] for i in range(0, len(values), dim)]
 
 
 def numbers(text: str) -> Point:
@@ -102,6 +112,7 @@ def read_task(system: str) -> Task:
         max_step=max_step[0],
         obstacles=_obstacles(obstacles),
         clearance=next(iter(numbers(obstacles)), 0.0),
+        safe_distance=next(iter(numbers(lines.get("Safe distance", ""))), 0.0),
     )
 
 
@@ -118,6 +129,12 @@ def read_plan(text: str) -> tuple[int, bool]:
     if robot is None:
         raise _other_words("plan.j2", text)
     return int(robot[1]), _JSON_MARK in text
+
+
+def read_still(text: str, dim: int) -> list[Point]:
+    """Read where the plan message says that robots stand still; empty if it names none."""
+    found = _STILL.search(text)
+    return [] if found is None else _points(found[1], dim)
 
 
 def read_step(text: str) -> StepPrompt:

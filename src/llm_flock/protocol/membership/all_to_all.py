@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -176,7 +176,7 @@ def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | 
     version, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)
-    for robot, slot in zip(*linear_sum_assignment(distances**2), strict=True):
+    for robot, slot in zip(*scipy.optimize.linear_sum_assignment(distances**2), strict=True):
         table[slot] = (version, float(0.0 - distances[robot, slot].round(DECIMALS)), int(robot))
     return tuple(table)
 

@@ -15,7 +15,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial.distance import cdist
+import scipy
 
 from llm_flock import formations
 from llm_flock.arrays import Point
@@ -85,4 +85,4 @@ def heard_when_turned(mission: Mission, plan: Plan, slot: int) -> bool:
     turns = np.repeat(plan.array[[slot]], ANGLES, axis=0)
     for k, angle in enumerate(np.linspace(0.0, math.tau, ANGLES, endpoint=False).tolist()):
         turns[k, :2] = formations.rotated(turns[k, :2], mission.center[:2], angle)
-    return bool(cdist(turns, plan.array).min(axis=1).max() <= mission.comm_range)
+    return bool(scipy.spatial.distance.cdist(turns, plan.array).min(axis=1).max() <= mission.comm_range)

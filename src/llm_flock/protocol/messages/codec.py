@@ -154,7 +154,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
         table=_table(wire),
         said=None if wire.claims is None or len(wire.claims) > FEW * wire.places else tuple(map(_SLOT, wire.claims)),
         table_digest=None if wire.table_digest is None else wire.table_digest.hex(),
-        offer=wire.offer,
+        offer=None if wire.offer is None else msgspec.structs.replace(wire.offer, bid=wire.offer.bid + 0.0),
         course=wire.course,
         beats=wire.beats,
         positions=wire.positions,
@@ -178,8 +178,11 @@ def _table(wire: _WireMessage) -> BidTable | None:
 
 @lru_cache(maxsize=2**18)
 def _entry(version: int, bid: float, owner: int) -> BidEntry:
-    """One object for equal entries, so that large tables are compared by identity (`agreement.auction.merged`)."""
-    return version, bid, owner
+    """One object for equal entries, so that large tables are compared by identity (`agreement.auction.merged`).
+
+    A bid of zero loses its sign: equal entries must have the same digest and signature, whichever is read first.
+    """
+    return version, bid + 0.0, owner
 
 
 def _check_ids(wire: _WireMessage, n_robots: int) -> None:

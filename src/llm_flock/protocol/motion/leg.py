@@ -15,6 +15,9 @@ from llm_flock.obstacles.roadmap import roadmap_of
 STILL_DECIMALS = 1
 """Bodies that do not move are on the map to this precision: noise must not change it in every round."""
 
+STEP = 0.25
+"""With uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs."""
+
 MOST_STILL = 40
 """Most bodies on the map, the nearest ones: building it takes a while."""
 
@@ -34,14 +37,20 @@ class Leg(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def leg_to(
-    mission: Mission, position: Point, goal: Point, drift: Point = (), ahead: Point = (), still: Sequence[Point] = ()
+    mission: Mission,
+    position: Point,
+    goal: Point,
+    drift: Point = (),
+    ahead: Point = (),
+    still: Sequence[Point] = (),
+    noise: float = 0.0,
 ) -> Leg:
     """The way from a position [units; world frame] to a goal of the mission's frame, round the obstacles of the world.
 
     The frame is displaced by `drift` now, and by `ahead` at the end of the round; empty if the mission stands still.
     `still` are bodies that do not move [units; world frame].
     """
-    roadmap = map_of(mission, position, still)
+    roadmap = map_of(mission, position, still, noise)
     if roadmap is None:
         return Leg(goal=goal, stop=goal, left=math.dist(moved(position, drift, -1.0), goal))
     there = moved(goal, ahead)
@@ -50,12 +59,18 @@ def leg_to(
     return Leg(goal=goal, stop=goal if stop == there else moved(stop, ahead, -1.0), left=left)
 
 
-def map_of(mission: Mission, position: Point, still: Sequence[Point]) -> Roadmap | None:
-    """The map of a mission's obstacles and of bodies that do not move; None where there is neither."""
+def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: float = 0.0) -> Roadmap | None:
+    """The map of a mission's obstacles and of bodies that do not move; None where there is neither.
+
+    With positions known to within `noise` [units], ways lie farther away from them.
+    """
+    radius = mission.body_radius
+    if noise > 0.0:
+        radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
     if not still:
-        return mission.roadmap
+        return roadmap_of(mission.arena, mission.obstacles, radius) if mission.obstacles else None
     near = sorted(still, key=lambda body: math.dist(body, position))[:MOST_STILL]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
     spots = sorted(tuple(round(x, STILL_DECIMALS) for x in body) for body in near)
     discs = tuple(Obstacle(center=spot, radius=mission.body_radius) for spot in spots)
-    return roadmap_of(mission.arena, (*mission.obstacles, *discs), mission.body_radius)
+    return roadmap_of(mission.arena, (*mission.obstacles, *discs), radius)

@@ -36,6 +36,7 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
         ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
         courses: ways that others ask to be left free, by sender.
         still: bodies in sight that do not move [units; world frame].
+        period: heartbeat period; None where each round counts as one.
     """
 
     round: int
@@ -46,6 +47,7 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     ahead: Point = ()
     courses: Mapping[int, Course] = NOTHING
     still: tuple[Point, ...] = ()
+    period: int | None = None
 
     def seen(self, point: Point) -> Point:
         """A point of the world frame in the present frame of the mission."""
@@ -77,15 +79,17 @@ class Pilot:
         noise_bound: float,
         on_event: bool,
         fallback: Fallback,
+        apart: float | None = None,
     ) -> None:
         self.on_path = False
         self.breaker = CircuitBreaker("step", enabled=fallback != "hold")
         self._fallback: Fallback = fallback
         self._pace = Pace()
         self._tolerance = AT_GOAL * mission.spacing
+        self._noise = noise_bound
         self._robot = robot
         self._validator = validator
-        self._safety = Safety(robot, mission, noise_bound) if shield_on else None
+        self._safety = Safety(robot, mission, noise_bound, apart) if shield_on else None
         self._horizon = HORIZON if on_event else 1
         self._committed: CommittedPath | None = None
         self._question: StepQuestion | None = None
@@ -103,7 +107,7 @@ class Pilot:
         ahead = scene.ahead
         self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
         aim = plan.points[slot or 0] if target is None else target
-        leg = self._leg = leg_to(mission, scene.position, aim, scene.drift, ahead, scene.still)
+        leg = self._leg = leg_to(mission, scene.position, aim, scene.drift, ahead, scene.still, self._noise)
         question = self._question = StepQuestion(
             mission=mission,
             robot=self._robot,
@@ -167,7 +171,7 @@ class Pilot:
         """Fly by geometry to a point where others will look [units; frame of the mission]: a robot without a plan."""
         self.forget()
         self._tolerance = AT_GOAL * mission.spacing
-        self._leg = leg_to(mission, scene.position, target, scene.drift, scene.ahead, scene.still)
+        self._leg = leg_to(mission, scene.position, target, scene.drift, scene.ahead, scene.still, self._noise)
         here, goal, max_step = scene.position, moved(self._leg.stop, scene.ahead), mission.max_step
         wish = goal if math.dist(here, goal) <= max_step else shortened(here, goal, max_step)
         return self._fly(wish, scene, None, Origin.GEOMETRY)
@@ -177,7 +181,7 @@ class Pilot:
         held = Note("held", {"cause": cause, "reason": reason})
         if self._safety is None:
             return [held, MoveTo(waypoint=scene.position, proposed=asked, origin=Origin.HOLD)]
-        flight = self._safety.stay(scene.position, scene.sensed, scene.courses)
+        flight = self._safety.stay(scene.position, scene.sensed, scene.courses, scene.period)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
     @property
@@ -253,6 +257,7 @@ class Pilot:
                 scene.drift,
                 scene.courses,
                 scene.still,
+                scene.period,
             )
             flown = flight.waypoint
             notes.extend(flight.notes)

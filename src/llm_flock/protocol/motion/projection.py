@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import msgspec
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from llm_flock.arrays import Point, Points, Vector
 
@@ -144,7 +144,7 @@ def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
     system = np.vstack([-normals.T, excess])
     ones = np.zeros(len(target) + 1)
     ones[-1] = 1.0
-    weights, residual = nnls(system, ones)
+    weights, residual = scipy.optimize.nnls(system, ones)
     if residual < 1e-12:
         return None
     left = system @ weights - ones

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import TypeAlias
 
 import msgspec
@@ -106,12 +107,16 @@ class RightOfWay:
     """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
 
     Attributes:
+        apart: distance at which bodies pass each other, the safe distance where that is enough [units].
         course: what it asks for; None if nothing is in its way.
     """
 
-    def __init__(self, robot: int, limits: Mission) -> None:
+    def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
         self.course: Course | None = None
         self._robot, self._limits = robot, limits
+        self.apart = limits.safe_distance if apart is None else apart
+        self._period: int | None = None
+        self._counts = True
         self._waited = self._kept = self._idle = 0
         self._nearest: tuple[Point, float] = (), math.inf
         self._round = 0
@@ -132,18 +137,23 @@ class RightOfWay:
     def _level(self) -> int:
         return min((self._waited // RISES).bit_length(), HIGHEST)
 
-    def count(self, goal: Point, left: float, within: float) -> None:
-        """Begin a round, with the length of the way to a goal that counts as reached within a distance [units]."""
+    def count(self, goal: Point, left: float, within: float, period: int | None = None) -> None:
+        """Begin a round, with the length of the way to a goal that counts as reached within a distance [units].
+
+        Of the rounds within one heartbeat `period` the first one counts: without it, robots that a body stops after
+        a moment would wait, and lose patience, faster than those that fly.
+        """
+        self._counts, self._period = period is None or period != self._period, period
         at_goal = left <= within
         before, nearest = self._nearest
         nearer = left <= nearest - GAIN * min(self._limits.max_step, left)
         if at_goal or goal != before or nearer:
             self._nearest, self._idle = (goal, left), 0
         else:
-            self._idle += 1
-        self._waited = 0 if at_goal else self._waited + (self._idle > 0)
+            self._idle += self._counts
+        self._waited = 0 if at_goal else self._waited + (self._counts and self._idle > 0)
         self.course = None
-        self._round += 1
+        self._round += self._counts
 
     def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
         """The ways that this robot has to give, to robots in sight, the highest rank first.
@@ -155,8 +165,7 @@ class RightOfWay:
         for j, course in courses.items():
             if j not in sensed or (theirs := rank(j, course.level, course.of)) <= own:
                 continue
-            safe = self._limits.safe_distance
-            width = safe * min(WIDEST, WIDTH + WIDER * course.level)
+            width = self.apart * min(WIDEST, WIDTH + WIDER * course.level)
             line = np.array([sensed[j], *course.path])
             found.append(Way(rank=theirs, robot=j, line=line, width=width))
         heeded = [way for way in found if self._heeds(way.robot)]
@@ -185,7 +194,7 @@ class RightOfWay:
 
     def go_on_asking(self, path: Sequence[Point]) -> None:
         """Keep asking for a while after the way has become free, so that nobody closes it again at once."""
-        self._kept = max(0, self._kept - 1)
+        self._kept = max(0, self._kept - self._counts)
         if self._kept:
             self._ask(path, self._level, self._robot)
 
@@ -196,12 +205,14 @@ class RightOfWay:
     def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
         self.course = Course(level=level, of=of, path=tuple(path)) if path else None
 
-    def leads_out(self, here: Point, stop: Point, goal: Point, ways: Sequence[Way]) -> bool:
+    def leads_out(self, here: Point, path: Sequence[Point], goal: Point, ways: Sequence[Way]) -> bool:
         """Whether flying on leads a robot out of these ways, and past nobody who comes.
 
-        Its goal, and the next stop there, are in the world frame [units].
+        Its goal, and the next stops on the path there, are in the world frame [units].
         """
-        return self._leads_away(here, stop, ways) and not any(way.covers(goal) for way in ways)
+        if any(way.covers(goal) for way in ways):
+            return False
+        return all(self._leads_away(a, b, ways) for a, b in pairwise((here, *path)))
 
     def refuge(
         self, here: Point, goal: Point, ways: Sequence[Way], pressing: Sequence[Way], others: Iterable[Point]
@@ -223,13 +234,13 @@ class RightOfWay:
         low, high = np.array(limits.arena)
         free = ((spots >= low) & (spots <= high)).all(axis=1)
         for way in ways:
-            free &= way.distances(spots) >= way.width + MARGIN * limits.safe_distance
+            free &= way.distances(spots) >= way.width + MARGIN * self.apart
         spots = spots[free]
         roadmap = limits.roadmap
         if roadmap is not None:
             spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
         to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
-        crowd = np.maximum(0.0, limits.safe_distance - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
+        crowd = np.maximum(0.0, self.apart - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
         cost = 2.0 * to + on + CROWDED * crowd
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
             spot = tuple(spots[k].tolist())
@@ -243,7 +254,7 @@ class RightOfWay:
         start, end = np.array(here), np.array(stop)
         for way in ways:
             comes = way.line[:1]
-            room = min(float(np.linalg.norm(start - comes[0])), self._limits.safe_distance)
+            room = min(float(np.linalg.norm(start - comes[0])), self.apart)
             if float(_distances(comes, start, end)[0]) < room - 1e-6:
                 return False
         return True

@@ -14,7 +14,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.messages.message import MOST_STOPS, Course
 from llm_flock.protocol.motion import shield
-from llm_flock.protocol.motion.leg import Leg, map_of
+from llm_flock.protocol.motion.leg import STEP, Leg, map_of
 from llm_flock.protocol.motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 
@@ -43,9 +43,11 @@ class Safety:
     those heard of others, by sender; `still` are bodies in sight that do not move [units; world frame].
     """
 
-    def __init__(self, robot: int, limits: Mission, noise_bound: float) -> None:
+    def __init__(self, robot: int, limits: Mission, noise_bound: float, apart: float | None = None) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
-        self._right = RightOfWay(robot, limits)
+        # With uncertain positions the sides of cells move inwards: bodies need more room to pass each other.
+        margin = 2.0 * noise_bound * (1.0 + 4.0 * STEP * limits.max_step / limits.safe_distance)
+        self._right = RightOfWay(robot, limits, (limits.safe_distance if apart is None else apart) + margin)
         self._gave_way: int | None = None
         self._asked = False
 
@@ -58,9 +60,15 @@ class Safety:
         """Heed everybody who asks for a way again: a mission has been given."""
         self._right.begin_mission()
 
-    def stay(self, position: Point, sensed: Mapping[int, Point], courses: Mapping[int, Course] = NOTHING) -> SafeStep:
+    def stay(
+        self,
+        position: Point,
+        sensed: Mapping[int, Point],
+        courses: Mapping[int, Course] = NOTHING,
+        period: int | None = None,
+    ) -> SafeStep:
         """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
-        self._right.count(position, 0.0, 0.0)
+        self._right.count(position, 0.0, 0.0, period)
         separating = self._separate(position, sensed)
         if separating is not None:
             return separating
@@ -79,6 +87,7 @@ class Safety:
         drift: Point = (),
         courses: Mapping[int, Course] = NOTHING,
         still: Sequence[Point] = (),
+        period: int | None = None,
     ) -> SafeStep:
         """The safe waypoint for the planner's waypoint `wish` [units; world frame].
 
@@ -86,7 +95,7 @@ class Safety:
         as reached within `tolerance` [units].
         """
         right, within = self._right, tolerance + self._noise_bound
-        right.count(leg.goal, leg.left, within)
+        right.count(leg.goal, leg.left, within, period)
         separating = self._separate(position, sensed)
         if separating is not None:
             return separating
@@ -94,7 +103,7 @@ class Safety:
         others = tuple(sensed.values())
         ways = right.ways(sensed, courses)
         pressing = [way for way in ways if way.covers(position)]
-        if pressing and not right.leads_out(position, stop, goal, pressing):
+        if pressing and not right.leads_out(position, self._path(position, stop, goal, still), goal, pressing):
             aside = self._aside(position, sensed, goal, ways, pressing, still)
             if aside is not None:
                 return aside
@@ -158,7 +167,10 @@ class Safety:
         """Whether bodies keep the robot from half of what its planner or obstacles would let it gain."""
         straight, far = _towards(position, stop, self._limits.max_step), math.dist(position, stop)
         alone = far - math.dist(self._project(position, straight, ()), stop)
-        gained = max(far - math.dist(to, stop) for to in (safe, self._project(position, straight, others)))
+        apart = self._right.apart
+        if apart > self._limits.safe_distance:
+            safe = self._project(position, safe, others, apart)
+        gained = max(far - math.dist(to, stop) for to in (safe, self._project(position, straight, others, apart)))
         return gained < SLOWED * alone
 
     def _path(self, position: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
@@ -171,7 +183,7 @@ class Safety:
         return path
 
     def _next_stop(self, here: Point, goal: Point, still: Sequence[Point]) -> Point:
-        roadmap = map_of(self._limits, here, still)
+        roadmap = map_of(self._limits, here, still, self._noise_bound)
         return goal if roadmap is None else roadmap.next_stop(here, goal)
 
     def _on_its_way(self, position: Point, stop: Point, wish: Point, safe: Point, others: tuple[Point, ...]) -> Point:
@@ -179,7 +191,7 @@ class Safety:
 
         From where it slides to, the robot would be sent back to the last corner, for ever.
         """
-        roadmap = self._limits.roadmap
+        roadmap = map_of(self._limits, position, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
             return safe
         for share in SHORTER:
@@ -188,13 +200,14 @@ class Safety:
                 return shorter
         return safe
 
-    def _project(self, position: Point, wish: Point, others: tuple[Point, ...]) -> Point:
+    def _project(self, position: Point, wish: Point, others: tuple[Point, ...], distance: float | None = None) -> Point:
+        """The point of the cell nearest to a wish, with bodies kept at the safe distance or at another one."""
         limits, noise = self._limits, self._noise_bound
         return shield.project(
             position,
             wish,
             others,
-            safe_distance=limits.safe_distance,
+            safe_distance=limits.safe_distance if distance is None else distance,
             max_step=limits.max_step,
             noise_bound=noise,
             also=lambda longest: static_half_spaces(position, limits, max_step=longest, noise_bound=noise),

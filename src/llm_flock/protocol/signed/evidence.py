@@ -20,6 +20,7 @@ from llm_flock.protocol.signed.certificates import (
     Certificate,
     Context,
     ExchangeGrant,
+    Grant,
     Proofs,
     ReleaseGrant,
     WitnessStatement,
@@ -105,7 +106,9 @@ class Evidence:
             entry = entries[slot]
             if entry is UNSAID:
                 continue
-            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), len(table)):
+            if entry == table[slot]:
+                self._renew(slot, table, certificates.get(slot))
+            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), table):
                 entries[slot] = UNSAID
         for word in proofs.words:
             self._hear_word(word, table)
@@ -115,7 +118,16 @@ class Evidence:
             offer=self._hear_offer(message, proofs, most_claims(len(table))),
         )
 
-    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, places: int) -> bool:
+    def _renew(self, slot: int, table: BidTable, certificate: Certificate | None) -> None:
+        """Its owner has claimed a slot again that it has and no other: the higher number counts."""
+        entry = table[slot]
+        held = self._held.get((slot, entry))
+        if certificate is None or held is None or not held.number < certificate.number <= most_claims(len(table)):
+            return
+        if sum(other[2] == entry[2] for other in table) == 1 and self._holds(slot, entry, certificate):
+            self._keep(slot, entry, certificate)
+
+    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, table: BidTable) -> bool:
         version, _, owner = entry
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
@@ -123,7 +135,7 @@ class Evidence:
         elif not (plausible(entry, certificate.number) and self._holds(slot, entry, certificate)):
             self.refused["uncertified"] += 1
             return False
-        elif certificate.number > most_claims(places):
+        elif certificate.number > most_claims(len(table)):
             # Its owner may be honest, and have been driven from place to place by liars.
             self.refused["many_claims"] += 1
             return False
@@ -132,7 +144,9 @@ class Evidence:
                 self._freed[slot, version, owner] = certificate.grant
             return True
         place = (certificate.number, slot)
-        if place < self._last.get(owner, place):
+        # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
+        welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
+        if place < self._last.get(owner, place) and not welcome:
             self._outdated.add((slot, entry))
             return False
         self._keep(slot, entry, certificate)
@@ -152,10 +166,14 @@ class Evidence:
         version, _, owner = entry
         grant = certificate.grant
         if isinstance(grant, ExchangeGrant):
-            return grant.entries().get(slot) == (entry, certificate.number) and self._exchanged(grant)
-        if version == 0 and (grant is not None or owner == NO_OWNER):
+            made, number = grant.entries().get(slot, (UNSAID, 0))
+            if made != entry or not self._exchanged(grant):
+                return False
+            if certificate.number <= number:
+                return certificate.number == number
+        elif version == 0 and (grant is not None or owner == NO_OWNER):
             return grant is None
-        if version > 0 and not (grant is not None and self._free(slot, version, min(owner, NO_OWNER), grant)):
+        elif version > 0 and not (grant is not None and self._free(slot, version, min(owner, NO_OWNER), grant)):
             return False
         statement = claim_statement(self._page, slot, entry, certificate.number)
         return owner < 0 or self.signed_by(owner, statement, certificate.signature)
@@ -247,11 +265,14 @@ class Evidence:
             self._accept(table, maker, offer, number, signature)
         self._heard_offers = {}
         for slot, entry in enumerate(table):
-            if entry[2] == self._robot and (slot, entry) not in self._held:
-                self._number += 1
-                signature = self._authenticator.sign(claim_statement(self._page, slot, entry, self._number))
-                grant = self._freed[slot, entry[0], NO_OWNER] if entry[0] else None
-                self._keep(slot, entry, Certificate(number=self._number, signature=signature, grant=grant))
+            if entry[2] != self._robot:
+                continue
+            held = self._held.get((slot, entry))
+            if held is None:
+                self._claim(slot, entry, self._freed[slot, entry[0], NO_OWNER] if entry[0] else None)
+            elif slot == claim.slot and claim.offer is None and held.number < self._number:
+                # Somebody may have heard of a later claim, or accepted an offer, of which nothing came.
+                self._claim(slot, entry, held.grant)
         present = {(slot, entry) for slot, entry in enumerate(table)}
         self._held = {key: certificate for key, certificate in self._held.items() if key in present}
         self._freed = {
@@ -259,6 +280,11 @@ class Evidence:
             for (slot, version, owner), freed in self._freed.items()
             if version >= table[slot][0]
         }
+
+    def _claim(self, slot: int, entry: BidEntry, grant: Grant | None) -> None:
+        self._number += 1
+        signature = self._authenticator.sign(claim_statement(self._page, slot, entry, self._number))
+        self._keep(slot, entry, Certificate(number=self._number, signature=signature, grant=grant))
 
     def _accept(self, table: BidTable, maker: int, offer: Offer, number: int, signature: bytes) -> None:
         """Sign the acceptance of an offer, if the table has it."""
@@ -313,12 +339,11 @@ class Evidence:
         return tuple(others)
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
-        """The signed offer; it counts as the next claim if it is accepted."""
+        """The signed offer; it has a number of its own, which counts as that of a claim if it is accepted."""
         if offer is None:
             return None
         if offer not in self._offers:
-            number = self._number + 1
-            self._offers = {
-                offer: (number, self._authenticator.sign(offer_statement(self._page, self._robot, offer, number)))
-            }
+            self._number += 1
+            statement = offer_statement(self._page, self._robot, offer, self._number)
+            self._offers = {offer: (self._number, self._authenticator.sign(statement))}
         return self._offers[offer]

@@ -14,8 +14,8 @@ from enum import IntEnum
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
@@ -34,6 +34,10 @@ EXACT_RESIDUAL = 0.01
 
 ROUNDING = 0.02
 """Share of the spacing by which two rounded coordinates may change a distance."""
+
+PLACES_APART = 10.0 ** (1 - DECIMALS)
+"""What is left between two places of an enlarged plan beyond the safe distance, so that rounding does not use it up
+[units]."""
 
 LENGTH_TOLERANCE = 0.01
 """Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
@@ -94,6 +98,23 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
     return None
 
 
+def enlarged(mission: Mission, plan: Plan) -> Plan:
+    """The plan, or if places are nearer to each other than the safe distance, a larger one in which they are not.
+
+    Where the spacing is the safe distance, rounded coordinates put some places too near each other. Then robots keep
+    others from theirs: between two that are 0.2 % too near to a place on either side, a robot gets to 6 % of the
+    spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
+    """
+    if len(plan) == 1:
+        return plan
+    nearest = float(_nearest(plan.array)[0].min())
+    if nearest >= mission.safe_distance:
+        return plan
+    mean = plan.array.mean(axis=0)
+    share = (mission.safe_distance + PLACES_APART) / nearest
+    return Plan.of((mean + share * (plan.array - mean)).tolist())
+
+
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
     """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
     return PlanClass.REFUSED if _fault_of_size(mission, plan) else _verdict(mission, plan)[0]
@@ -138,7 +159,7 @@ def _expected(mission: Mission) -> _Expected:
 
 def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """For each of n >= 2 points, distance and index of its nearest other point, shape (n,) each."""
-    found = KDTree(points).query(points, k=2)
+    found = scipy.spatial.KDTree(points).query(points, k=2)
     distance, index = np.asarray(found[0]), np.asarray(found[1])
     rows = np.arange(len(points))
     # For two points at one position, the tree may return the other one first.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.verification.plans import check_plan, check_proposal, plan_class
+from llm_flock.protocol.verification.plans import check_plan, check_proposal, enlarged, plan_class
 from llm_flock.protocol.verification.steps import check_answer, check_step, clip_waypoint, fit_answer
 
 
@@ -45,6 +47,18 @@ class Validator:
             return answer
         objection = check_proposal(question.mission, answer.plan, question.still, question.position)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
+
+    def with_room(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
+        """An answer that passed `plan`, enlarged where rounding put places too near each other and all else allows it.
+
+        Call before it is proposed.
+        """
+        if not self.verify:
+            return answer
+        plan = enlarged(question.mission, answer.plan)
+        if plan is answer.plan or check_proposal(question.mission, plan, question.still, question.position) is not None:
+            return answer
+        return replace(answer, plan=plan)
 
     def fit(self, question: StepQuestion, answer: StepAnswer) -> StepAnswer | NoAnswer:
         """The planner's answer, clipped if that suffices; otherwise the reason to refuse it. Verifies in any case."""

@@ -13,8 +13,19 @@ from typing import Annotated, Any, cast
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from llm_flock.errors import InputError
+from llm_flock.extras import require
+from llm_flock.validation import input_error
 
 FILEVERSION = 3
+
+
+class YamlBattery(BaseModel):
+    """Limits of a battery's voltage [V]; None: not given."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    voltage_warning: Annotated[FiniteFloat, Field(ge=0, le=100)] | None = None
+    voltage_critical: Annotated[FiniteFloat, Field(ge=0, le=100)] | None = None
 
 
 class YamlDrone(BaseModel):
@@ -25,6 +36,7 @@ class YamlDrone(BaseModel):
         uri: `radio://0/80/2M/E7E7E7E701` and so on.
         home: position before take-off [m].
         firmware_params: by group and name.
+        battery: limits for a drone at rest.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -33,6 +45,7 @@ class YamlDrone(BaseModel):
     uri: Annotated[str, Field(pattern="://")]
     home: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = Field(alias="initial_position")
     firmware_params: dict[str, dict[str, FiniteFloat]] = Field(default_factory=dict)
+    battery: YamlBattery = YamlBattery()
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -48,16 +61,13 @@ def read_crazyflies(path: Path) -> tuple[YamlDrone, ...]:
     Raises:
         InputError: no such file, not YAML, another version, or an entry that cannot be used; the field tells which.
     """
-    try:
-        import yaml
-    except ImportError:
-        raise InputError(
-            "crazyflies", str(path), "readable once installed: pip install 'llm-flock[crazyflie]'"
-        ) from None
+    require("crazyflie", "--crazyflies")
+    import yaml
+
     try:
         content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        reason = getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError("crazyflies", str(path), f"a YAML file that can be read ({reason})") from None
     return parse_crazyflies(content)
 
@@ -85,9 +95,7 @@ def parse_crazyflies(content: object) -> tuple[YamlDrone, ...]:
         try:
             drones.append(YamlDrone.model_validate({**merged, "name": name}))
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(key) for key in first["loc"] if isinstance(key, str))
-            raise InputError(f"robots.{name}.{where}", first.get("input"), first["msg"]) from None
+            raise input_error(error, YamlDrone, within=f"robots.{name}") from None
     if not drones:
         raise InputError("robots", list(robots), "at least one that is enabled")
     uris = [drone.uri for drone in drones]

@@ -2,8 +2,13 @@
 
 - cflib opens a link with callbacks and without a time limit: over UDP it resends nothing, so one lost packet blocks it
   for ever. Here packets are resent, and an attempt that stays silent for a while is given up.
+- Its first two packets, for the version of the protocol, are not sent again even so: done here.
 - cflib's `close_link` first sends a set-point without thrust. In flight it would take the drone from its high-level
   commander and drop it, so it is not sent.
+- Its threads ask whether there is a link and then use it, while another thread takes it away: they die, one with a lock
+  in its hands, and what they print may abort the interpreter as it ends. So a link that was closed or lost is replaced
+  by one that takes everything and says nothing, and closing stops every thread and timer that was started.
+- Once connected it reads all parameters: not done here (`Parameters`).
 - cflib notices a dead radio link, but not a silent UDP one: `silent_s` does.
 - cflib's calls may block (a radio's queue holds one packet): they run in threads, never on the event loop.
 """
@@ -11,22 +16,29 @@
 from __future__ import annotations
 
 import asyncio
-import queue
+import functools
 import threading
 import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from llm_flock.errors import InputError
+from llm_flock.extras import require
 from llm_flock.robots.base import RobotError
+from llm_flock.robots.crazyflie.closing import NoLink, shut
+from llm_flock.robots.crazyflie.parameters import PORT as PARAMETER_PORT
+from llm_flock.robots.crazyflie.parameters import Parameters
+from llm_flock.robots.crazyflie.tables import default_folder, keep_whole
+from llm_flock.robots.crazyflie.threads import Worker, in_thread, new_thread
 
-SILENCE_S = 1.0
-"""An attempt to open a link is given up after this silence [s]."""
+SILENCE_S, MOST_SILENCE_S = 1.0, 4.0
+"""An attempt to open a link is given up after this silence [s]; each attempt has more patience, up to the second."""
 
 PAUSE_S = 0.1
 """Between two attempts [s]."""
+
+AGAIN_S = 0.3
+"""The version of the protocol is asked for again after this time [s]."""
 
 SEND_S = 2.5
 """Longest time to send one packet: cflib's radio driver gives up after 2 s [s]."""
@@ -34,62 +46,35 @@ SEND_S = 2.5
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
 
-T = TypeVar("T")
-
-
-def new_thread(work: Callable[[], None]) -> None:
-    """Run something in a new thread, without waiting for it."""
-    threading.Thread(target=work, name="crazyflie", daemon=True).start()
-
-
-class Worker:
-    """A thread that runs one job after another: starting a thread takes longer than sending a command."""
-
-    def __init__(self) -> None:
-        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        new_thread(self._run)
-
-    def do(self, job: Callable[[], None] | None) -> None:
-        """Queue a job; None ends the thread."""
-        self._jobs.put(job)
-
-    def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            job()
-
-
-async def in_thread(
-    call: Callable[[], T], timeout_s: float, start: Callable[[Callable[[], None]], None] = new_thread
-) -> T:
-    """Run a blocking call in a thread that `start` provides, and wait for it with a time limit.
-
-    Raises:
-        TimeoutError: not done in time; the thread is abandoned.
-    """
-    future: Future[T] = Future()
-    future.set_running_or_notify_cancel()  # so that giving up the wait leaves the call as it is
-
-    def work() -> None:
-        try:
-            future.set_result(call())
-        except Exception as error:  # noqa: BLE001  # raised where the result is awaited
-            future.set_exception(error)
-
-    start(work)
-    return await asyncio.wait_for(asyncio.wrap_future(future), timeout_s)
-
 
 def library() -> Any:
     """`cflib.crazyflie`, with its link drivers ready; raises InputError if it is not installed."""
-    try:
-        from cflib import crazyflie, crtp  # pyright: ignore[reportMissingTypeStubs]
-    except ImportError as error:
-        hint = "cflib, which is an extra: pip install 'llm-flock[crazyflie]'"
-        raise InputError("drone", str(error), hint) from None
+    require("crazyflie", "a Crazyflie")
+    from cflib import crazyflie, crtp  # pyright: ignore[reportMissingTypeStubs]
+
     drivers: Any = crtp
     if not drivers.CLASSES:
         drivers.init_drivers()
     return crazyflie
+
+
+def in_reach() -> tuple[str, ...]:
+    """Addresses of the Crazyflies that answer by radio, by cable or at UDP ports of this machine; takes seconds.
+
+    By radio only those are found that have the address with which they are shipped, E7E7E7E7E7.
+
+    Raises:
+        InputError: cflib is not installed.
+    """
+    library()
+    from cflib import crtp  # pyright: ignore[reportMissingTypeStubs]
+
+    drivers: Any = crtp
+    return tuple(str(found[0]) for found in drivers.scan_interfaces())
+
+
+class Unusable(RobotError):
+    """The firmware lacks something that a flight needs: trying again does not help."""
 
 
 class CrazyflieLink:
@@ -100,17 +85,34 @@ class CrazyflieLink:
         self.quality: float | None = None
         self._name = name
         self._uri = uri
-        self._cache = cache
+        self._cache = cache or default_folder()
         self._cf: Any = None
         self._heard_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._answers: dict[int, asyncio.Future[int]] = {}
         self._worker: Worker | None = None
+        self._parameters: Parameters | None = None
 
     @property
     def open(self) -> bool:
         """Whether packets can be handed to it."""
-        return self._cf is not None and self._cf.link is not None
+        return self._cf is not None and self._cf.link is not None and not isinstance(self._cf.link, NoLink)
+
+    @property
+    def heard_s(self) -> float:
+        """When the last packet came [s; `time.monotonic`]."""
+        return self._heard_s
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters of the drone.
+
+        Raises:
+            RobotError: the link is not open.
+        """
+        if self._parameters is None:
+            self._parameters = Parameters(self._name, self.cf.param.toc, self.send_packet)
+        return self._parameters
 
     @property
     def cf(self) -> Any:
@@ -132,11 +134,11 @@ class CrazyflieLink:
         """Time since the last packet [s]."""
         return now - self._heard_s
 
-    async def connect(self, timeout_s: float, parameters: Mapping[str, float]) -> None:
-        """Open the link, fetch the tables, set the parameters; retry as long as time allows.
+    async def connect(self, timeout_s: float) -> None:
+        """Open the link and fetch the tables; retry as long as time allows.
 
         Raises:
-            InputError: cflib is not installed, or a parameter cannot be set.
+            InputError: cflib is not installed.
             RobotError: not done within `timeout_s`.
         """
         library()
@@ -151,8 +153,7 @@ class CrazyflieLink:
                 )
             attempts += 1
             try:
-                await self._attempt(end, bool(parameters))
-                await self._set(parameters, end)
+                await self._attempt(end, min(MOST_SILENCE_S, attempts * SILENCE_S))
             except (TimeoutError, RobotError) as error:
                 why = error.what if isinstance(error, RobotError) else "no answer"
                 await self.close()
@@ -163,44 +164,55 @@ class CrazyflieLink:
             else:
                 return
 
-    async def _attempt(self, end: float, with_values: bool) -> None:
-        """Try once to open the link, until `end`; raises RobotError or TimeoutError."""
+    async def _attempt(self, end: float, patience_s: float) -> None:
+        """Try once to open the link, until `end` or a silence; raises RobotError or TimeoutError."""
         self.lost, self._heard_s = None, time.monotonic()
-        cf = self._cf = library().Crazyflie(rw_cache=str(self._cache) if self._cache else None)
+        cf = self._cf = library().Crazyflie(rw_cache=str(self._cache))
+        keep_whole(cf, self._cache)
         cf.commander.send_setpoint = _nothing
-        ready = asyncio.Event()
+        cf.param.request_update_of_all_params = _nothing
+        cf._link_error_cb = functools.partial(self._fail, cf)  # noqa: SLF001
+        ready, known = asyncio.Event(), threading.Event()
+        by_udp = self._uri.startswith("udp://")
+        begin, go_on = cf._start_connection_setup, cf._platform_info_fetched  # noqa: SLF001
 
         def done(_uri: str) -> None:
             self._call(ready.set)
 
-        (cf.fully_connected if with_values else cf.connected).add_callback(done)
-        for caller in (cf.connection_failed, cf.connection_lost, cf.disconnected_link_error):
-            caller.add_callback(self._lose)
+        def begin_with_resending() -> None:
+            if by_udp:
+                cf.link.needs_resending = True
+            begin()
+
+        def go_on_once() -> None:
+            if not known.is_set():
+                known.set()
+                go_on()
+
+        cf._start_connection_setup = begin_with_resending  # noqa: SLF001
+        cf._platform_info_fetched = go_on_once  # noqa: SLF001
+        cf.connected.add_callback(done)
+        cf.connection_failed.add_callback(self._lose)
         cf.packet_received.add_callback(self._hear)
         cf.link_statistics.link_quality_updated.add_callback(self._rate)
         cf.add_port_callback(HIGH_LEVEL_PORT, self._answered)
+        cf.add_port_callback(PARAMETER_PORT, self._told)
         await in_thread(lambda: cf.open_link(self._uri), end - time.monotonic())
-        if self._uri.startswith("udp://") and cf.link is not None:
-            cf.link.needs_resending = True
+        asked_s = time.monotonic()
         while not ready.is_set():
             now = time.monotonic()
             if self.lost is not None:
                 raise RobotError(self._name, self.lost)
-            if now >= end or self.silent_s(now) > SILENCE_S:
+            if now >= end or self.silent_s(now) > patience_s:
                 raise TimeoutError
+            if by_udp and not known.is_set() and now - asked_s > AGAIN_S:
+                asked_s = now
+                cf.platform._request_protocol_version()  # noqa: SLF001
             try:
-                await asyncio.wait_for(ready.wait(), min(0.1, end - now))
+                async with asyncio.timeout(min(0.1, end - now)):
+                    await ready.wait()
             except TimeoutError:
                 continue
-
-    async def _set(self, parameters: Mapping[str, float], end: float) -> None:
-        """Set parameters, until `end`; raises InputError or TimeoutError."""
-        cf = self.cf
-        for name, value in parameters.items():
-            try:
-                await in_thread(lambda n=name, v=value: cf.param.set_value(n, v), end - time.monotonic())
-            except (KeyError, AttributeError) as error:
-                raise InputError("parameters", name, f"those that {self._name} has and lets be set ({error})") from None
 
     async def log(
         self,
@@ -208,27 +220,42 @@ class CrazyflieLink:
         period_ms: int,
         variables: Mapping[str, str],
         take: Callable[[Mapping[str, float], float], None],
-    ) -> None:
-        """Start a log block of variables, given by name with their types in packets.
+        needed: Collection[str] = (),
+    ) -> tuple[str, ...]:
+        """Start a log block of variables, given by name with their types in packets; returns those it cannot log.
 
         Its period is a multiple of 10 ms. `take` gets the values by name and their arrival [s], in cflib's thread.
 
         Raises:
-            RobotError: the firmware does not know one of them.
+            Unusable: the firmware does not know one of `needed`.
+            RobotError: the link takes no packet.
         """
 
         def came(_stamp: int, data: dict[str, float], _block: object) -> None:
             take(data, time.monotonic())
 
+        table = self.cf.log.toc
+        missing = tuple(v for v in variables if table.get_element(*v.split(".", 1)) is None)
+        for variable in missing:
+            if variable in needed:
+                raise Unusable(self._name, f"the firmware does not log {variable}: update it")
+        if len(missing) == len(variables):
+            return missing
         block = library().log.LogConfig(name, period_ms)
         for variable, kind in variables.items():
-            block.add_variable(variable, kind)
+            if variable not in missing:
+                block.add_variable(variable, kind)
         block.data_received_cb.add_callback(came)
+        self.cf.log.add_config(block)
         try:
-            self.cf.log.add_config(block)
-        except KeyError as error:
-            raise RobotError(self._name, f"the firmware does not log {error}: update it") from None
-        await in_thread(block.start, SEND_S)
+            await in_thread(block.start, SEND_S)
+        except TimeoutError:
+            raise RobotError(self._name, "the link takes no packet") from None
+        return missing
+
+    def logs(self, variable: str) -> bool:
+        """Whether the firmware has a log variable of this name."""
+        return self.cf.log.toc.get_element_by_complete_name(variable) is not None
 
     async def send(self, call: Callable[[Any], None], *, urgent: bool = False) -> None:
         """Send something with cflib's `Crazyflie`, in order; something urgent overtakes the queue.
@@ -244,6 +271,15 @@ class CrazyflieLink:
             self._end_worker()
             raise RobotError(self._name, "the link takes no packet") from None
 
+    async def send_packet(self, port: int, channel: int, data: bytes) -> None:
+        """Send one packet, in order with everything else; raises as `send` does."""
+        from cflib.crtp.crtpstack import CRTPPacket  # pyright: ignore[reportMissingTypeStubs]
+
+        packet: Any = CRTPPacket()
+        packet.set_header(port, channel)
+        packet.data = data
+        await self.send(lambda cf: cf.send_packet(packet))
+
     def _end_worker(self) -> None:
         worker, self._worker = self._worker, None
         if worker is not None:
@@ -255,7 +291,8 @@ class CrazyflieLink:
         self._answers[command] = answer
         try:
             await self.send(call)
-            return await asyncio.wait_for(answer, timeout_s)
+            async with asyncio.timeout(timeout_s):
+                return await answer
         except TimeoutError:
             return None
         finally:
@@ -264,16 +301,11 @@ class CrazyflieLink:
     async def close(self) -> None:
         """Close the link; the drone flies on."""
         self._end_worker()
-        cf, self._cf = self._cf, None
+        cf, self._cf, self._parameters = self._cf, None, None
         if cf is None:
             return
 
-        def shut() -> None:
-            # First, as this thread of cflib's sends through the link without checking it.
-            cf.link_statistics.stop()
-            cf.close_link()
-
-        await in_thread(shut, 10.0)
+        await in_thread(lambda: shut(cf), 10.0)
 
     # The rest is called in cflib's threads.
 
@@ -283,6 +315,20 @@ class CrazyflieLink:
 
     def _hear(self, _packet: object) -> None:
         self._heard_s = time.monotonic()
+
+    def _fail(self, cf: Any, why: str) -> None:
+        """The driver gives up, in whichever thread: instead of `Crazyflie._link_error_cb`."""
+        self._lose("", why)
+        link, cf.link = cf.link, NoLink()
+        if link is not None:
+            link.close()
+
+    def _told(self, packet: Any) -> None:
+        self._call(self._pass_on, packet.channel, bytes(packet.data))
+
+    def _pass_on(self, channel: int, data: bytes) -> None:
+        if self._parameters is not None:
+            self._parameters.hear(channel, data)
 
     def _lose(self, _uri: str, why: str) -> None:
         self.lost = self.lost or (why.strip().splitlines() or ["link error"])[0]

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from llm_flock.errors import InputError
-from llm_flock.robots.base import Commanded, MotionLimits, Position, RobotError, RobotState
-from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink
+from llm_flock.robots.base import Commanded, Equipment, MotionLimits, Position, RobotError, RobotState
+from llm_flock.robots.crazyflie.controllers import READ, equipment
+from llm_flock.robots.crazyflie.lighthouse import LIGHTHOUSE_LOG, LIGHTHOUSE_PERIOD_MS
+from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink, Unusable
+from llm_flock.robots.crazyflie.telemetry import (
+    ARMED,
+    FLYING,
+    LOCKED,
+    NEEDED,
+    POSITION_LOG,
+    POSITION_PERIOD_MS,
+    UNWATCHED,
+    VARIANCE_LOG,
+    VARIANCE_PERIOD_MS,
+    Telemetry,
+    fault_of,
+    says,
+)
+from llm_flock.robots.positions.pose import Pose
 from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
@@ -38,80 +54,17 @@ STOP_S = 1.0
 REFUSED = 1
 """The firmware's answer to a take-off in flight, and to a second landing."""
 
-POSITION_LOG: Mapping[str, str] = MappingProxyType(
-    {
-        "stateEstimate.x": "float",
-        "stateEstimate.y": "float",
-        "stateEstimate.z": "float",
-        "stateEstimate.yaw": "FP16",
-        "pm.vbat": "FP16",
-        "supervisor.info": "uint16_t",
-    }
-)
-"""Variables of the frequent log block, and their types in packets: 18 of the 26 bytes that a packet holds."""
+RELAX_TIMES, RELAX_S = 4, 0.02
+"""How often the drone is told that no set-points come from here, and the time in between [s]: nothing confirms it."""
 
-VARIANCE_LOG: Mapping[str, str] = MappingProxyType(
-    {"kalman.varPX": "float", "kalman.varPY": "float", "kalman.varPZ": "float"}
-)
-"""Variables of the log block for `settled`."""
+WATCHDOG_S = 0.2
+"""Time between two packets for the emergency stop watchdog, which wants one a second [s]."""
 
-POSITION_PERIOD_MS = 50
-VARIANCE_PERIOD_MS = 100
+UNPREPARED = "it was flying, or had landed less than 2 s ago, as it was connected: try again"
+"""Why a drone is not ready whose parameters were left alone."""
 
-SETTLED_SAMPLES = 10
-SETTLED_RANGE = 0.001
-"""The estimator has converged when the variance of no axis changed by more than this [m^2] over the last
-`SETTLED_SAMPLES` samples (the measure of cflib's `Swarm.reset_estimators`, over one second instead of five)."""
-
-CAN_ARM, ARMED, FLYING, TUMBLED, LOCKED, CRASHED = 0x01, 0x02, 0x10, 0x20, 0x40, 0x80
-"""Bits of `supervisor.info` (firmware: `src/modules/src/supervisor.c`)."""
-
-_NAMES = {
-    CAN_ARM: "can be armed",
-    ARMED: "armed",
-    FLYING: "flying",
-    TUMBLED: "tumbled",
-    LOCKED: "locked: restart it",
-    CRASHED: "crashed: recover it",
-}
-
-
-def says(info: int) -> str:
-    """The supervisor's state, in words."""
-    return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
-
-
-class Telemetry:
-    """The newest values that were logged. Written by one thread, read by any."""
-
-    def __init__(self) -> None:
-        self.position: Position | None = None
-        self.stamp_s = 0.0
-        self.yaw_deg = 0.0
-        self.battery_v: float | None = None
-        self.info = 0
-        self._variances: deque[tuple[float, float, float]] = deque(maxlen=SETTLED_SAMPLES)
-        self._variance_stamp_s = 0.0
-
-    def take_position(self, data: Mapping[str, float], now: float) -> None:
-        """Take a packet of `POSITION_LOG` that arrived at `now`."""
-        self.battery_v = float(data["pm.vbat"])
-        self.info = int(data["supervisor.info"])
-        self.yaw_deg = float(data["stateEstimate.yaw"])
-        self.position = (float(data["stateEstimate.x"]), float(data["stateEstimate.y"]), float(data["stateEstimate.z"]))
-        self.stamp_s = now
-
-    def take_variance(self, data: Mapping[str, float], now: float) -> None:
-        """Take a packet of `VARIANCE_LOG` that arrived at `now`."""
-        self._variances.append((data["kalman.varPX"], data["kalman.varPY"], data["kalman.varPZ"]))
-        self._variance_stamp_s = now
-
-    def settled(self, now: float) -> bool:
-        """Whether the estimator has converged, by recent samples."""
-        samples = list(self._variances)
-        if len(samples) < SETTLED_SAMPLES or now - self._variance_stamp_s > SETTLED_SAMPLES * VARIANCE_PERIOD_MS / 1e3:
-            return False
-        return all(max(axis) - min(axis) < SETTLED_RANGE for axis in zip(*samples, strict=True))
+PREPARE_S = 5.0
+"""Longest time from an open link to the first position and the parameters, before the link is opened again [s]."""
 
 
 class _Refused(RobotError):
@@ -126,8 +79,10 @@ class CrazyflieRobot:
         uri: where it is: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850`.
         limits: enforced by the driver.
         link_timeout_s: a link is lost after this silence [s].
-        parameters: firmware parameters to set on connect, by `group.name`.
-        cache: folder for the drones' tables: saves seconds at every connect but the first.
+        parameters: firmware parameters to set and read back on connect, by `group.name`; never in flight.
+        stop_watchdog: feed the emergency stop watchdog from take-off on. Without a packet for a second the motors stop,
+            and the drone falls; and as nothing ends the watchdog, the drone is locked after `close`.
+        cache: folder for the drones' tables, which save seconds at every connect but the first; None: the user's.
     """
 
     def __init__(
@@ -139,6 +94,7 @@ class CrazyflieRobot:
         link_timeout_s: float = 1.0,
         parameters: Mapping[str, float] | None = None,
         cache: Path | None = None,
+        stop_watchdog: bool = False,
     ) -> None:
         if not uri.startswith(SCHEMES):
             raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
@@ -154,6 +110,9 @@ class CrazyflieRobot:
         self._set_point: Position | None = None
         self._segment: Segment | None = None
         self._yaw = 0.0
+        self._equipment = Equipment()
+        self._stop_watchdog = stop_watchdog
+        self._feeding: asyncio.Task[None] | None = None
 
     async def connect(self, timeout_s: float) -> None:
         """Open the link and wait for the first estimate; reopens a lost link, also in flight.
@@ -163,21 +122,56 @@ class CrazyflieRobot:
             RobotError: not done within `timeout_s`.
         """
         end = time.monotonic() + timeout_s
+        while True:
+            try:
+                return await self._connect(end)
+            except RobotError as error:
+                await self._link.close()
+                if time.monotonic() >= end or isinstance(error, Unusable):
+                    raise
+            except BaseException:
+                await self._link.close()
+                raise
+
+    async def _connect(self, end: float) -> None:
         await self._link.close()
         self._link, log = CrazyflieLink(self.name, self.uri, self._cache), Telemetry()
         self._set_point, self._segment = None, None
-        await self._link.connect(timeout_s, self._parameters)
-        try:
-            await self._link.log("position", POSITION_PERIOD_MS, POSITION_LOG, log.take_position)
-            await self._link.log("variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, log.take_variance)
-            while log.position is None:
-                if time.monotonic() >= end:
-                    raise RobotError(self.name, f"no position within {timeout_s:g} s")
-                await asyncio.sleep(0.005)
-        except BaseException:
-            await self._link.close()
-            raise
+        await self._link.connect(max(0.0, end - time.monotonic()))
+        until = min(end, time.monotonic() + PREPARE_S)
+        missing = await self._link.log("position", POSITION_PERIOD_MS, POSITION_LOG, log.take_position, NEEDED)
+        missing += await self._link.log("variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, log.take_variance)
+        log.without_variance = any(name in missing for name in VARIANCE_LOG)
+        if all(map(self._link.logs, LIGHTHOUSE_LOG)):
+            await self._link.log("lighthouse", LIGHTHOUSE_PERIOD_MS, LIGHTHOUSE_LOG, log.take_lighthouse)
+        while log.position is None:
+            if time.monotonic() >= until:
+                raise RobotError(self.name, "connected, but sends no position")
+            await asyncio.sleep(0.005)
+        # One that was told to take off may be about to, whatever it says.
+        if not log.info & FLYING and not self._aloft:
+            self._equipment = await self._prepare(until, missing)
+        elif not self._connected:
+            self._equipment = Equipment(complaints=(UNPREPARED,))
         self._log, self._connected, self._lost = log, True, False
+
+    async def _prepare(self, until: float, missing: tuple[str, ...]) -> Equipment:
+        """Set and read parameters, and hand the drone to its high-level commander. Only on the ground."""
+        parameters = self._link.parameters
+        differ = await parameters.write(self._parameters, until)
+        values = {name: await parameters.read(name, until) for name in parameters.known(READ)}
+        await self._relax()
+        return equipment(values, tuple(UNWATCHED[name] for name in missing if name in UNWATCHED), differ)
+
+    async def _relax(self) -> None:
+        """Say that no set-points come from here.
+
+        A client that sent one, if only as it closed its link, has left a set-point that outranks the high-level
+        commander's: a take-off is confirmed then, and the motors do not turn.
+        """
+        for _ in range(RELAX_TIMES):
+            await self._link.send(lambda cf: cf.commander.send_notify_setpoint_stop())
+            await asyncio.sleep(RELAX_S)
 
     def state(self) -> RobotState:
         """The newest state that was logged."""
@@ -192,13 +186,34 @@ class CrazyflieRobot:
             battery_v=log.battery_v,
             link=0.0 if self._lost else self._link.quality,
             link_lost=self._lost,
+            heard_s=self._link.heard_s,
             armed=bool(log.info & ARMED),
             flying=bool(log.info & FLYING),
             settled=log.settled(now),
+            fault=fault_of(log.info),
+            equipment=self._equipment,
         )
 
+    @property
+    def localisation(self) -> str | None:
+        """What a Lighthouse deck says about its base stations; None from firmware that knows no Lighthouse."""
+        return self._log.lighthouse
+
+    async def take_pose(self, pose: Pose) -> None:
+        """Send a pose from outside to the estimator; nothing confirms it."""
+        if not self._connected:
+            raise RobotError(self.name, self._link.why_closed)
+        position, turn = pose.position, pose.quaternion
+        if turn is None:
+            await self._link.send(lambda cf: cf.extpos.send_extpos(*position))
+        else:
+            await self._link.send(lambda cf: cf.extpos.send_extpose(*position, *turn))
+
     async def close(self) -> None:
-        """Close the link; a drone in the air hovers on until its battery is empty."""
+        """Close the link; a drone in the air hovers on until its battery is empty, or falls if it has a watchdog."""
+        feeding, self._feeding = self._feeding, None
+        if feeding is not None:
+            feeding.cancel()
         await self._link.close()
 
     def _ready(self) -> RobotState:
@@ -211,17 +226,21 @@ class CrazyflieRobot:
         return state
 
     async def arm(self) -> None:
-        """Arm the drone, and repeat until the supervisor confirms it."""
+        """Arm the drone, and repeat until the supervisor confirms it; hand it to its high-level commander again."""
         end = time.monotonic() + ARM_S
         while not self._ready().armed:
             if time.monotonic() >= end:
                 raise RobotError(self.name, f"does not arm; its supervisor says: {says(self._log.info)}")
             await self._link.send(lambda cf: cf.supervisor.send_arming_request(True))
             await self._until(lambda: self.state().armed, min(0.2, max(0.0, end - time.monotonic())))
+        if not self._aloft and not self.state().flying:
+            await self._relax()
 
     async def take_off(self, height_m: float, duration_s: float) -> Commanded:
         """Rise straight up to `height_m`, keeping the yaw."""
         start = self._ready().position
+        if self._stop_watchdog and self._feeding is None:
+            self._feeding = asyncio.create_task(self._feed())
         sent = self._limits.clip(start, (start[0], start[1], height_m), duration_s)
         height, before = sent.target[2], self._aloft
         # Without an answer it may be in the air all the same, and then has to be landed.
@@ -277,6 +296,13 @@ class CrazyflieRobot:
                 self._aloft = False
                 return True
         return False
+
+    async def _feed(self) -> None:
+        """Keep the emergency stop watchdog quiet, once it has begun."""
+        while True:
+            with contextlib.suppress(RobotError):
+                await self._link.send(lambda cf: cf.supervisor.send_emergency_stop_watchdog())
+            await asyncio.sleep(WATCHDOG_S)
 
     def _flies(self, start: Position, sent: Commanded) -> Commanded:
         now = time.monotonic()

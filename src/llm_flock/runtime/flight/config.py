@@ -5,19 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
+from llm_flock.robots.crazyflie.radios import plan_radios, traffic_of
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
+from llm_flock.runtime.positions_config import PositionsConfig
+from llm_flock.runtime.ros2_config import Ros2Config
 
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 
 NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
+
+HEIGHT_TRACKING_M = 0.15
+"""Default of `height_tracking_m` in the plane: a Crazyflie's stock controller overshoots a take-off by 8 cm [m]."""
 
 ROUNDING_M = 1e-6
 """Tolerance of limits on lengths and times [m, s]."""
@@ -56,12 +62,19 @@ class DroneConfig(ConfigSection):
     """One robot of the fleet."""
 
     name: str = Field(min_length=1, max_length=64, description="Name in reports")
-    uri: str | None = Field(default=None, description="Address: radio://... or udp://...")
+    uri: str | None = Field(default=None, description="Address: radio://..., udp://... or serial://...")
+    system_id: int | None = Field(default=None, ge=1, le=254, description="MAVLink: system id of the autopilot [1]")
     start: tuple[Metres, ...] | None = Field(
         default=None, min_length=2, max_length=3, description="Position before take-off: x, y and z [m]"
     )
     parameters: dict[str, float] = Field(
         default_factory=dict, description="Firmware parameters to set on connecting, by group.name"
+    )
+    ready_battery_v: float | None = Field(
+        default=None, ge=0, le=100, description="Preflight: lowest battery voltage of this drone [V]"
+    )
+    low_battery_v: float | None = Field(
+        default=None, ge=0, le=100, description="In flight: land below this battery voltage of this drone [V]"
     )
 
 
@@ -69,24 +82,47 @@ class FleetConfig(ConfigSection):
     """The drones: robot 0 of the mission is the first, and so on."""
 
     robot: str = Field(
-        default="simulated", description="Driver: simulated, crazyflie, physics, or package.module:function"
+        default="simulated", description="Driver: simulated, crazyflie, mavlink, physics, or package.module:function"
     )
     drones: tuple[DroneConfig, ...] = Field(default=(), description="Drones, in the order of the mission's robots")
     crazyflies: str | None = Field(
         default=None, description="Read the drones from Crazyswarm2's crazyflies.yaml, instead of a list"
     )
+    controller: Literal["pid", "mellinger", "indi", "brescianini", "lee"] | None = Field(
+        default=None, description="Crazyflies: controller to set on connecting; none leaves the firmware's (PID)"
+    )
+    estimator: Literal["kalman", "ukf"] | None = Field(
+        default=None, description="Crazyflies: estimator to set on connecting; none leaves the firmware's"
+    )
     cache: str | None = Field(
-        default=None, description="Folder to cache the drones' tables in: speeds up every connection but the first"
+        default=None, description="Folder for the drones' tables, which speed up later connections; none: your cache"
+    )
+    local_frames: Literal["start", "common"] = Field(
+        default="start",
+        description="MAVLink: the autopilots count positions from where each drone starts, or from the world's zero",
+    )
+    origin_lat_lon_alt: tuple[float, float, float] | None = Field(
+        default=None,
+        description="MAVLink with GPS: place of the world's zero on the Earth [degrees, degrees, m above sea level]",
     )
     take_off_group: int = Field(default=1, ge=1, le=1000, description="Number of drones that take off at once")
-    connect_s: float = _seconds(10.0, "Longest wait for a connection")
+    connect_s: float = _seconds(60.0, "Longest wait for the connections before take-off")
+    stop_watchdog: bool = Field(
+        default=False,
+        description="Crazyflies: cut the motors of a drone that no radio reached for a second. It falls, "
+        "and has to be restarted after every flight",
+    )
     deadman: bool = Field(default=True, description="Start a process that lands the drones if this one dies or hangs")
     deadman_s: float = _seconds(1.5, "Let the deadman take over after this silence of the flight process")
 
     @property
     def watched(self) -> bool:
-        """Whether to start a deadman: drones simulated in the flight process end with it anyway."""
-        return self.deadman and self.robot not in ("simulated", "physics")
+        """Whether to start a deadman.
+
+        Drones simulated in the flight process end with it anyway; those with the stop watchdog have fallen before it
+        could call them.
+        """
+        return self.deadman and not self.stop_watchdog and self.robot not in ("simulated", "physics")
 
 
 class SafetyConfig(ConfigSection):
@@ -94,7 +130,21 @@ class SafetyConfig(ConfigSection):
 
     min_separation_m: float = _length(0.2, "Smallest distance between two drones side by side, centre to centre")
     downwash_m: float = _length(0.6, "Smallest distance between two drones above each other")
-    tracking_m: float = _length(0.05, "Largest distance between a drone and its moving set-point")
+    tracking_m: float = _length(0.05, "Largest distance between a drone and its set-point, as late as the team is")
+    height_tracking_m: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        allow_inf_nan=False,
+        description="The same for heights; none: 0.15 in the plane (or tracking_m, if larger), tracking_m in space [m]",
+    )
+    lag_s: float | None = Field(
+        default=None,
+        ge=0,
+        le=60,
+        allow_inf_nan=False,
+        description="Longest delay of the team behind its set-points; none: by the drones' controllers [s]",
+    )
     max_speed_m_s: float = Field(
         default=1.0, gt=0, le=20, allow_inf_nan=False, description="Highest speed of a set-point [m/s]"
     )
@@ -167,6 +217,18 @@ class MissionFrame:
         return (*plane, self.anchor[2] + (position[2] - self.altitude_m) / (self.scale_m * self.stretch))
 
 
+def mission_frame(world: WorldConfig, low: Point, high: Point) -> MissionFrame:
+    """A mission in the world, by the corners of its arena [units]."""
+    return MissionFrame(
+        anchor=tuple((a + b) / 2 for a, b in zip(low, high, strict=True)),
+        scale_m=world.scale_m,
+        stretch=world.stretch if len(low) == 3 else 1.0,
+        yaw=math.radians(world.yaw_deg),
+        origin=world.origin_m,
+        altitude_m=world.altitude_m,
+    )
+
+
 class FlightConfig(RunConfig):
     """Everything that defines a flight.
 
@@ -177,19 +239,36 @@ class FlightConfig(RunConfig):
     world: WorldConfig = Field(default_factory=WorldConfig)
     fleet: FleetConfig = Field(default_factory=FleetConfig)
     safety: SafetyConfig = Field(default_factory=SafetyConfig)
+    positions: PositionsConfig = Field(default_factory=PositionsConfig)
+    ros2: Ros2Config = Field(default_factory=Ros2Config)
 
     @model_validator(mode="after")
     def _check_flight(self) -> Self:
         for field in NOT_IN_FLIGHT:
             if getattr(self.trial, field):
-                raise InputError(field, getattr(self.trial, field), "nothing in a flight")
+                raise InputError(field, getattr(self.trial, field), says="cannot be used in a flight")
+        for field in ("unit_m", "use_sim_time", "ros_missions", "ros_poses"):
+            if getattr(self.ros2, field):
+                raise InputError(
+                    field, getattr(self.ros2, field), says="cannot be used in a flight, which ROS only watches"
+                )
         if not self.protocol.shield:
-            raise InputError("shield", self.protocol.shield, "on in a flight, whatever the protocol")
+            raise InputError("shield", self.protocol.shield, says="has to be on in a flight, whatever the protocol")
+        self._check_positions()
         self._check_drones()
         self._check_distances()
         self._check_speed()
         self._check_fence()
         return self
+
+    def _check_positions(self) -> None:
+        source = self.positions.pose_source
+        if source != "none" and self.fleet.robot in ("simulated", "physics", "mavlink"):
+            raise InputError("pose_source", source, says=f"cannot be used with robot = {self.fleet.robot!r}")
+        if source == "ros2" and self.ros2.router is None:
+            raise InputError("router", None, says="is needed with pose_source = 'ros2'")
+        if source != "ros2" and self.ros2.ros_pose_topic is not None:
+            raise InputError("ros_pose_topic", self.ros2.ros_pose_topic, says="needs pose_source = 'ros2' in a flight")
 
     def _check_drones(self) -> None:
         drones, n = self.fleet.drones, self.mission.n_robots
@@ -197,11 +276,19 @@ class FlightConfig(RunConfig):
             raise InputError("drones", f"{len(drones)} drones", "either drones, or crazyflies")
         if drones and len(drones) != n:
             raise InputError("drones", f"{len(drones)} drones", f"one for each of the mission's {n} robots")
-        for field in ("name", "uri"):
+        shared = self.fleet.robot == "mavlink"  # several autopilots may answer at one address
+        for field in ("name",) if shared else ("name", "uri"):
             given = [value for drone in drones if (value := getattr(drone, field)) is not None]
             twice = next((value for value in given if given.count(value) > 1), None)
             if twice is not None:
-                raise InputError("drones", twice, f"a {field} for each drone; this one is there twice")
+                raise InputError("drones", twice, says=f"two drones have this {field}")
+        called = [(drone.name, drone.uri) for drone in drones if drone.uri is not None]
+        for fault in plan_radios(called, traffic_of(round_s=self.safety.round_s)).faults:
+            raise InputError("drones", None, says=fault)
+        links = [(drone.uri, drone.system_id or 1) for drone in drones if shared]
+        for drone in drones:
+            if links.count((drone.uri, drone.system_id or 1)) > 1:
+                raise InputError("system_id", drone.system_id or 1, f"one that no other drone at {drone.uri} has")
         starts = [(drone.name, drone.start[:2]) for drone in drones if drone.start is not None]
         for k, (one, here) in enumerate(starts):
             for two, there in starts[:k]:
@@ -224,13 +311,13 @@ class FlightConfig(RunConfig):
                 f"at least {least / world.scale_m:g} units: min_separation_m + 2 tracking_m = {least:g} m, and one "
                 f"unit is {world.scale_m:g} m (here {self.safe_distance_m:g} m)",
             )
-        above = safety.downwash_m + 2 * safety.tracking_m
+        above = safety.downwash_m + 2 * self.height_tracking_m
         if self.mission.dim == 3 and self.safe_distance_m * world.stretch < above - ROUNDING_M:
             raise InputError(
                 "stretch",
                 world.stretch,
                 f"at least {above / self.safe_distance_m:.3g}, so that no drone flies in another's downwash: "
-                f"downwash_m + 2 tracking_m = {above:g} m above each other",
+                f"downwash_m + 2 height_tracking_m = {above:g} m above each other",
             )
 
     def _check_speed(self) -> None:
@@ -268,8 +355,9 @@ class FlightConfig(RunConfig):
                 raise InputError(
                     "geofence",
                     self.world.geofence,
-                    f"the arena of the mission in it, and tracking_m = {self.safety.tracking_m:g} m around it: a "
-                    f"corner of the arena is at ({x:.3g}, {y:.3g}, {z:.3g}) m",
+                    f"the arena of the mission in it, and tracking_m = {self.safety.tracking_m:g} m around it "
+                    f"({self.height_tracking_m:g} m above and below): a corner of the arena is at "
+                    f"({x:.3g}, {y:.3g}, {z:.3g}) m",
                 )
         if self.world.floor_m < low[2]:
             raise InputError("floor_m", self.world.floor_m, f"within the geofence, which begins at z = {low[2]:g} m")
@@ -282,22 +370,28 @@ class FlightConfig(RunConfig):
     @property
     def inner_fence(self) -> tuple[Position, Position]:
         """The box for set-points: a drone that is off by the tracking error stays within the geofence [m]."""
-        margin = self.safety.tracking_m
+        side, height = self.safety.tracking_m, self.height_tracking_m
         (a, b, c), (x, y, z) = self.world.geofence
-        return (a + margin, b + margin, c + margin), (x - margin, y - margin, z - margin)
+        return (a + side, b + side, c + height), (x - side, y - side, z - height)
+
+    @property
+    def height_tracking_m(self) -> float:
+        """Largest error of a drone's height [m]. In the plane none flies above another, so heights matter less."""
+        safety = self.safety
+        if safety.height_tracking_m is not None:
+            return safety.height_tracking_m
+        return safety.tracking_m if self.mission.dim == 3 else max(safety.tracking_m, HEIGHT_TRACKING_M)
+
+    @property
+    def fastest_m_s(self) -> float:
+        """Highest speed of a set-point in a round [m/s]: the longest step, from rest to rest."""
+        steepest = self.world.stretch if self.mission.dim == 3 else 1.0
+        return PEAK_SPEED * self.mission.max_step * self.world.scale_m * steepest / self.safety.round_s
 
     @property
     def frame(self) -> MissionFrame:
         """The mission in the world."""
-        world = self.world
-        return MissionFrame(
-            anchor=tuple((a + b) / 2 for a, b in zip(*self.mission.arena, strict=True)),
-            scale_m=world.scale_m,
-            stretch=world.stretch if self.mission.dim == 3 else 1.0,
-            yaw=math.radians(world.yaw_deg),
-            origin=world.origin_m,
-            altitude_m=world.altitude_m,
-        )
+        return mission_frame(self.world, *self.mission.arena)
 
     @property
     def driver_limits(self) -> MotionLimits:

@@ -18,18 +18,18 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TextIO
 
+from llm_flock.errors import InputError
 from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import Robot, RobotError
+from llm_flock.robots.positions import PoseSource
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
 from llm_flock.runtime.flight.heartbeat import Heartbeat
-from llm_flock.runtime.flight.landing import LANDED, LOST, STOPPED, Landing
+from llm_flock.runtime.flight.landing import CALL_S, CONNECT_S, LANDED, LOST, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
+from llm_flock.runtime.flight.positions import feeding
 from llm_flock.runtime.flight.preflight import connect
 from llm_flock.runtime.flight.team import FlyingTeam
-
-CALL_S = 0.5
-"""Time between two calls of a drone that does not answer [s]."""
 
 LOOK_S = 0.02
 """Time between two checks of the heartbeats [s]."""
@@ -68,10 +68,12 @@ async def land_all(config: FlightConfig, robots: Sequence[Robot], say: Callable[
     Calls `say` with a line of text at each step.
     """
     until = time.monotonic() + config.safety.reach_s
-    missing = list(robots)
+    missing, longest_s = list(robots), CONNECT_S
     landings: list[asyncio.Task[dict[str, str]]] = []
     while missing and time.monotonic() < until:
-        checks, _ = await connect(config, missing)
+        # Nobody who was reached waits for long to be landed, because another one does not answer.
+        checks, _ = await connect(missing, min(config.fleet.connect_s, longest_s))
+        longest_s *= 2.0
         up = [robot for robot, check in zip(missing, checks, strict=True) if check.passed]
         missing = [robot for robot in missing if robot not in up]
         if up:
@@ -100,7 +102,13 @@ async def _land(config: FlightConfig, robots: Sequence[Robot]) -> dict[str, str]
     return {robots[robot].name: end for robot, end in landing.ends.items()}
 
 
-def take_over(config: FlightConfig, aloft: Sequence[int], parent: int) -> dict[str, str]:
+SourceOf = Callable[[FlightConfig], PoseSource | None]
+"""Makes the source of a flight's poses; None where the configuration names one that this layer knows, or none."""
+
+
+def take_over(
+    config: FlightConfig, aloft: Sequence[int], parent: int, source_of: SourceOf = lambda _: None
+) -> dict[str, str]:
     """End the flight process if it still runs, and land the drones in the air; returns how each ended, by name."""
     if os.getppid() == parent:  # it hangs, and may hold the radio
         os.kill(parent, signal.SIGKILL)
@@ -111,13 +119,27 @@ def take_over(config: FlightConfig, aloft: Sequence[int], parent: int) -> dict[s
         sys.stderr.write(f"deadman: {text}\n")
 
     say(f"the flight process is gone; calling {', '.join(robot.name for robot in robots)}")
-    ends = asyncio.run(land_all(config, robots, say))
+    ends = asyncio.run(_land_with_poses(config, robots, say, source_of))
     for name, end in ends.items():
         say(f"{name}: {end}")
     return ends
 
 
-def main() -> int:
+async def _land_with_poses(
+    config: FlightConfig, robots: Sequence[Robot], say: Callable[[str], None], source_of: SourceOf = lambda _: None
+) -> dict[str, str]:
+    """Land drones, with positions from outside if they need them and the source can be opened here."""
+    async with contextlib.AsyncExitStack() as stack:
+        try:
+            feed = await stack.enter_async_context(feeding(config, robots, source_of(config)))
+            if feed is not None:
+                feed.gate.flying = True
+        except InputError as error:
+            say(f"no positions from outside: {error}")
+        return await land_all(config, robots, say)
+
+
+def main(source_of: SourceOf = lambda _: None) -> int:
     """Run the deadman: reads the configuration from the first line of standard input, then heartbeats."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # what ends the flight process must not end this one
@@ -131,7 +153,7 @@ def main() -> int:
     listener = HeartbeatListener(sys.stdin)
     if listener.wait_for_end(config.fleet.deadman_s) or not listener.last.aloft:
         return 0
-    ends = take_over(config, listener.last.aloft, parent)
+    ends = take_over(config, listener.last.aloft, parent, source_of)
     return 0 if all(end in (LANDED, STOPPED) for end in ends.values()) else 1
 
 

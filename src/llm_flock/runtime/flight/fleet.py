@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
+from llm_flock.own_code import load_own
 from llm_flock.robots.base import Position, Robot
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
@@ -15,6 +15,15 @@ from llm_flock.runtime.seeds import Stream, stream
 
 Driver: TypeAlias = Callable[[FlightConfig, Sequence[DroneConfig]], Sequence[Robot]]
 """Makes the robots of a flight, one for each drone, in order."""
+
+
+LOADED = 3.2 / 3.7
+"""Share of its voltage at rest that a battery keeps while motors run: Crazyswarm2's limits are for a drone at rest."""
+
+
+def _loaded(critical_v: float | None, least_v: float) -> float | None:
+    """The voltage at which a drone lands, by its critical voltage at rest and the flight file's own limit [V]."""
+    return None if critical_v is None else max(LOADED * critical_v, least_v)
 
 
 def with_drones(config: FlightConfig) -> FlightConfig:
@@ -30,7 +39,14 @@ def with_drones(config: FlightConfig) -> FlightConfig:
         from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
 
         found = [
-            {"name": drone.name, "uri": drone.uri, "start": drone.home, "parameters": drone.parameters}
+            {
+                "name": drone.name,
+                "uri": drone.uri,
+                "start": drone.home,
+                "parameters": drone.parameters,
+                "ready_battery_v": drone.battery.voltage_warning,
+                "low_battery_v": _loaded(drone.battery.voltage_critical, config.safety.low_battery_v),
+            }
             for drone in read_crazyflies(Path(config.fleet.crazyflies))
         ]
     else:
@@ -51,7 +67,7 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     """
     wanted = config.fleet.drones
     if not wanted:
-        raise InputError("drones", "none", "one for each robot of the mission")
+        raise InputError("drones", None, "one for each robot of the mission")
     robots = _driver(config.fleet.robot)(config, wanted)
     if len(robots) != len(wanted):
         raise InputError("robot", config.fleet.robot, f"a driver that makes {len(wanted)} robots (here {len(robots)})")
@@ -80,14 +96,59 @@ def _simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[
 
 def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
     from llm_flock.robots.crazyflie import CrazyflieRobot
+    from llm_flock.robots.crazyflie import controllers as known
 
     cache = None if config.fleet.cache is None else Path(config.fleet.cache)
+    chosen: dict[str, float] = {}
+    if config.fleet.controller is not None:
+        chosen[known.CONTROLLER] = known.number_of(known.CONTROLLERS, config.fleet.controller)
+    if config.fleet.estimator is not None:
+        chosen[known.ESTIMATOR] = known.number_of(known.ESTIMATORS, config.fleet.estimator)
     robots: list[Robot] = []
     for drone in wanted:
         if drone.uri is None:
             raise InputError("drones", drone.name, "a uri for each Crazyflie, such as radio://0/80/2M/E7E7E7E701")
         robots.append(
-            CrazyflieRobot(drone.name, drone.uri, limits=config.driver_limits, parameters=drone.parameters, cache=cache)
+            CrazyflieRobot(
+                drone.name,
+                drone.uri,
+                limits=config.driver_limits,
+                parameters={**chosen, **drone.parameters},
+                cache=cache,
+                stop_watchdog=config.fleet.stop_watchdog,
+            )
+        )
+    return robots
+
+
+def _mavlink(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+    from llm_flock.robots.mavlink import Geodetic, LocalFrame, MavlinkRobot, Ports
+
+    fleet, ports = config.fleet, Ports()
+    origin: Geodetic | None = None
+    if fleet.origin_lat_lon_alt is not None:
+        latitude, longitude, altitude = fleet.origin_lat_lon_alt
+        origin = Geodetic(latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
+        if fleet.local_frames == "common":
+            raise InputError("local_frames", "common", says="is of no use with origin_lat_lon_alt")
+    robots: list[Robot] = []
+    for drone in wanted:
+        if drone.uri is None:
+            raise InputError("drones", drone.name, "a uri for each drone, such as udp://0.0.0.0:14540")
+        if drone.parameters:
+            raise InputError("parameters", drone.name, says="cannot be set by MAVLink: set them by a ground station")
+        frame = LocalFrame()
+        if origin is None and fleet.local_frames == "start":
+            frame = LocalFrame(origin=start_of(config, drone))
+        robots.append(
+            MavlinkRobot(
+                *(drone.name, drone.uri),
+                ports=ports,
+                system_id=drone.system_id or 1,
+                frame=frame,
+                origin=origin,
+                limits=config.driver_limits,
+            )
         )
     return robots
 
@@ -102,16 +163,17 @@ def _physics(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Ro
     return [world.robot(k, drone.name, config.driver_limits) for k, drone in enumerate(wanted)]
 
 
-_DRIVERS: dict[str, Driver] = {"simulated": _simulated, "crazyflie": _crazyflie, "physics": _physics}
+_DRIVERS: dict[str, Driver] = {
+    "simulated": _simulated,
+    "crazyflie": _crazyflie,
+    "mavlink": _mavlink,
+    "physics": _physics,
+}
 
 
 def _driver(name: str) -> Driver:
     if name in _DRIVERS:
         return _DRIVERS[name]
-    module, colon, function = name.partition(":")
-    if not colon:
-        raise InputError("robot", name, f"{', '.join(_DRIVERS)}, or package.module:function")
-    try:
-        return cast("Driver", getattr(importlib.import_module(module), function))
-    except (ImportError, AttributeError) as error:
-        raise InputError("robot", name, f"a function that can be imported ({error})") from None
+    if ":" not in name:
+        raise InputError("robot", name, says=unknown("driver", name, (*_DRIVERS, "package.module:function")))
+    return cast("Driver", load_own("robot", name, "a function that can be imported"))

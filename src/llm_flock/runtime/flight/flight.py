@@ -8,22 +8,27 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from llm_flock.protocol.planning import Planner
+from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Robot, RobotError
+from llm_flock.robots.positions import PoseFeed, PoseSource
 from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
-from llm_flock.runtime.flight.landing import LANDED, STOPPED, Landing
+from llm_flock.runtime.flight.landing import FELL, LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import Trouble, TroubleKind
-from llm_flock.runtime.flight.preflight import PreflightReport, preflight
+from llm_flock.runtime.flight.positions import checks_of, feeding, watching
+from llm_flock.runtime.flight.preflight import Check, PreflightReport, preflight
+from llm_flock.runtime.flight.radios import radio_checks
 from llm_flock.runtime.flight.supervisor import FlightEnded, FlightSupervisor
 from llm_flock.runtime.flight.takeoff import TakeOffFailed, take_off
-from llm_flock.runtime.flight.team import FlyingTeam, SetPointRefused
+from llm_flock.runtime.flight.team import FlyingTeam, NotArrived, SetPointRefused
 from llm_flock.runtime.flight.timed_planner import TimedPlanner
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
+from llm_flock.runtime.roster import load_solvers
 from llm_flock.runtime.trial import Trial, TrialProgress
 
 TAKING_OFF = "taking off"
@@ -32,7 +37,7 @@ TAKING_OFF = "taking off"
 NEVER_UP = "never took off"
 CUT = "motors cut"
 CUT_UNCONFIRMED = "motors cut, not confirmed"
-SAFE_ENDS = frozenset({LANDED, STOPPED, NEVER_UP, CUT})
+SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
 """Ends after which a drone needs no attention."""
 
 
@@ -52,6 +57,9 @@ class Flight:
         robots: one for each robot of the mission, not connected yet.
         on_round: called after each round, for a live display.
         on_stage: called with the name of each stage as it begins.
+        on_connect: called with the result of each drone's connection, as soon as it is known.
+        sink: takes every message of a record, whether a record is written or not; it must not raise.
+        poses: source of the drones' poses; None for the one that the configuration names, if it names one.
     """
 
     def __init__(
@@ -61,11 +69,18 @@ class Flight:
         *,
         on_round: Callable[[TrialProgress], None] | None = None,
         on_stage: Callable[[str], None] = lambda _: None,
+        on_connect: Callable[[Check], None] = lambda _: None,
+        sink: RecordSink | None = None,
+        poses: PoseSource | None = None,
     ) -> None:
+        load_solvers()
         self._config = config
         self._robots = robots
         self._on_round = on_round
         self._on_stage = on_stage
+        self._on_connect = on_connect
+        self._sink = sink
+        self._poses = poses
         self._supervisor: FlightSupervisor | None = None
 
     def abort(self) -> bool:
@@ -95,19 +110,29 @@ class Flight:
         planners = TeamPlanners(config)
         try:
             self._on_stage("connecting")
-            report = await preflight(config, self._robots)
-            if not report.passed or not await confirm(report):
-                return FlightResult(report=report)
-            with open_outputs(config, planners) as (journal, record):
-                return FlightResult(report=report, result=await self._fly(planners, journal, record, report))
+            async with feeding(config, self._robots, self._poses) as feed:
+                look = checks_of(config, self._robots, feed)
+                report = await preflight(
+                    config,
+                    self._robots,
+                    self._on_connect,
+                    more=lambda states, now_s: [*look(states, now_s), *radio_checks(config)],
+                )
+                if not report.passed or not await confirm(report):
+                    return FlightResult(report=report)
+                with open_outputs(config, planners, self._sink) as (journal, record):
+                    return FlightResult(report=report, result=await self._fly(planners, journal, record, report, feed))
         finally:
             await planners.close()
-            for robot in self._robots:
-                with suppress(TimeoutError, RobotError):  # a drone out of reach is named in the result
-                    await robot.close()
+            await asyncio.gather(*map(_close, self._robots))
 
     async def _fly(
-        self, planners: TeamPlanners, journal: Journal, record: str | None, report: PreflightReport
+        self,
+        planners: TeamPlanners,
+        journal: Journal,
+        record: str | None,
+        report: PreflightReport,
+        feed: PoseFeed | None,
     ) -> RunResult:
         config, safety = self._config, self._config.safety
         log = FlightLog(config, journal.writer)
@@ -128,18 +153,24 @@ class Flight:
         landing = Landing(config, team, log)
         async with HeartbeatSender(config, lambda: team.aloft) as heartbeats:
             team.on_take_off = heartbeats.beat
-            watching = asyncio.create_task(supervisor.watch())
-            watching.add_done_callback(lambda task: _end_unwatched(task, supervisor))
+            watchers = [asyncio.create_task(supervisor.watch())]
+            if feed is not None:
+                watchers.append(watching(config, feed, team, log, supervisor.trip))
+            for task in watchers:
+                task.add_done_callback(lambda task: _end_unwatched(task, supervisor))
             try:
                 await self._mission(supervisor, team, trial, log)
             finally:
                 self._on_stage("landing")
                 await landing.land_all()
                 await supervisor.cuts_done()
-                watching.cancel()
+                for task in watchers:
+                    task.cancel()
+                if feed is not None:
+                    log.note("poses", refused=feed.refused)
         if log.failure is not None:
             raise log.failure
-        return trial.finish(record, self._result(supervisor, landing, log))
+        return trial.finish(record, self._result(supervisor, landing, log, feed))
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         """Take off and flock, until the mission or the flight ends."""
@@ -152,13 +183,17 @@ class Flight:
             pass  # the supervisor knows the trouble
         except SetPointRefused as refused:
             supervisor.trip(Trouble(TroubleKind.SET_POINT, detail=str(refused)))
+        except NotArrived as late:
+            supervisor.trip(Trouble(TroubleKind.OFF_COURSE, detail=str(late)))
         except (RobotError, TakeOffFailed, TimeoutError) as error:
             supervisor.trip(Trouble(TroubleKind.REFUSED, detail=str(error) or "a drone did not answer in time"))
         trial.begin()
         if supervisor.trouble is not None:
             trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
 
-    def _result(self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog) -> FlightFigures:
+    def _result(
+        self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog, feed: PoseFeed | None
+    ) -> FlightFigures:
         ends: dict[str, str] = {}
         for robot, body in enumerate(self._robots):
             if robot in supervisor.confirmed:
@@ -176,7 +211,15 @@ class Flight:
             tracking_rms_m=(log.squares / log.counted) ** 0.5 if log.counted else None,
             tracking_max_m=log.worst_m if log.counted else None,
             fan_out_ms=1000 * max(log.fan_outs_s) if log.fan_outs_s else None,
+            poses_refused=None if feed is None else feed.refused,
+            lag_s=round(log.lag_s, 3),
         )
+
+
+async def _close(robot: Robot) -> None:
+    """Close a link; a drone out of reach is named in the result."""
+    with suppress(TimeoutError, RobotError):
+        await robot.close()
 
 
 def _end_unwatched(task: asyncio.Task[None], supervisor: FlightSupervisor) -> None:

@@ -19,6 +19,9 @@ from llm_flock.runtime.flight.config import FlightConfig
 HEARTBEATS_PER_TIMEOUT = 5
 """Heartbeats in the silence after which the deadman takes over."""
 
+DEADMAN, WITH_ROS = "llm_flock.runtime.flight.deadman", "llm_flock.ros2.deadman"
+"""Modules to run as the deadman: ROS 2 belongs to a layer above this one."""
+
 READY_S = 60.0
 """Longest start of the deadman, which first imports everything that it may need [s]."""
 
@@ -59,7 +62,8 @@ class HeartbeatSender:
             process = self._process = self._open()
             assert process.stdout is not None
             try:
-                line = await asyncio.wait_for(asyncio.to_thread(process.stdout.readline), READY_S)
+                async with asyncio.timeout(READY_S):
+                    line = await asyncio.to_thread(process.stdout.readline)
             except TimeoutError:
                 line = b""
             if line.strip() != b"ready":
@@ -71,8 +75,9 @@ class HeartbeatSender:
         return self
 
     def _open(self) -> subprocess.Popen[bytes]:
+        module = WITH_ROS if self._config.positions.pose_source == "ros2" else DEADMAN
         process = subprocess.Popen(
-            [sys.executable, "-m", "llm_flock.runtime.flight.deadman"],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # keeps the terminal's Ctrl-C and hang-up from the deadman

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from llm_flock.robots.base import PEAK_SPEED, Position, RobotError
+from llm_flock.robots.base import PEAK_SPEED, Position, RobotError, RobotState, TakenOver
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
@@ -26,11 +26,17 @@ LANDED = "landed"
 STOPPED = "motors stopped, not seen to land"
 """End of a drone that did not report its landing in time, but confirmed that its motors were cut."""
 
+FELL = "its motors stopped in the air"
+"""End of a drone whose supervisor stopped its motors in flight: it lies somewhere."""
+
 TOLD = "told to land, not confirmed"
 """End of a drone that accepted the command to land, then fell silent."""
 
 LOST = "out of reach"
 """End of a drone that accepted no command any more: it hovers at its last set-point."""
+
+TAKEN = "flown by a pilot, or by its own failsafe"
+"""End of a drone that was taken over: it is neither called down nor cut."""
 
 DOWN_M = 0.12
 """A drone with an estimate this near to the floor is down [m]."""
@@ -38,11 +44,20 @@ DOWN_M = 0.12
 LOOK_S = 0.05
 """Time between two checks of a sinking drone [s]."""
 
+SINKS_M, SINKS_S = 0.1, 1.5
+"""A drone that still comes down by this much [m] in this time [s] is on its way, at a speed of its own."""
+
+FALL_M = 2.0
+"""Farthest from the floor that motors are cut of a drone that did not land [m]: from higher it is called down again."""
+
 AGAIN_S = 0.5
 """Time between two calls of a drone that is out of reach [s]."""
 
 CONNECT_S = 3.0
-"""Longest wait for one connection to a drone out of reach [s]."""
+"""Longest wait for one connection to a drone out of reach; the deadman's first [s]."""
+
+CALL_S = 0.5
+"""Time between two calls of the deadman to drones that do not answer [s]."""
 
 RINGS, SPOTS = 12, 24
 """Number of rings on which a free spot is searched, and of directions on each."""
@@ -126,7 +141,7 @@ class Landing:
     """Lands drones, and keeps calling those out of reach until they answer or the time is up.
 
     Attributes:
-        ends: how each drone ended: LANDED, STOPPED, TOLD or LOST.
+        ends: how each drone ended: LANDED, STOPPED, FELL, TOLD or LOST.
     """
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
@@ -160,11 +175,14 @@ class Landing:
             if descent.via is not None:
                 here = self._team.set_points()[descent.robot]
                 seconds = max(1.0, 1.2 * PEAK_SPEED * math.dist(here, descent.via) / safety.max_speed_m_s)
-                await asyncio.wait_for(robot.go_to(descent.via, seconds), SEND_S)
+                async with asyncio.timeout(SEND_S):
+                    await robot.go_to(descent.via, seconds)
                 self._fly(descent.robot, here, descent.via, seconds)
                 await asyncio.sleep(seconds)
             self._log.note("landing", descent.robot, spot=list(descent.spot))
             await self._sink(descent.robot)
+        except TakenOver as error:
+            self._taken(descent.robot, error)
         except (RobotError, TimeoutError) as error:
             self._log.note("unreachable", descent.robot, reason=str(error) or "no answer in time")
             return False
@@ -175,7 +193,13 @@ class Landing:
         world, safety = self._config.world, self._config.safety
         began = time.monotonic()
         body = self._team.robots[robot]
-        await asyncio.wait_for(body.land(world.floor_m, safety.land_s), SEND_S)
+        if self._fell(body.state()):
+            self._log.note("fell", robot)
+            self._team.aloft.discard(robot)
+            self.ends[robot] = FELL
+            return
+        async with asyncio.timeout(SEND_S):
+            await body.land(world.floor_m, safety.land_s)
         self._told.add(robot)
         x, y, z = self._team.set_points()[robot]
         self._fly(robot, (x, y, z), (x, y, world.floor_m), safety.land_s)
@@ -183,21 +207,47 @@ class Landing:
             self._log.note("landed", robot, seconds=round(time.monotonic() - began, 3))
             self.ends[robot] = LANDED
         else:
+            self._keep_from_a_cut(robot)
             # An emergency stop locks a drone until it is restarted: only for one that did not stop by itself.
-            stopped = await asyncio.wait_for(body.stop_motors(), 2 * SEND_S)
+            async with asyncio.timeout(2 * SEND_S):
+                stopped = await body.stop_motors()
             self._log.note("not_down", robot, stopped=stopped)
             if not stopped:
                 raise RobotError(body.name, "was told to land, and then to stop, and confirmed neither")
             self.ends[robot] = STOPPED
         self._team.aloft.discard(robot)
 
+    def _keep_from_a_cut(self, robot: int) -> None:
+        """Raise if a drone that did not land must not be cut: another flies it, or it is high."""
+        body = self._team.robots[robot]
+        state = body.state()
+        if state.taken_over is not None:
+            raise TakenOver(body.name, state.taken_over)
+        above = state.position[2] - self._config.world.floor_m
+        if above > FALL_M and not state.link_lost:
+            raise RobotError(body.name, f"was told to land, and is still {above:.1f} m high")
+
+    def _taken(self, robot: int, error: TakenOver) -> None:
+        """Leave a drone to whoever flies it."""
+        self._log.note("unreachable", robot, reason=str(error))
+        self._team.aloft.discard(robot)
+        self.ends[robot] = TAKEN
+
+    def _fell(self, state: RobotState) -> bool:
+        """Whether a drone says that it flies no more, and cannot."""
+        fresh = time.monotonic() - state.stamp_s <= self._config.safety.stall_s
+        return state.fault is not None and not state.flying and fresh and not state.link_lost
+
     async def _down(self, robot: int, until_s: float) -> bool:
         """Wait until a drone reports its motors off; at the time limit, near the floor is enough. False if neither."""
         told_s = time.monotonic()
         floor = self._config.world.floor_m + DOWN_M
+        lowest, sank_s = math.inf, told_s
         while True:
             state = self._team.robots[robot].state()
-            late = time.monotonic() >= until_s
+            if state.position[2] < lowest - SINKS_M:
+                lowest, sank_s = state.position[2], time.monotonic()
+            late = time.monotonic() >= max(until_s, sank_s + SINKS_S)
             fresh = state.stamp_s > told_s and not state.link_lost
             if fresh and (not state.flying or (late and state.position[2] <= floor)):
                 return True
@@ -216,6 +266,9 @@ class Landing:
                 await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))
                 self._log.note("landing", robot, spot=list(descent.spot))
                 await self._sink(robot)
+            except TakenOver as error:
+                self._taken(robot, error)
+                return
             except (RobotError, TimeoutError):
                 await asyncio.sleep(AGAIN_S)
             else:

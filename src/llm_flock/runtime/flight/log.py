@@ -14,6 +14,7 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import RobotState
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.lag import Tracking
 from llm_flock.runtime.flight.setpoints import scale_heights
 
 SAMPLE_S = 0.1
@@ -25,6 +26,7 @@ class FlightLog:
 
     Attributes:
         failure: error after which the record is no longer written; measurements go on.
+        lag_s: longest delay of drones behind their set-points so far [s].
     """
 
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
@@ -32,6 +34,7 @@ class FlightLog:
         self.failure: RecordError | None = None
         self.nearest_m, self.worst_m = math.inf, 0.0
         self.squares, self.counted = 0.0, 0
+        self.lag_s = 0.0
         self.fan_outs_s: list[float] = []
         self._safety = config.safety
         self._sink = sink
@@ -44,15 +47,21 @@ class FlightLog:
         self._write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
 
     def look(
-        self, now_s: float, states: Sequence[RobotState], motions: Sequence[Segment], airborne: frozenset[int]
+        self,
+        now_s: float,
+        states: Sequence[RobotState],
+        motions: Sequence[Segment],
+        airborne: frozenset[int],
+        tracking: Tracking,
     ) -> None:
         """Measure all drones; every `SAMPLE_S` also record them."""
         commanded = [motion.at(state.stamp_s)[0] for state, motion in zip(states, motions, strict=True)]
         for robot in airborne:
-            off = math.dist(states[robot].position, commanded[robot])
+            off = tracking.off_m[robot]
             self.worst_m = max(self.worst_m, off)
             self.squares += off * off
             self.counted += 1
+            self.lag_s = max(self.lag_s, tracking.delay_s[robot])
         safety = self._safety
         flying = [states[robot].position for robot in sorted(airborne)]
         if len(flying) > 1:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from llm_flock.robots.base import Robot, RobotError, RobotState
+from llm_flock.robots.base import Equipment, Robot, RobotError, RobotState, SelfChecked
 from llm_flock.runtime.flight.config import FlightConfig
 
 SETTLE_S = 3.0
-"""Longest time from the connections until all checks pass: estimators converge, batteries are read [s]."""
+"""Longest time from the connections until all checks pass: batteries are read, links rated [s]."""
+
+CONVERGE_S = 10.0
+"""The same where an estimator converges, after a reset say, or a drone that has landed still says that it flies [s]."""
+
+SLOW = ("estimator", "on the floor")
+"""Checks for which that time is given."""
 
 LOOK_S = 0.05
 """Time between two checks [s]."""
@@ -20,10 +26,20 @@ LOOK_S = 0.05
 ON_FLOOR_M = 0.3
 """Largest distance of the estimate from the floor for a drone on it [m]."""
 
-CHECKS = ("link", "battery", "estimator", "on the floor", "start position", "in the arena")
+CHECKS = (
+    "ready",
+    "controller",
+    "link",
+    "battery",
+    "estimator",
+    "on the floor",
+    "start position",
+    "in the arena",
+    "watched",
+)
 """Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
 
-NAMES = ("connected", *CHECKS, "apart")
+NAMES = ("connected", *CHECKS, "apart", "in step")
 """Names of all checks, in order."""
 
 
@@ -54,32 +70,57 @@ class PreflightReport:
         return all(check.passed for check in self.checks)
 
 
-async def connect(config: FlightConfig, robots: Sequence[Robot]) -> tuple[list[Check], float]:
-    """Connect to all drones at once; returns a check of each connection, and the time taken [s]."""
+async def connect(
+    robots: Sequence[Robot], timeout_s: float, on_connect: Callable[[Check], None] = lambda _: None
+) -> tuple[list[Check], float]:
+    """Connect to all drones at once; returns a check of each connection, and the time taken [s].
+
+    Calls `on_connect` with each check as soon as it is known.
+    """
     began = time.monotonic()
 
     async def one(robot: Robot) -> Check:
         try:
-            await robot.connect(config.fleet.connect_s)
+            await robot.connect(timeout_s)
         except RobotError as error:
-            return Check("connected", robot.name, False, error.what)
-        return Check("connected", robot.name, True, f"{time.monotonic() - began:.2f} s")
+            check = Check("connected", robot.name, False, error.what)
+        else:
+            check = Check("connected", robot.name, True, f"{time.monotonic() - began:.2f} s")
+        on_connect(check)
+        return check
 
     checks = await asyncio.gather(*map(one, robots))
     return list(checks), time.monotonic() - began
 
 
-async def preflight(config: FlightConfig, robots: Sequence[Robot]) -> PreflightReport:
-    """Connect, then repeat the checks until all pass or the time for that is over."""
-    connections, seconds = await connect(config, robots)
+async def preflight(
+    config: FlightConfig,
+    robots: Sequence[Robot],
+    on_connect: Callable[[Check], None] = lambda _: None,
+    *,
+    more: Callable[[Sequence[RobotState], float], list[Check]] = lambda states, now_s: [],
+) -> PreflightReport:
+    """Connect, then repeat the checks until all pass or the time for that is over; `more` returns further checks."""
+    connections, seconds = await connect(robots, config.fleet.connect_s, on_connect)
     if not all(check.passed for check in connections):
         return PreflightReport(checks=tuple(connections), connect_s=seconds)
-    until = time.monotonic() + SETTLE_S
+    began = time.monotonic()
     while True:
-        checks = look(config, [robot.name for robot in robots], [robot.state() for robot in robots], time.monotonic())
-        if all(check.passed for check in checks) or time.monotonic() > until:
-            return PreflightReport(checks=(*connections, *checks), connect_s=seconds)
+        states, now_s = [robot.state() for robot in robots], time.monotonic()
+        checks = [*look(config, [robot.name for robot in robots], states, now_s), *more(states, now_s)]
+        failed = {check.name for check in checks if not check.passed}
+        patience_s = CONVERGE_S if failed and failed <= {*SLOW} else SETTLE_S
+        if not failed or now_s - began > patience_s:
+            return PreflightReport(checks=(*connections, *checks, *_own(robots)), connect_s=seconds)
         await asyncio.sleep(LOOK_S)
+
+
+def _own(robots: Sequence[Robot]) -> Iterator[Check]:
+    """The checks that drivers have of their own."""
+    for robot in robots:
+        if isinstance(robot, SelfChecked):
+            for check in robot.checks():
+                yield Check(check.name, robot.name, check.passed, check.found, check.asked)
 
 
 def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState], now_s: float) -> list[Check]:
@@ -89,12 +130,19 @@ def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState
         for robot, (name, state) in enumerate(zip(names, states, strict=True))
         for title, finding in zip(CHECKS, _findings(config, robot, state, now_s), strict=True)
     ]
-    return [*found, _apart(config, names, states)]
+    return [*found, _apart(config, names, states), _in_step(config, names, states)]
 
 
 def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -> Iterator[tuple[bool, str, str]]:
     """For each of `CHECKS` whether it is passed, the finding, and the requirement."""
     world, safety = config.world, config.safety
+    drone = config.fleet.drones[robot] if config.fleet.drones else None
+    equipment = state.equipment
+    wrong = "; ".join((*(() if state.fault is None else (state.fault,)), *equipment.complaints))
+    yield not wrong, wrong or "yes", "ready to fly"
+
+    yield _controller(config, equipment)
+
     if state.link_lost:
         yield False, "lost", "there"
     elif state.link is None:
@@ -106,7 +154,8 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
     if state.battery_v is None:
         yield True, "not told", ""
     else:
-        least = safety.ready_battery_v
+        own = None if drone is None else drone.ready_battery_v
+        least = safety.ready_battery_v if own is None else own
         yield state.battery_v >= least, f"{state.battery_v:.2f} V", f"at least {least:.2f} V"
 
     age = now - state.stamp_s
@@ -119,7 +168,7 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
     passed = not state.flying and abs(above) <= ON_FLOOR_M
     yield passed, f"{above:+.2f} m", f"at most {ON_FLOOR_M:g} m from the floor, motors off"
 
-    start = config.fleet.drones[robot].start if config.fleet.drones else None
+    start = None if drone is None else drone.start
     if start is None:
         yield True, "not given", ""
     else:
@@ -129,6 +178,20 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
     row = config.frame.to_mission((x, y, world.altitude_m))
     inside = all(a <= value <= b for value, (a, b) in zip(row, zip(*config.mission.arena, strict=True), strict=True))
     yield inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
+
+    yield True, f"not {', '.join(equipment.unwatched)}" if equipment.unwatched else "all", ""
+
+
+def _controller(config: FlightConfig, equipment: Equipment) -> tuple[bool, str, str]:
+    """Whether a drone's controller is known, and follows set-points as fast as they are."""
+    name, lag_s, most = equipment.controller, equipment.lag_s, equipment.max_speed_m_s
+    if name is None:
+        return True, "not told", ""
+    if lag_s is None and config.safety.lag_s is None:
+        return False, name, "a controller whose lag is known, or lag_s in the flight file"
+    if most is not None and config.safety.max_speed_m_s > most * (1 + 1e-6):
+        return False, f"{name}, for at most {most:g} m/s", f"one for max_speed_m_s, {config.safety.max_speed_m_s:g} m/s"
+    return True, name if lag_s is None else f"{name}, {lag_s:.2g} s behind", ""
 
 
 def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
@@ -142,3 +205,17 @@ def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotSta
     nearest, who = min(pairs, default=(math.inf, ""))
     said = f"{nearest:.2f} m" if pairs else "alone"
     return Check("apart", "team", nearest >= least, said, f"at least {least:g} m between {who}")
+
+
+def _in_step(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
+    """Drones that lag alike stay as far apart as their set-points; one that lags less gains on another."""
+    told = zip(states, names, strict=True)
+    lags = [(lag_s, name) for state, name in told if (lag_s := state.equipment.lag_s) is not None]
+    if not lags:
+        return Check("in step", "team", True, "not told")
+    (least, first), (longest, last) = min(lags), max(lags)
+    gap_m, most = config.fastest_m_s * (longest - least), config.safety.tracking_m
+    said = "yes" if longest == least else f"{first} is {gap_m:.2f} m ahead of {last}, at {config.fastest_m_s:.2f} m/s"
+    return Check(
+        "in step", "team", gap_m <= most, said, f"at most tracking_m, {most:g} m: the same controller and gains"
+    )

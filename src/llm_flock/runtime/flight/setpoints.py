@@ -37,7 +37,7 @@ class SetPointCheck:
         self._low, self._high = config.inner_fence
         self._fastest = safety.max_speed_m_s
         self._beside = safety.min_separation_m + 2 * safety.tracking_m
-        self._above = safety.downwash_m + 2 * safety.tracking_m
+        self._above = safety.downwash_m + 2 * config.height_tracking_m
 
     def separation(self, before: Sequence[Position], after: Sequence[Position]) -> float:
         """Smallest distance of two set-points during the motion, heights scaled by the vertical rule [m]."""

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from llm_flock.robots.base import RobotError
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.lag import LagTracker
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import PERIOD_S, Monitors, Trouble, TroubleKind
 from llm_flock.runtime.flight.team import FlyingTeam
@@ -20,6 +21,13 @@ CUT_FOR_S = 4.0
 
 CUT_TRY_S = 1.5
 """Longest wait for one confirmation [s]."""
+
+
+LATE_S = 0.25
+"""After a pause of this length this process is behind with reading what has arrived [s]."""
+
+CATCH_UP = 10
+"""Longest time to read it, in periods."""
 
 
 class FlightEnded(Exception):
@@ -41,6 +49,7 @@ class FlightSupervisor:
         self._team = team
         self._log = log
         self._monitors = Monitors(config, team.names)
+        self._tracker = LagTracker(config)
         self._tripped = asyncio.Event()
         self._reported: set[tuple[TroubleKind, int | None]] = set()
         self._cuts: dict[int, asyncio.Task[None]] = {}
@@ -59,12 +68,17 @@ class FlightSupervisor:
 
     async def watch(self) -> None:
         """Monitor all drones until cancelled."""
-        team = self._team
+        team, before = self._team, time.monotonic()
         while True:
             now = time.monotonic()
+            if now - before > LATE_S:
+                await self._catch_up()
+                now = time.monotonic()
+            before = now
             states, motions, airborne = team.states(), team.motions, frozenset(team.airborne)
-            self._log.look(now, states, motions, airborne)
-            for trouble in self._monitors.look(now, states, motions, airborne):
+            tracking = self._tracker.look(states, motions, airborne)
+            self._log.look(now, states, motions, airborne, tracking)
+            for trouble in self._monitors.look(now, states, tracking, airborne):
                 # A drone on the way down is left alone, unless its motors must be cut.
                 if trouble.robot in (team.aloft if trouble.cut else airborne):
                     self.trip(trouble)
@@ -76,6 +90,14 @@ class FlightSupervisor:
             if airborne and self._aloft_s is not None and now - self._aloft_s > limit:
                 self.trip(Trouble(TroubleKind.TIME_UP, detail=f"in the air for {limit:g} s"))
             await asyncio.sleep(PERIOD_S)
+
+    async def _catch_up(self) -> None:
+        """This process stood still: give its threads time to read what the drones have sent, before blaming those."""
+        for _ in range(CATCH_UP):
+            await asyncio.sleep(PERIOD_S)
+            now = time.monotonic()
+            if all(now - state.stamp_s <= self._config.safety.stall_s for state in self._team.states()):
+                return
 
     async def while_safe(self, work: Coroutine[Any, Any, T]) -> T:
         """Do some work, but cancel it and raise FlightEnded as soon as something is wrong."""
@@ -117,7 +139,8 @@ class FlightSupervisor:
         confirmed = False
         while not confirmed and time.monotonic() < until:
             try:
-                confirmed = await asyncio.wait_for(self._team.robots[robot].stop_motors(), CUT_TRY_S)
+                async with asyncio.timeout(CUT_TRY_S):
+                    confirmed = await self._team.robots[robot].stop_motors()
             except (RobotError, TimeoutError):
                 await asyncio.sleep(PERIOD_S)
         self.confirmed[robot] = confirmed

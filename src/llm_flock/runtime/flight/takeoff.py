@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 
 from llm_flock.robots.base import Position
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.lag import distance_m
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.team import CLIPPED_M, FlyingTeam
 
@@ -46,19 +46,24 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
 async def _lift(config: FlightConfig, team: FlyingTeam, log: FlightLog, robot: int) -> None:
     safety, altitude = config.safety, config.world.altitude_m
     body = team.robots[robot]
-    await asyncio.wait_for(body.arm(), ARM_S)
+    async with asyncio.timeout(ARM_S):
+        await body.arm()
     here = body.state().position
     log.note("take_off", robot, name=body.name, altitude_m=altitude)
     team.take_off(robot)
     began = time.monotonic()
-    order = await asyncio.wait_for(body.take_off(altitude, safety.take_off_s), ARM_S)
+    async with asyncio.timeout(ARM_S):
+        order = await body.take_off(altitude, safety.take_off_s)
     top: Position = (here[0], here[1], order.target[2])
     team.airborne.add(robot)
     team.motions[robot] = Segment(start=here, target=top, duration_s=order.duration_s, began_s=began)
     if abs(order.target[2] - altitude) > CLIPPED_M:
         raise TakeOffFailed(f"{body.name} was not sent to {altitude:g} m but to {order.target[2]:.2f} m by its driver")
     until = began + order.duration_s + MARGIN_S
-    while math.dist(body.state().position, top) > safety.tracking_m or time.monotonic() < began + order.duration_s:
+    while (
+        distance_m(config, body.state().position, top) > safety.tracking_m
+        or time.monotonic() < began + order.duration_s
+    ):
         if time.monotonic() > until:
             x, y, z = body.state().position
             raise TakeOffFailed(f"{body.name} is at ({x:.2f}, {y:.2f}, {z:.2f}) m, not at its altitude")

@@ -14,6 +14,7 @@ from llm_flock.robots.base import Position, Robot, RobotState
 from llm_flock.robots.segment import Segment
 from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.lag import distance_m, lag_bound_s
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
 
@@ -31,12 +32,16 @@ class SetPointRefused(Exception):
     """A motion would break a limit; it was not sent."""
 
 
+class NotArrived(Exception):
+    """A drone did not arrive where a motion ends."""
+
+
 class FlyingTeam(SimulatedTeam):
     """The bodies of a flight: connected drones, by id of the mission's robots.
 
     Agents get set-points (`places`), not measurements: a drone begins each motion at its last set-point, whatever its
-    estimate, so the shield's guarantee holds for set-points, and each drone stays within the tracking error of its own.
-    The record gets measurements.
+    estimate, so the shield's guarantee holds for set-points at every moment. Drones follow some time later, the same
+    time for all, each within the tracking error of its own set-point then. The record gets measurements.
 
     Attributes:
         motions: the current motion of each drone.
@@ -92,6 +97,7 @@ class FlyingTeam(SimulatedTeam):
 
         Raises:
             SetPointRefused: it would break a limit; no drone was told to move.
+            NotArrived: a drone is not where the motion ends.
             RobotError: a command to a drone failed.
         """
         self._log.round += 1
@@ -109,14 +115,15 @@ class FlyingTeam(SimulatedTeam):
                 aims[robot] = self._frame.to_mission(end)
         self.place(aims)
         await asyncio.sleep(max(0.0, self.motions[0].began_s + safety.round_s - time.monotonic()))
-        await self._settle(safety.tracking_m / 2, safety.settle_s)
+        await self._settle()
 
     async def _send(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[Position]:
         """Command all drones at once; returns the targets that the drivers really sent."""
         began = time.monotonic()
 
         async def one(robot: int) -> Position:
-            order = await asyncio.wait_for(self.robots[robot].go_to(after[robot], duration_s), SEND_S)
+            async with asyncio.timeout(SEND_S):
+                order = await self.robots[robot].go_to(after[robot], duration_s)
             end = order.target if math.dist(order.target, after[robot]) > CLIPPED_M else after[robot]
             self.motions[robot] = Segment(start=before[robot], target=end, duration_s=order.duration_s, began_s=began)
             return end
@@ -128,11 +135,23 @@ class FlyingTeam(SimulatedTeam):
                 raise result
         return [result for result in results if not isinstance(result, BaseException)]
 
-    async def _settle(self, within_m: float, longest_s: float) -> None:
-        """Wait until all drones have arrived, or for `longest_s`: the monitors deal with a drone that is far off."""
-        until = time.monotonic() + longest_s
-        while time.monotonic() < until:
-            places = [state.position for state in self.states()]
-            if all(math.dist(x, motion.target) <= within_m for x, motion in zip(places, self.motions, strict=True)):
+    async def _settle(self) -> None:
+        """Wait until all drones have arrived, within half of `tracking_m`; after `settle_s` all of it is near enough.
+
+        Raises:
+            NotArrived: a drone is farther away than that for longer than the longest delay.
+        """
+        config, began = self._config, time.monotonic()
+        safety = config.safety
+        while True:
+            states = self.states()
+            off_m, late = max(
+                (distance_m(config, state.position, motion.target), robot)
+                for robot, (state, motion) in enumerate(zip(states, self.motions, strict=True))
+            )
+            waited_s = time.monotonic() - began
+            if off_m <= safety.tracking_m / 2 or (waited_s >= safety.settle_s and off_m <= safety.tracking_m):
                 return
+            if waited_s > safety.settle_s + lag_bound_s(config, (state.equipment for state in states)):
+                raise NotArrived(f"{self.names[late]}: it is {off_m:.2f} m from its target, {waited_s:.1f} s late")
             await asyncio.sleep(LOOK_S)

@@ -35,7 +35,8 @@ class TimedPlanner:
 
     async def _in_time(self, number: int, answer: Awaitable[T | NoAnswer]) -> T | NoAnswer:
         try:
-            found = await asyncio.wait_for(answer, self._longest_s)
+            async with asyncio.timeout(self._longest_s):
+                found = await answer
         except TimeoutError:
             found = NoAnswer(cause="timeout", reason=f"no answer within {self._longest_s:g} s")
         if not isinstance(found, NoAnswer) or found.cause == "answer":

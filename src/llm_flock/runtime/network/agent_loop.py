@@ -206,9 +206,10 @@ class AgentLoop:
         await self._land()
         self.waypoints[move.origin.value] += 1
         self._moving = move
-        self._take_off(move.waypoint)
+        moves = self._take_off(move.waypoint)
         self.handle(events.Arrived())
-        await self._rest(move)
+        if not moves or self._is_there(move):
+            await self._rest()
 
     async def _settle(self) -> None:
         """Wait until agreement about a new place has settled, for a heartbeat period at most."""
@@ -252,15 +253,17 @@ class AgentLoop:
                 task.cancel()
                 await asyncio.gather(task, return_exceptions=True)
 
-    def _take_off(self, waypoint: Point) -> None:
-        """Set out. The next question is asked at once, from where the body will arrive."""
+    def _take_off(self, waypoint: Point) -> bool:
+        """Set out, if it is any way. The next question is asked at once, from where the body will arrive."""
         here = self._radio.position
         assert here is not None
         distance = math.dist(here, waypoint)
-        if distance > STILL:
-            self._going_for = self._topic
-            self._body.fly_to(waypoint)
-            self._due = time.monotonic() + LATEST * distance / self._config.speed + STUCK_S
+        if distance <= STILL:
+            return False
+        self._going_for = self._topic
+        self._body.fly_to(waypoint)
+        self._due = time.monotonic() + LATEST * distance / self._config.speed + STUCK_S
+        return True
 
     async def _land(self) -> None:
         """Wait until the body has arrived, cannot get any nearer, or has lost its waypoint."""
@@ -275,12 +278,14 @@ class AgentLoop:
                 break
         body.waypoint = None
 
-    async def _rest(self, move: MoveTo) -> None:
-        """At its place, wait for a heartbeat period or until the place changes before the next question."""
-        goal, network = self.agent.goal, self._config.network
-        near = AT_GOAL * self.agent.mission.spacing
-        if move.origin is not Origin.HOLD and (goal is None or math.dist(goal, move.waypoint) > near):
-            return
+    def _is_there(self, move: MoveTo) -> bool:
+        """Whether a move ends at the robot's place, or where it waits."""
+        goal, near = self.agent.goal, AT_GOAL * self.agent.mission.spacing
+        return move.origin is Origin.HOLD or (goal is not None and math.dist(goal, move.waypoint) <= near)
+
+    async def _rest(self) -> None:
+        """Wait for a heartbeat period, or until the place changes, before the next question."""
+        network = self._config.network
         await self._land()
         self._changed.clear()
         rest_s = network.gossip_s * (self._config.protocol.comm_rounds or 1)

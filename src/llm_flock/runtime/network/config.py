@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from llm_flock.errors import InputError
 from llm_flock.llm.models import parse_models
+from llm_flock.llm.own import says_simulated
 from llm_flock.llm.providers import parse_model
 from llm_flock.protocol.signed.certificates import LIARS
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
+from llm_flock.runtime.ros2_config import Ros2Config, is_endpoint
+
+logger = logging.getLogger(__name__)
 
 
 class NetworkConfig(ConfigSection):
     """Endpoints and periods: the same for all robots of a swarm."""
 
     swarm: str = Field(
-        default="flock", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Name of the swarm; others are ignored"
+        default="flock",
+        pattern=r"^[A-Za-z0-9_-]{1,64}$",
+        json_schema_extra={"expected": "1 to 64 letters, digits, - and _"},
+        description="Name of the swarm; others are ignored",
     )
     listen: str = Field(
         default="tcp/127.0.0.1:0", description="Own endpoints, separated by commas; port 0 takes a free one"
@@ -56,24 +64,35 @@ class NetworkConfig(ConfigSection):
     partition: str | None = Field(
         default=None,
         pattern=r"^\d+(\.\d+)?-\d+(\.\d+)?$",
+        json_schema_extra={"expected": "FROM-UNTIL in seconds, such as 5-12.5"},
         description="For tests: FROM-UNTIL, the seconds in which the two halves of the ids do not hear each other",
     )
+
+    @field_validator("listen", "connect")
+    @classmethod
+    def _check_endpoints(cls, text: str, info: ValidationInfo) -> str:
+        for endpoint in endpoints(text):
+            if not is_endpoint(endpoint):
+                allowed = "endpoints such as tcp/127.0.0.1:7447, with commas between them"
+                raise InputError(info.field_name or "connect", endpoint, allowed)
+        return text
 
 
 class SwarmConfig(RunConfig):
     """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
     network: NetworkConfig = Field(default_factory=NetworkConfig)
+    ros2: Ros2Config = Field(default_factory=Ros2Config)
 
     @model_validator(mode="after")
     def _check_swarm(self) -> Self:
         trial = self.trial
         for field in ("kill", "join", "kill_random", "join_random", "changes", "noise"):
             if getattr(trial, field):
-                raise InputError(field, getattr(trial, field), "nothing in a swarm of processes")
+                raise InputError(field, getattr(trial, field), says="cannot be used in a swarm of processes")
         if self.mission.velocity is not None:
-            allowed = "nothing in a swarm of processes: rounds are not in step"
-            raise InputError("velocity", self.mission.velocity, allowed)
+            says = "cannot be used in a swarm of processes: rounds are not in step"
+            raise InputError("velocity", self.mission.velocity, says=says)
         liars, n = self.network.liars, self.mission.n_robots
         if liars > LIARS and 3 * liars >= n:
             raise InputError("liars", liars, f"at most {max(LIARS, (n - 1) // 3)} of {n} robots: fewer than a third")
@@ -81,13 +100,42 @@ class SwarmConfig(RunConfig):
 
     @property
     def simulated(self) -> bool:
-        """Whether any language model is a simulated stand-in."""
-        return "simulated:" in self.model.model
+        """Whether any language model is a simulated stand-in; classes of the user's own are imported to tell."""
+        return "simulated:" in self.model.model or any(map(says_simulated, self._own))
+
+    @property
+    def unrepeatable(self) -> list[str]:
+        """What of the models a record's configuration cannot repeat, in sentences."""
+        return [f"{name} is code of the user's own, of which only the name is recorded." for name in self._own]
+
+    @property
+    def _own(self) -> list[str]:
+        names = dict.fromkeys(parse_models(self.model.model, self.mission.n_robots))
+        return [name for name in names if parse_model(name).kind == "own"]
 
     @property
     def speed(self) -> float:
         """Largest speed of a body [units/s]."""
         return self.mission.max_step / self.network.step_s
+
+    @property
+    def passing_distance(self) -> float:
+        """Distance at which bodies that do not move in step fly past each other unhindered, as a rule [units]."""
+        network = self.network
+        stale_s = network.frame_s + network.clock_error_s + network.control_s + network.lag_s
+        return self.mission.safe_distance + self.speed * stale_s
+
+
+def warn_of_spacing(config: SwarmConfig) -> None:
+    """Log a warning if places are so near that bodies not in step may never reach them."""
+    mission, needed = config.mission, config.passing_distance
+    if config.protocol.shield and mission.n_places > 1 and mission.spacing < needed:
+        logger.warning(
+            "spacing = %g is too small for bodies that do not move in step: at this speed they pass each other at "
+            "%.3g. The team may never form; a larger spacing would do, or slower bodies (a longer step_s).",
+            mission.spacing,
+            needed,
+        )
 
 
 def endpoints(text: str) -> list[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
+from llm_flock.extras import require
 from llm_flock.members import OPERATOR, WORLD, member_name, members
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
@@ -85,10 +86,9 @@ def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
     folder = config.network.keys
     if folder is None:
         return None
-    try:
-        from llm_flock.trust.keys import load_keyring
-    except ImportError:
-        raise InputError("keys", folder, "possible with the extra: pip install 'llm-flock[network]'") from None
+    require("network", "--keys")
+    from llm_flock.trust.keys import load_keyring
+
     keys = load_keyring(Path(folder), member)
     if keys.robots != config.mission.n_robots:
         raise InputError("keys", folder, f"keys of {config.mission.n_robots} robots, not of {keys.robots}")

@@ -7,6 +7,7 @@ the world is ready. It has one thread and no network session. Its children end w
 from __future__ import annotations
 
 import gc
+import importlib
 import json
 import logging
 import os
@@ -24,18 +25,25 @@ from llm_flock.runtime.network.robot import run_robot
 from llm_flock.runtime.network.watch import run_watch
 from llm_flock.runtime.network.world import run_world
 from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime.roster import load_solvers
 
 REAP_S = 0.05
 """Time between two checks for children that have ended [s]."""
 
+SHARED = ("genai_prices", "llm_flock.llm.client", "llm_flock.llm.simulated.model")
+"""What is otherwise imported where it is first used: by every robot for itself."""
+
 EXAMPLE = {"mission": {"shape": "circle", "n_robots": 1}}
-"""Building its planner loads the prompts and price lists that every robot would otherwise read by itself."""
+"""Building its planner loads the prompts that every robot would otherwise read by itself."""
 
 
 def main() -> None:
     """Serve until the launcher closes standard input."""
     end_with_parent()
     children: dict[int, str] = {}
+    load_solvers()
+    for name in SHARED:
+        importlib.import_module(name)
     TeamPlanners(SwarmConfig.model_validate(EXAMPLE))
     gc.freeze()  # else a collection in a child would touch, and so copy, every shared page
     _write(ready="forkserver")
@@ -46,9 +54,7 @@ def main() -> None:
             if not line:
                 break
             order = json.loads(line)
-            pid = os.fork()
-            if pid == 0:
-                os._exit(_child(order))
+            pid = _forked(order)
             children[pid] = order["name"]
             _write(name=order["name"], pid=pid)
         _reap(children)
@@ -69,9 +75,24 @@ def _write(**event: Any) -> None:
     sys.stdout.flush()
 
 
+def _forked(order: dict[str, Any]) -> int:
+    """Start a process; returns its id once it is sure to end with this one, whatever either is in the middle of."""
+    parent = os.getpid()
+    bound, binding = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        end_with_parent(parent)
+        os.close(bound)
+        os.close(binding)
+        os._exit(_child(order))
+    os.close(binding)
+    os.read(bound, 1)  # nothing comes: the child closes its end
+    os.close(bound)
+    return pid
+
+
 def _child(order: dict[str, Any]) -> int:
     """Do the work of the ordered process; returns its exit code."""
-    end_with_parent()
     null, answers = os.open(os.devnull, os.O_RDWR), os.dup(1)
     os.dup2(null, 0)
     os.dup2(2, 1)

@@ -20,17 +20,18 @@ from llm_flock import graph, metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.errors import FlockError, MessageError
 from llm_flock.llm.models import parse_models
-from llm_flock.mission import Mission, input_error
-from llm_flock.protocol.events import Origin
+from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
+from llm_flock.record.schema import LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import finite, mission_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.state_row import state_row
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
+from llm_flock.validation import input_error
 
 WITNESSES = 2
 """Robots that have to say that a place is blocked; fewer only in a team that has fewer."""
@@ -73,6 +74,7 @@ class Observer:
         self.heard_s: dict[int, float] = {}
         self.breakers_opened: set[int] = set()
         self.shown_to_lie: dict[int, str] = {}
+        self.on_world: Callable[[WorldState], None] | None = None
         self._unproven = Counter[int]()
         self._suppliers: dict[tuple[str, int], str] = {}
         self._models = parse_models(config.model.model, config.mission.n_robots)
@@ -134,6 +136,8 @@ class Observer:
         self.min_separation = min(self.min_separation, state.closest)
         self.late_commands = state.late
         self._row_closest = min(self._row_closest, state.closest)
+        if self.on_world is not None:
+            self.on_world(state)
 
     def report(self, robot: int, report: RobotReport) -> None:
         """Take a robot's report.
@@ -220,7 +224,7 @@ class Observer:
         try:
             mission = Mission.model_validate(report.shape)
         except ValidationError as error:
-            raise MessageError("malformed", f"a mission: {input_error(error)}") from None
+            raise MessageError("malformed", f"a mission: {input_error(error, Mission)}") from None
         except FlockError as error:
             raise MessageError("malformed", f"a mission: {error}") from None
         if (mission.digest, mission.n_robots, mission.dim) != (digest, self.mission.n_robots, self.mission.dim):
@@ -234,6 +238,27 @@ class Observer:
     def _record_mission(self, first: int) -> None:
         self._sink.write(mission_info(self.mission, self._missions, first))
         self._missions += 1
+
+    @property
+    def ordered_at(self) -> int:
+        """Time of the order for the present mission; 0 for the first one."""
+        return self._counter
+
+    @property
+    def places(self) -> Mapping[str, tuple[Point, ...]]:
+        """Places of every plan that a robot has named, by its digest [units]."""
+        return self._places
+
+    def state(self) -> State | None:
+        """Every robot as it is now, with the number of the last row; None before the first world state."""
+        if self._world is None:
+            return None
+        return self._state(np.array([body.position for body in self._world.bodies]))
+
+    def _state(self, positions: Points) -> State:
+        reports = {robot: self.reports[robot] for robot in self.robots}
+        goals = {robot: self.goal_of(report) for robot, report in reports.items()}
+        return state_row(max(self._row, 0), positions, reports, goals, self._seen)
 
     @property
     def robots(self) -> list[int]:
@@ -325,7 +350,7 @@ class Observer:
             self._record_mission(0)
         self._row += 1
         self._seen |= set(robots)
-        self._sink.write(self._state(positions, robots))
+        self._sink.write(self._state(positions))
         near = graph.distances(positions) <= self.mission.comm_range
         reports = self.reports.values()
         plan_ids = [self.reports[robot].plan_id for robot in robots]
@@ -364,23 +389,3 @@ class Observer:
                     cost_usd=None,
                 )
             )
-
-    def _state(self, positions: Points, robots: list[int]) -> State:
-        n = len(positions)
-        reports = [self.reports[robot] if robot in robots else None for robot in range(n)]
-        goals = [None if r is None else self.goal_of(r) for r in reports]
-        start = Origin.START.value if self._row == 0 else Origin.HOLD.value
-        return State(
-            round=self._row,
-            positions=positions.tolist(),
-            goals=[None if goal is None else list(goal) for goal in goals],
-            slots=[None if r is None else r.slot for r in reports],
-            plan_ids=[None if r is None else r.plan_id for r in reports],
-            influence=[0.0 if r is None else r.neighbors / n for r in reports],
-            waypoints=[None if r is None or r.waypoint is None else list(r.waypoint) for r in reports],
-            origins=[start if r is None else r.origin for r in reports],
-            open_breakers=[[] if r is None else list(r.breakers) for r in reports],
-            phases=[
-                r.phase if r is not None else DEAD if robot in self._seen else ASLEEP for robot, r in enumerate(reports)
-            ],
-        )

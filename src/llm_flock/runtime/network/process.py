@@ -6,9 +6,11 @@ import asyncio
 import ctypes
 import gc
 import math
+import os
 import signal
 import sys
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
+from types import FrameType
 from typing import Any
 
 try:  # halves the cost of a robot's many short wake-ups
@@ -53,11 +55,25 @@ def run(work: Coroutine[Any, Any, None]) -> None:
         runner.run(work)
 
 
-def end_with_parent() -> None:
-    """End together with the parent process, even while stopped (on Linux); leave Ctrl-C to the parent."""
+def end_with_parent(parent: int | None = None) -> None:
+    """End together with the parent process, even while stopped (on Linux); leave Ctrl-C to the parent.
+
+    `parent` is its id: a process whose parent ended before this call ends at once.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if parent is not None and os.getppid() != parent:
+        os._exit(1)
+
+
+def _sets(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> Callable[[int, FrameType | None], None]:
+    """A signal handler, for systems whose event loops have none."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(stop.set)
+
+    return handle
 
 
 async def until_stopped(work: Coroutine[None, None, None]) -> None:
@@ -67,7 +83,10 @@ async def until_stopped(work: Coroutine[None, None, None]) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         if signal.getsignal(number) is not signal.SIG_IGN:
-            loop.add_signal_handler(number, stop.set)
+            try:
+                loop.add_signal_handler(number, stop.set)
+            except NotImplementedError:  # Windows
+                signal.signal(number, _sets(loop, stop))
     tasks: list[asyncio.Task[Any]] = [asyncio.create_task(work), asyncio.create_task(stop.wait())]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

@@ -65,7 +65,15 @@ class RobotProcess:
         self.body = BodyControl(config)
         keys = load_keys(config, robot)
         rules = config.protocol.rules()
-        agent = make_agent(config, rules, robot, own_clock=True, authenticator=keys, liars=network.liars)
+        agent = make_agent(
+            config,
+            rules,
+            robot,
+            own_clock=True,
+            authenticator=keys,
+            liars=network.liars,
+            apart=config.passing_distance,
+        )
         judge = judge_of(config, keys)
         self._accuser = None if judge is None else Accuser(judge)
         self.agent_loop = AgentLoop(
@@ -213,7 +221,7 @@ async def run_robot(config: SwarmConfig, robot: int) -> None:
     """
     mission = config.mission
     if not 0 <= robot < mission.n_robots:
-        raise InputError("id", robot, f"0 .. {mission.n_robots - 1}")
+        raise InputError("id", robot, says=f"there are robots 0 to {mission.n_robots - 1}")
     with closing(open_link(config, robot)) as link:
         process = RobotProcess(config, robot, link)
         try:

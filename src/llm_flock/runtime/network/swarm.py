@@ -21,11 +21,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from llm_flock.errors import FlockError
-from llm_flock.record.writer import NullWriter
+from llm_flock.members import WORLD
+from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.config import warn_of_mission
-from llm_flock.runtime.network.config import SwarmConfig, check_models
+from llm_flock.runtime.network.config import SwarmConfig, check_models, warn_of_spacing
+from llm_flock.runtime.network.connection import load_keys
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.watch import CHECK_S, observing
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import by_origin, waypoint_shares
 from llm_flock.runtime.trial import TrialProgress
 
@@ -44,7 +47,7 @@ class SwarmError(FlockError):
 class SwarmResult:
     """Outcome of a swarm."""
 
-    stopped: str  # why it ended: formed, time, or no_plan: no robot has a plan, and no model gives an acceptable one
+    stopped: str  # why: formed, time, ended (no robot is left), or no_plan: no robot has one, and no model gives one
     reason: str | None  # the commonest reason why plans were refused, where it ended by no_plan
     formed: bool  # whether the team formed, as for a run, with the time of a step in place of a round
     mission_s: float | None  # from the first robot's first round until it formed; None if it never did
@@ -161,9 +164,9 @@ class Swarm:
             await self.wait_until(lambda: self.pids.keys() <= self.ended.keys(), END_S)
 
     async def run(self, until: Callable[[Observer], bool] = lambda observer: observer.formed_s is not None) -> str:
-        """Watch until the team has formed (or `until`), the time is over, or no model of any robot gives a plan.
+        """Watch until the team has formed (or `until`), the time is over, no model gives a plan, or all robots ended.
 
-        Returns which: `formed`, `time` or `no_plan`.
+        Returns which: `formed`, `time`, `no_plan` or `ended`.
 
         Raises `SwarmError` if the world process ends.
         """
@@ -176,6 +179,9 @@ class Swarm:
                 return "no_plan"
             if "world" in self.ended:
                 raise SwarmError("the world has ended")
+            robots = {name for name in self.pids if name.startswith("robot-")}
+            if robots and robots <= self.ended.keys():
+                return "ended"
             await asyncio.sleep(CHECK_S)
         return "time"
 
@@ -217,24 +223,40 @@ class Swarm:
         )
 
 
+async def check_robots(config: SwarmConfig) -> None:
+    """Refuse with an `InputError` what would otherwise end the process of each robot after its start."""
+    check_models(config)
+    config.protocol.rules()
+    load_keys(config, WORLD)
+    await TeamPlanners(config).close()
+
+
 @asynccontextmanager
 async def launched(
-    config: SwarmConfig, *, on_row: Callable[[TrialProgress], None] | None = None, absent: frozenset[int] = frozenset()
+    config: SwarmConfig,
+    *,
+    on_row: Callable[[TrialProgress], None] | None = None,
+    absent: frozenset[int] = frozenset(),
+    sink: RecordSink | None = None,
+    on_launch: Callable[[], object] = lambda: None,
 ) -> AsyncGenerator[Swarm]:
     """A swarm whose processes are running, all but `absent` robots; all have ended when the context is left.
 
     With `out`, a recorder writes `run.mcap` there. An empty `connect` takes a free port. `on_row` is called once per
-    step time.
+    step time; a `sink` takes what the launcher observes, as a record has it. `on_launch` is called once everything has
+    been checked, before the first process starts.
 
     Raises:
         SwarmError: a process did not start.
         InputError: the configuration does not work here.
     """
-    check_models(config)
+    await check_robots(config)
     warn_of_mission(config.mission)
+    warn_of_spacing(config)
     if not config.network.connect:
         network = config.network.model_copy(update={"connect": f"tcp/127.0.0.1:{free_port()}"})
         config = config.model_copy(update={"network": network})
+    on_launch()
     forkserver = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -250,7 +272,7 @@ async def launched(
         try:
             await swarm.wait_until(lambda: "forkserver" in swarm.ready)
             await swarm.start_world()
-            swarm.observer = watching.enter_context(observing(config, NullWriter(), on_row))
+            swarm.observer = watching.enter_context(observing(config, sink or NullWriter(), on_row))
             if config.record is not None:
                 await swarm.start("recorder", "watch", record=str(config.record))
             for robot in range(config.mission.n_robots):
@@ -267,7 +289,20 @@ async def launched(
             await asyncio.gather(news, return_exceptions=True)
 
 
-async def run_swarm(config: SwarmConfig, on_row: Callable[[TrialProgress], None] | None = None) -> SwarmResult:
-    """Fly one mission with a swarm of processes on this machine; `SwarmError` if one of them fails."""
-    async with launched(config, on_row=on_row) as swarm:
+async def run_swarm(
+    config: SwarmConfig,
+    on_row: Callable[[TrialProgress], None] | None = None,
+    sink: RecordSink | None = None,
+    on_start: Callable[[Swarm], None] = lambda _: None,
+    on_launch: Callable[[], object] = lambda: None,
+) -> SwarmResult:
+    """Fly one mission with a swarm of processes on this machine; `SwarmError` if one of them fails.
+
+    `on_launch` is called before the first process starts, `on_start` gets the swarm once all of them run. A swarm that
+    takes missions from ROS does not end when it has formed.
+    """
+    async with launched(config, on_row=on_row, sink=sink, on_launch=on_launch) as swarm:
+        on_start(swarm)
+        if config.ros2.ros_missions:
+            return swarm.result(await swarm.run(lambda _: False))
         return swarm.result(await swarm.run())

@@ -12,8 +12,8 @@ from llm_flock.members import OPERATOR, WATCHER, WORLD
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.order_time import OperatorClock
 from llm_flock.record.schema import SummaryMessage
-from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
-from llm_flock.runtime.entries import run_info
+from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
+from llm_flock.runtime.entries import finite, run_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import (
     judge_of,
@@ -67,22 +67,31 @@ async def look(observer: Observer) -> None:
 
 
 async def run_watch(
-    config: SwarmConfig, record: Path | None, on_row: Callable[[TrialProgress], None] | None = None
+    config: SwarmConfig,
+    record: Path | None,
+    on_row: Callable[[TrialProgress], None] | None = None,
+    sink: RecordSink | None = None,
+    show: Callable[[SwarmConfig, Observer], None] | None = None,
 ) -> None:
     """Watch, and with a path write a record, until the process is stopped.
+
+    A sink takes every entry too, and `show` is called with the observer first.
 
     Raises:
         InputError: the record exists already.
     """
     with ExitStack() as stack:
-        writer = NullWriter() if record is None else stack.enter_context(RecordWriter(record))
-        writer.write(run_info(config, simulated=config.simulated))
+        file: RecordSink = NullWriter() if record is None else stack.enter_context(RecordWriter(record))
+        writer = file if sink is None else Tee(file, sink)
+        writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
         observer = stack.enter_context(observing(config, writer, on_row))
+        if show is not None:
+            show(config, observer)
         await until_stopped(look(observer))
         result = {
             "formed": observer.formed_s is not None,
             "mission_s": observer.mission_s,
-            "min_separation": observer.min_separation,
+            "min_separation": finite(observer.min_separation),
             "model_calls": observer.calls,
             "tokens": observer.tokens,
         }

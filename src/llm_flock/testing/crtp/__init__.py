@@ -10,6 +10,7 @@ with StandIns([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]) as drones:
     print(drones.uris)  # udp://127.0.0.1:PORT, one each
 """
 
+from llm_flock.testing.crtp.radio import ModelledRadio
 from llm_flock.testing.crtp.server import StandIn, StandIns
 
-__all__ = ["StandIn", "StandIns"]
+__all__ = ["ModelledRadio", "StandIn", "StandIns"]

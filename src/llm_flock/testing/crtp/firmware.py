@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from llm_flock.robots.point_mass import PointMass
+from llm_flock.robots.point_mass import BUSY, PointMass
+from llm_flock.testing.crtp.external import ExternalPosition
 
-PARAM, COMMANDER, MEM, LOGGING, LOCALIZATION = 2, 3, 4, 5, 6
+PARAM, COMMANDER, MEM, LOGGING, LOCALIZATION, GENERIC = 2, 3, 4, 5, 6, 7
 HIGH_LEVEL, SUPERVISOR, PLATFORM, LINK = 8, 9, 13, 15
 VERSION = 12
 """Protocol version: the first that knows the supervisor's port."""
@@ -28,6 +29,12 @@ SETPOINT_TIMEOUT_S = 2.0
 
 STOP_WATCHDOG_S = 1.0
 """`DEFAULT_EMERGENCY_STOP_WATCHDOG_TIMEOUT`: the watchdog, once started, stops a drone after this silence [s]."""
+
+DISABLED, BY_HIGH_LEVEL, BY_PACKETS = 0, 1, 2
+"""Priorities of set-points (`commander.h`): one with a lower priority than the last is dropped."""
+
+PID, INDI = 1, 3
+"""Controllers that lag behind a moving set-point; the stand-in follows it exactly with the others."""
 
 NO_SUCH = 2
 EXISTS = 17
@@ -54,6 +61,9 @@ LOGGED: Mapping[str, int] = MappingProxyType(
         "kalman.varPY": 7,
         "kalman.varPZ": 7,
         "supervisor.info": 2,
+        "lighthouse.status": 1,
+        "lighthouse.bsReceive": 2,
+        "lighthouse.bsActive": 2,
     }
 )
 """Type of each log variable by name, in order."""
@@ -98,31 +108,52 @@ class _Block:
 class Firmware:
     """The firmware of one drone.
 
+    Args:
+        body: what flies.
+        controller: `stabilizer.controller` after a start: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
+        missing: log variables that this firmware does not have.
+
     Attributes:
         commands: time [s] and number of each high-level command received, refused ones included.
-        parameters: those that flights set, by name, in order.
+        parameters: those that flights set or read, by name, in order.
+        priority: of the last set-point.
+        tumbled: it lies on its side or its back.
+        crashed: it tumbled in flight, and its crash was not recovered.
+        outside: positions from outside, if the drone flies by them.
+        lighthouse: base stations that its deck receives and uses, as bit fields.
     """
 
-    def __init__(self, body: PointMass) -> None:
+    def __init__(
+        self, body: PointMass, *, controller: int = PID, missing: Collection[str] = (), outside: bool = False
+    ) -> None:
         self.body = body
+        self.outside = ExternalPosition(body) if outside else None
+        self.lighthouse = (0, 0)
         self.commands: list[tuple[float, int]] = []
+        self.priority = DISABLED
+        self.tumbled = self.crashed = False
         self.parameters = {
             "stabilizer.estimator": Parameter(0x08, 2),
-            "stabilizer.controller": Parameter(0x08, 1),
+            "stabilizer.controller": Parameter(0x08, controller),
             "kalman.resetEstimation": Parameter(0x08, 0),
             "locSrv.extPosStdDev": Parameter(0x06, 0.01),
             "commander.enHighLevel": Parameter(0x08, 1),
+            **{f"posCtlPid.{axis}Kp": Parameter(0x06, 2.0) for axis in "xyz"},
+            **{f"posCtlPid.{axis}VelMax": Parameter(0x06, 1.0) for axis in "xyz"},
+            **{f"posCtrlIndi.K_xi_{axis}": Parameter(0x06, 1.0) for axis in "xyz"},
         }
         self._names = list(self.parameters)
+        self._variables = [name for name in LOGGED if name not in missing]
         self._tables = {
             PARAM: contents(self._names, [p.kind for p in self.parameters.values()]),
-            LOGGING: contents(list(LOGGED), list(LOGGED.values())),
+            LOGGING: contents(self._variables, [LOGGED[name] for name in self._variables]),
         }
         self._blocks: dict[int, _Block] = {}
         self._flew: float | None = None
         self._low_level: float | None = None
         self._watchdog: float | None = None
         self._tremble = 0
+        self._control(0.0)
 
     def handle(self, raw: bytes, now: float) -> list[bytes]:
         """Answers to one packet."""
@@ -143,20 +174,29 @@ class Firmware:
         if port in (PARAM, LOGGING) and channel == 0:
             return self._table(port, data)
         if port == PARAM:
-            return self._parameter(channel, data)
+            return self._parameter(channel, data, now)
         if port == LOGGING:
             return self._settings(data, now)
         if port == HIGH_LEVEL:
             return self._high_level(data, now)
         if port == SUPERVISOR:
             return self._supervisor(channel, data, now)
+        if port == LOCALIZATION and self.outside is not None and self.outside.take(channel, data, now):
+            return None
         if port == LOCALIZATION and channel == 1:
             self._emergency(data[0], now)
-        if port == COMMANDER and self.body.flying:
-            # A low-level set-point stops the high-level commander; here it never has thrust.
+        if port in (COMMANDER, GENERIC) and channel == 0:
+            self._set_point(now)
+        elif port == GENERIC and channel == 1 and data[0] == 0 and self.priority == BY_PACKETS:
+            self.priority, self._low_level = BY_HIGH_LEVEL, None
+        return None
+
+    def _set_point(self, now: float) -> None:
+        """A low-level set-point: it stops the high-level commander, and outranks it until told otherwise."""
+        self.priority = BY_PACKETS
+        if self.body.flying:  # here it never has thrust
             self._low_level = now
             self.body.stop(now)
-        return None
 
     def _table(self, port: int, data: bytes) -> bytes | None:
         checksum, rows = self._tables[port]
@@ -167,7 +207,7 @@ class Firmware:
             return data[:3] + rows[number]
         return None
 
-    def _parameter(self, channel: int, data: bytes) -> bytes | None:
+    def _parameter(self, channel: int, data: bytes, now: float) -> bytes | None:
         if channel not in (1, 2):
             return None
         (number,) = struct.unpack_from("<H", data)
@@ -177,7 +217,22 @@ class Firmware:
         if channel == 1:
             return data[:2] + b"\0" + parameter.packed()
         parameter.value = float(struct.unpack(PARAMETER_TYPES[parameter.kind], data[2:])[0])
+        self._control(now)
         return data[:2] + parameter.packed()
+
+    def set_parameter(self, name: str, value: float, now: float) -> None:
+        """Change a parameter from outside the link."""
+        self.parameters[name].value = value
+        self._control(now)
+
+    def _control(self, now: float) -> None:
+        """Let the body follow its set-point as its controller does."""
+        number = int(self.parameters["stabilizer.controller"].value)
+        gain = {PID: "posCtlPid.xKp", INDI: "posCtrlIndi.K_xi_x"}.get(number)
+        if gain is None:
+            self.body.follow("exactly", now)
+        else:
+            self.body.follow("pid", now, self.parameters[gain].value)
 
     def _settings(self, data: bytes, now: float) -> bytes:
         command = data[0]
@@ -190,7 +245,7 @@ class Firmware:
                 return bytes([command, block, EXISTS])
             variables = self._blocks.setdefault(block, _Block([])).variables
             for kind, number in struct.iter_unpack("<BH", data[2:]):
-                variables.append((list(LOGGED)[number], LOG_TYPES[kind & 0x0F]))
+                variables.append((self._variables[number], LOG_TYPES[kind & 0x0F]))
         elif block not in self._blocks:
             result = NO_SUCH
         elif command == 3:
@@ -206,7 +261,10 @@ class Firmware:
         command, body = data[0], self.body
         self.commands.append((now, command))
         result = 0
-        if command == 3:
+        if self.priority == BY_PACKETS:
+            # It plans, and answers that it does, but its set-points are dropped: no motor turns.
+            result = 0 if body.armed else BUSY
+        elif command == 3:
             result = body.stop(now)
         elif command in (7, 8):
             _, height, _, _, duration = struct.unpack_from("<Bff?f", data, 1)
@@ -223,8 +281,11 @@ class Firmware:
         if channel == 0 and command == 0x0C:
             return struct.pack("<BH", 0x8C, self.info(now))
         if channel == 1 and command == 1:
-            done = self.body.arm(bool(data[1]))
+            done = not (data[1] and (self.tumbled or self.crashed)) and self.body.arm(bool(data[1]))
             return bytes([0x81, done, self.body.armed])
+        if channel == 1 and command == 2:
+            self.crashed = self.crashed and self.tumbled
+            return bytes([0x82, not self.crashed, self.crashed])
         if channel == 1:
             self._emergency(command, now)
         return None
@@ -234,6 +295,12 @@ class Firmware:
             self.body.emergency_stop(now)
         elif command == 4:
             self._watchdog = now
+
+    def tumble(self, now: float) -> None:
+        """Lie on its back: the motors stop, in flight it has crashed."""
+        self.crashed = self.crashed or self.body.flying
+        self.body.stop(now)
+        self.tumbled, self.body.armed = True, False
 
     def tick(self, now: float) -> list[bytes]:
         """Log packets that are due."""
@@ -253,23 +320,27 @@ class Firmware:
         """`supervisor.info`: the supervisor's state, in bits."""
         body, flies = self.body, self._flies(now)
         armed, locked, turn = body.armed, body.locked, body.flying
-        bits = (not armed and not locked, armed, body.auto_arm, armed, flies, False, locked, False, turn, not turn)
+        well = not (locked or self.tumbled or self.crashed)
+        planned = turn, not turn
+        bits = (not armed and well, armed, body.auto_arm, armed, flies, self.tumbled, locked, self.crashed, *planned)
         return sum(1 << k for k, bit in enumerate(bits) if bit)
 
     def _flies(self, now: float) -> bool:
-        if self.body.locked:
+        if self.body.locked or self.tumbled or self.crashed:
             return False
         return self.body.flying or (self._flew is not None and now < self._flew + FLYING_LINGERS_S)
 
     def advance(self, now: float) -> None:
         """Let time pass."""
         self.body.advance(now)
+        if self.outside is not None:
+            self.outside.advance(now)
         if self.body.flying:
             self._flew = now
         elif self._flew is not None and not self._flies(now):
             # After a landing the supervisor starts over, and disarms.
             self._flew = None
-            self.body.armed = self.body.auto_arm and not self.body.locked
+            self.body.armed = self.body.auto_arm and not (self.body.locked or self.tumbled or self.crashed)
         if self._watchdog is not None and now >= self._watchdog + STOP_WATCHDOG_S:
             self.body.emergency_stop(now)
         if self._low_level is not None and now >= self._low_level + SETPOINT_TIMEOUT_S:
@@ -281,6 +352,7 @@ class Firmware:
         shake = NOISE_M * (self._tremble - 3) / 3.0
         x, y, z = self.body.estimate(now)
         variance = self.body.variance(now)
+        received, active = self.lighthouse
         return {
             "stateEstimate.x": x + shake,
             "stateEstimate.y": y - shake,
@@ -291,4 +363,7 @@ class Firmware:
             "kalman.varPY": variance,
             "kalman.varPZ": variance,
             "supervisor.info": self.info(now),
+            "lighthouse.status": 2 if active else 1 if received else 0,
+            "lighthouse.bsReceive": received,
+            "lighthouse.bsActive": active,
         }

@@ -5,16 +5,18 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
+import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TypeVar
 
 import numpy as np
 
 from llm_flock.robots.base import Position
 from llm_flock.robots.point_mass import PointMass
-from llm_flock.testing.crtp.firmware import Firmware
+from llm_flock.testing.crtp.firmware import COMMANDER, PID, Firmware, packet
+from llm_flock.testing.crtp.radio import ModelledRadio
 
 STEP_S = 0.002
 """Time between two checks for log packets that are due [s]."""
@@ -28,10 +30,21 @@ class StandIn:
     """One drone behind one socket: its `uri` for cflib, and its `firmware`.
 
     Call anything here while it flies, from any thread, and set `loss`, the share of packets lost in each direction.
+    With `radio` its packets pass a modelled radio, in which it has a number.
     """
 
-    def __init__(self, host: str, port: int, body: PointMass, loss: float, rng: np.random.Generator) -> None:
-        self.firmware = Firmware(body)
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        firmware: Firmware,
+        loss: float,
+        rng: np.random.Generator,
+        *,
+        radio: tuple[ModelledRadio, int] | None = None,
+    ) -> None:
+        self.firmware = firmware
+        self._radio = radio
         self.loss = loss
         self._lock = threading.Lock()
         self._rng = rng
@@ -93,6 +106,19 @@ class StandIn:
         """Freeze the position estimate, with growing variance; or let it work again."""
         self._at_once(lambda body, now: body.stall(now, stalled))
 
+    def tumble(self) -> None:
+        """Let it lie on its back: the motors stop."""
+        self._at_once(lambda _, now: self.firmware.tumble(now))
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Change a firmware parameter behind the client's back."""
+        self._at_once(lambda _, now: self.firmware.set_parameter(name, value, now))
+
+    def serve_another_client(self) -> None:
+        """Leave the drone as a client of cflib leaves it, that closes its link: with a set-point without thrust."""
+        data = packet(COMMANDER, 0, struct.pack("<fffH", 0.0, 0.0, 0.0, 0))
+        self._at_once(lambda _, now: self.firmware.handle(data, now))
+
     # The rest is for the thread that serves it.
 
     def receive(self) -> None:
@@ -106,8 +132,23 @@ class StandIn:
                 if self._silent or self._lost():
                     continue
                 self._peer = peer
-                for answer in self.firmware.handle(data, time.monotonic()):
-                    self._send(answer)
+                if self._radio is None:
+                    self._handle(data)
+                else:
+                    radio, number = self._radio
+                    radio.put(number, "up", data, time.monotonic())
+
+    def _handle(self, data: bytes) -> None:
+        for answer in self.firmware.handle(data, time.monotonic()):
+            self._send(answer)
+
+    def pass_radio(self, way: str, data: bytes) -> None:
+        """Take a packet from the modelled radio: one for the drone, or one of it."""
+        with self._lock:
+            if way == "up" and not self._silent:
+                self._handle(data)
+            elif way == "down":
+                self._transmit(data)
 
     def tick(self) -> None:
         """Send log packets that are due."""
@@ -121,6 +162,13 @@ class StandIn:
         return self.loss > 0.0 and bool(self._rng.random() < self.loss)
 
     def _send(self, data: bytes) -> None:
+        if self._radio is None:
+            self._transmit(data)
+        else:
+            radio, number = self._radio
+            radio.put(number, "down", data, time.monotonic())
+
+    def _transmit(self, data: bytes) -> None:
         if self._peer is not None and not self._lost():
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 self.socket.sendto(data, self._peer)
@@ -135,7 +183,11 @@ class StandIns:
         port: of the first; the others follow. 0 takes free ports.
         loss: share of packets lost, in each direction.
         auto_arm: as Crazyflies 2.1 are shipped: armed from the start.
+        controller: of the firmware: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
+        missing: log variables that the firmware does not have.
         seed: of the losses.
+        outside: they fly by positions from outside, and believe to be at the origin without.
+        radios: modelled radios, among which the drones are spread in turn; none passes packets on at once.
     """
 
     def __init__(
@@ -146,16 +198,23 @@ class StandIns:
         port: int = 0,
         loss: float = 0.0,
         auto_arm: bool = False,
+        controller: int = PID,
+        missing: Collection[str] = (),
         seed: int = 0,
+        outside: bool = False,
+        radios: Sequence[ModelledRadio] = (),
     ) -> None:
         self._drones: list[StandIn] = []
+        self._radios = radios
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="stand-ins", daemon=True)
         rng = np.random.default_rng(seed)
         try:
             for k, home in enumerate(homes):
                 body = PointMass(home=home, ground_m=home[2], auto_arm=auto_arm)
-                self._drones.append(StandIn(host, port + k if port else 0, body, loss, rng))
+                firmware = Firmware(body, controller=controller, missing=missing, outside=outside)
+                shared = (radios[k % len(radios)], k) if radios else None
+                self._drones.append(StandIn(host, port + k if port else 0, firmware, loss, rng, radio=shared))
         except OSError:
             self._close()
             raise
@@ -170,6 +229,12 @@ class StandIns:
 
     def __len__(self) -> int:
         return len(self._drones)
+
+    def swap(self, one: int, two: int) -> None:
+        """Let two drones take each other's position for their own, as a mix-up of their markers does."""
+        (ax, ay, az), (bx, by, bz) = self[one].position, self[two].position
+        self[one].jump((bx - ax, by - ay, bz - az))
+        self[two].jump((ax - bx, ay - by, az - bz))
 
     def __enter__(self) -> StandIns:
         self._thread.start()
@@ -192,6 +257,9 @@ class StandIns:
             while not self._stop.is_set():
                 for key, _ in selector.select(max(0.0, due - time.monotonic())):
                     key.data.receive()
+                for radio in self._radios:
+                    for drone, way, data in radio.step(time.monotonic()):
+                        self._drones[drone].pass_radio(way, data)
                 if time.monotonic() >= due:
                     due = time.monotonic() + STEP_S
                     for drone in self._drones:

@@ -1,84 +1,30 @@
-// The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles; zoom and pan.
+// The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles.
+import { View } from "llm-flock-viewer/arena_view.js";
+import { closePairs, fanned } from "llm-flock-viewer/crowd.js";
 import { cells, links } from "llm-flock-viewer/geometry.js";
+import { beside, bentRim, between, breakerTag, chosenRing, describe, planRim } from "llm-flock-viewer/robot_signs.js";
 import { FONT, Surface, dash, look, theme } from "llm-flock-viewer/surface.js";
 
 const TRAIL = 24; // rounds
-const EDGE = 10; // pixels around the arena
-const RULER = 22; // pixels below it, for the length to compare with
 const MANY = 250; // robots from which on letters and rims are left out
+const BODY = 0.8; // of a safety disc: two discs touch before two bodies do
+const MONO = "ui-monospace, 'DejaVu Sans Mono', monospace"; // a letter I has serifs in it, and is no tick
 
 export class Arena {
-  constructor(element, runs, clock, options, emit) {
-    [this.run] = runs;
+  constructor(element, run, clock, options, pick) {
+    this.run = run;
     this.clock = clock;
-    this.emit = emit;
+    this.pick = pick;
     this.layers = { ...options.layers };
-    this.selected = options.selected || [];
-    const keys = "Keys: brackets choose a robot, plus, minus and zero zoom, shift and arrows pan.";
-    this.surface = new Surface(element, `Arena of ${options.title}. ${keys}`, () => this.draw());
-    this.view = null; // centre and pixels a unit; null fits all
+    this.selected = [];
+    this.surface = new Surface(element, `Arena of ${options.title}: the team from above. ? lists the keys.`, () => this.draw());
+    this.view = new View(this.surface, () => this.draw());
     this.drawn = 0;
-    this.pointers = new Map();
+    this.at = [];
     this.forget = clock.listen(() => this.draw());
-    this.listen();
+    this.view.listen((event) => this.picked(event), (event) => this.hover(event));
+    this.surface.canvas.addEventListener("pointerleave", () => this.surface.tip(null));
     this.surface.fit();
-  }
-
-  listen() {
-    const canvas = this.surface.canvas;
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
-    }, { passive: false });
-    canvas.addEventListener("pointerdown", (event) => this.down(event));
-    canvas.addEventListener("pointermove", (event) => this.move(event));
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
-    canvas.addEventListener("dblclick", () => this.fit());
-    canvas.addEventListener("keydown", (event) => this.key(event));
-  }
-
-  down(event) {
-    this.surface.canvas.setPointerCapture(event.pointerId);
-    this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
-    this.moved = this.pointers.size > 1;
-    this.began = [event.offsetX, event.offsetY];
-  }
-
-  move(event) {
-    const before = this.pointers.get(event.pointerId);
-    if (!before || !this.scale) return;
-    const here = [event.offsetX, event.offsetY];
-    if (this.pointers.size === 2) {
-      const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
-      const factor = Math.hypot(here[0] - other[0], here[1] - other[1])
-        / Math.max(1, Math.hypot(before[0] - other[0], before[1] - other[1]));
-      this.zoom(factor, (here[0] + other[0]) / 2, (here[1] + other[1]) / 2);
-    }
-    if (this.moved || Math.hypot(here[0] - this.began[0], here[1] - this.began[1]) > 4) {
-      this.moved = true;
-      const share = this.pointers.size;
-      this.pan((here[0] - before[0]) / share, (here[1] - before[1]) / share);
-    }
-    this.pointers.set(event.pointerId, here);
-  }
-
-  up(event) {
-    this.pointers.delete(event.pointerId);
-    if (event.type === "pointerup" && !this.moved) this.pick(event.offsetX, event.offsetY, event.shiftKey);
-  }
-
-  key(event) {
-    const by = 40;
-    const acts = {
-      "+": () => this.zoom(1.25), "=": () => this.zoom(1.25), "-": () => this.zoom(0.8), "0": () => this.fit(),
-      "[": () => this.next(-1), "]": () => this.next(1),
-    };
-    const pans = { ArrowLeft: [by, 0], ArrowRight: [-by, 0], ArrowUp: [0, by], ArrowDown: [0, -by] };
-    if (event.shiftKey && pans[event.key]) this.pan(...pans[event.key]);
-    else if (acts[event.key]) acts[event.key]();
-    else return;
-    event.preventDefault();
-    event.stopPropagation();
   }
 
   next(by) {
@@ -88,23 +34,50 @@ export class Arena {
     this.choose((now + by + n) % n, false);
   }
 
-  pick(x, y, second) {
-    const frame = this.frame;
-    if (!frame) return;
+  /** The robot at a place of the canvas, or -1. */
+  robotAt(x, y) {
     let best = -1;
     let nearest = Math.max(14, this.radius * 1.3);
-    frame.x.forEach((at, robot) => {
-      const [px, py] = this.pixel(at);
+    this.at.forEach(([px, py], robot) => {
       const far = Math.hypot(px - x, py - y);
       if (far < nearest) [best, nearest] = [robot, far];
     });
-    if (best >= 0) this.choose(best, second);
+    return best;
+  }
+
+  picked(event) {
+    const robot = this.frame ? this.robotAt(event.offsetX, event.offsetY) : -1;
+    if (robot >= 0) this.choose(robot, event.shiftKey);
+  }
+
+  hover(event) {
+    this.surface.tip(this.frame ? this.words(event.offsetX, event.offsetY) : null, event.offsetX, event.offsetY);
+  }
+
+  /** What is at a place of the canvas, in words; null where nothing is. */
+  words(x, y) {
+    const { frame, run } = this;
+    const robot = this.robotAt(x, y);
+    if (robot >= 0) return describe(run, frame, robot);
+    const goal = !this.layers.goals ? -1
+      : frame.g.findIndex((at) => at && Math.hypot(...this.pixel(at).map((value, axis) => value - [x, y][axis])) < this.radius * 1.5);
+    if (goal >= 0) {
+      return `Goal of robot ${goal}: place ${frame.s[goal] ?? "?"} of plan ${look(run, frame.p[goal]).name || "?"}`;
+    }
+    const link = (this.linked || []).find(([one, other]) => beside([x, y], this.pixel(frame.x[one]), this.pixel(frame.x[other])) < 4);
+    if (!link) return null;
+    const [[ax, ay], [bx, by]] = [frame.x[link[0]], frame.x[link[1]]];
+    return `Radio link of robots ${link[0]} and ${link[1]}: ${Math.hypot(ax - bx, ay - by).toFixed(1)} units`;
   }
 
   choose(robot, second) {
     // Shown at once; the text follows when the server has sent it.
     this.select(second && this.selected.length ? [this.selected[0], robot] : [robot, ...this.selected.slice(1)]);
-    this.emit("select", { robot, second });
+    this.pick(robot, second);
+  }
+
+  pixel(at) {
+    return this.view.pixel(at);
   }
 
   select(robots) {
@@ -115,57 +88,6 @@ export class Arena {
   layer(name, on) {
     this.layers[name] = on;
     this.draw();
-  }
-
-  fit() {
-    this.view = null;
-    this.draw();
-  }
-
-  pan(x, y) {
-    if (!this.scale) return;
-    this.view ||= { center: [...this.center], scale: this.scale };
-    this.view.center[0] -= x / this.scale;
-    this.view.center[1] += y / this.scale;
-    this.draw();
-  }
-
-  zoom(factor, x = this.surface.width / 2, y = this.surface.height / 2) {
-    if (!this.scale) return;
-    const at = this.point(x, y);
-    this.view ||= { center: [...this.center], scale: this.scale };
-    this.view.scale = Math.max(0.02, Math.min(400, this.view.scale * factor));
-    this.view.center = [
-      at[0] - (x - this.surface.width / 2) / this.view.scale,
-      at[1] + (y - this.surface.height / 2) / this.view.scale,
-    ];
-    this.draw();
-  }
-
-  place() {
-    const [[left, bottom], [right, top]] = this.run.about.arena;
-    const { width, height } = this.surface;
-    if (this.view) {
-      this.center = this.view.center;
-      this.scale = this.view.scale;
-      return;
-    }
-    this.scale = Math.min((width - 2 * EDGE) / (right - left), (height - 2 * EDGE - RULER) / (top - bottom));
-    this.center = [(left + right) / 2, (bottom + top) / 2 - RULER / 2 / this.scale];
-  }
-
-  pixel([x, y]) {
-    return [
-      this.surface.width / 2 + (x - this.center[0]) * this.scale,
-      this.surface.height / 2 - (y - this.center[1]) * this.scale,
-    ];
-  }
-
-  point(x, y) {
-    return [
-      this.center[0] + (x - this.surface.width / 2) / this.scale,
-      this.center[1] - (y - this.surface.height / 2) / this.scale,
-    ];
   }
 
   draw() {
@@ -199,21 +121,76 @@ export class Arena {
   picture(frame) {
     const { pen } = this.surface;
     this.frame = frame;
-    this.place();
     const about = this.run.about;
-    // A disk is as wide as the body, and never too small to be seen and touched.
-    this.radius = Math.max(frame.x.length > MANY ? 3 : 9, (about.safe_distance / 2) * this.scale * 0.8);
+    this.view.place(about.arena, { way: this.run.extent, formation: this.run.formation }, about.safe_distance);
+    this.scale = this.view.scale;
+    // A disk is as wide as the body; where that is too small to be seen and touched it is larger, but not beside safety
+    // discs, which are to be larger than bodies.
+    const body = (about.safe_distance / 2) * this.scale * BODY;
+    this.radius = this.layers.safety ? Math.max(3, body) : Math.max(frame.x.length > MANY ? 3 : 9, body);
+    const pixels = frame.x.map((at) => this.pixel(at));
+    const { at, crowds } = frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels, this.radius);
+    this.at = at;
+    // Between two rounds the pairs of a large team are those of the round before: counting takes longer than drawing.
+    if (frame.x.length <= MANY || frame.r !== this.counted) this.near = closePairs(frame.x, about.safe_distance);
+    this.counted = frame.r;
     this.surface.clear();
     pen.lineJoin = "round";
     this.walls(about);
     if (this.layers.cells) this.cells(frame, about);
+    this.linked = [];
     if (this.layers.links) this.links(frame, about);
     if (this.layers.trails) this.trails(frame);
     if (this.layers.goals) this.goals(frame);
-    if (this.layers.safety) this.safety(frame, about);
+    this.ties(crowds, pixels);
+    this.tooClose();
     this.labels(frame);
     this.robots(frame);
+    if (this.layers.safety) this.safety(frame, about); // above the rims, which are wider where the picture is small
+    this.counts(crowds);
     this.ruler();
+    this.surface.canvas.dataset.scale = this.scale.toPrecision(4);
+    this.surface.canvas.dataset.near = String(this.near.length);
+  }
+
+  /** A disk that fanned out is tied to where its robot is. */
+  ties(crowds, pixels) {
+    const { pen } = this.surface;
+    pen.setLineDash([]);
+    pen.strokeStyle = theme().danger;
+    pen.lineWidth = 1.5;
+    for (const { members } of crowds) for (const k of members) this.surface.line(pixels[k], this.at[k]);
+  }
+
+  /** How many robots are in one place, in its middle. */
+  counts(crowds) {
+    const { pen } = this.surface;
+    pen.font = `700 11px ${FONT}`;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    for (const { members, middle } of crowds) {
+      const text = `${members.length}×`;
+      const wide = pen.measureText(text).width + 6;
+      pen.fillStyle = theme().danger;
+      pen.fillRect(middle[0] - wide / 2, middle[1] - 7, wide, 14);
+      pen.fillStyle = theme().paper;
+      pen.fillText(text, middle[0], middle[1] + 0.5);
+    }
+  }
+
+  /** Pairs nearer than the safe distance, in red. */
+  tooClose() {
+    const { pen } = this.surface;
+    pen.strokeStyle = theme().danger;
+    pen.lineWidth = 4;
+    pen.setLineDash([]);
+    for (const [one, other] of this.near) {
+      this.surface.line(this.at[one], this.at[other]);
+      for (const k of [one, other]) {
+        this.surface.circle(this.at[k], this.radius + 3);
+        pen.stroke();
+      }
+    }
   }
 
   walls(about) {
@@ -221,8 +198,6 @@ export class Arena {
     const [low, high] = about.arena;
     const [left, bottom] = this.pixel(low);
     const [right, top] = this.pixel(high);
-    pen.fillStyle = theme().paper;
-    pen.fillRect(left, top, right - left, bottom - top);
     pen.strokeStyle = theme().faint;
     pen.lineWidth = 1;
     pen.setLineDash([]);
@@ -258,6 +233,7 @@ export class Arena {
     const { pen } = this.surface;
     const silent = new Set([...frame.d, ...frame.z]);
     const pairs = links(frame.x, about.comm_range, silent);
+    this.linked = pairs;
     pen.strokeStyle = theme().soft;
     pen.globalAlpha = Math.max(0.06, Math.min(0.4, 30 / Math.sqrt(pairs.length + 1) / 10));
     pen.lineWidth = 1;
@@ -320,8 +296,8 @@ export class Arena {
 
   safety(frame, about) {
     const { pen } = this.surface;
-    pen.strokeStyle = theme().warn;
-    pen.lineWidth = 1;
+    pen.strokeStyle = theme().danger;
+    pen.lineWidth = 1.5;
     pen.setLineDash([3, 3]);
     for (const at of frame.x) {
       this.surface.circle(this.pixel(at), (about.safe_distance / 2) * this.scale);
@@ -339,22 +315,19 @@ export class Arena {
     const opened = new Set(frame.b);
     pen.textAlign = "center";
     pen.textBaseline = "middle";
-    frame.x.forEach((at, robot) => {
-      const [x, y] = this.pixel(at);
+    this.at.forEach(([x, y], robot) => {
       const { fill, ink, rim } = look(this.run, frame.p[robot]);
       this.surface.circle([x, y], this.radius);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
       pen.fill();
       if (few || this.selected.includes(robot)) {
-        pen.lineWidth = bent.has(robot) ? 3 : 1.5;
-        pen.strokeStyle = bent.has(robot) ? theme().warn : theme().ink;
-        pen.setLineDash(dash(rim));
-        pen.stroke();
-        pen.setLineDash([]);
-        if (this.selected.includes(robot)) this.ring(x, y);
-        if (opened.has(robot)) this.tag(x, y);
+        if (bent.has(robot)) bentRim(this.surface, x, y, this.radius);
+        planRim(this.surface, x, y, this.radius, rim);
+        if (this.selected.includes(robot)) chosenRing(this.surface, x, y, this.radius);
+        if (opened.has(robot)) breakerTag(this.surface, x, y, this.radius);
       }
       if (!few && !this.selected.includes(robot)) return;
+      if (this.radius < 6) return; // the label beside it has the number
       const size = Math.max(10, Math.min(16, this.radius * 1.05));
       pen.font = `600 ${size}px ${FONT}`;
       pen.fillStyle = dead.has(robot) || asleep.has(robot) ? theme().paper : ink;
@@ -362,49 +335,41 @@ export class Arena {
     });
   }
 
-  /** A square with a G at a robot whose circuit breaker is open: geometry answers for its model. */
-  tag(x, y) {
-    const { pen } = this.surface;
-    const half = Math.max(5, this.radius * 0.45);
-    const [left, top] = [x + this.radius * 0.75, y - this.radius * 0.75];
-    pen.fillStyle = theme().warn;
-    pen.fillRect(left - half, top - half, 2 * half, 2 * half);
-    pen.fillStyle = theme().paper;
-    pen.font = `700 ${Math.round(half * 1.6)}px ${FONT}`;
-    pen.fillText("G", left, top + 0.5);
-  }
-
   /** Letters of plans and influence, below all disks: where robots stand close, their numbers come first. */
   labels(frame) {
     const { pen } = this.surface;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
-    frame.x.forEach((at, robot) => {
-      if (frame.x.length > MANY && !this.selected.includes(robot)) return;
-      const [x, y] = this.pixel(at);
-      const { name } = look(this.run, frame.p[robot]);
-      const label = [this.layers.plans && name, this.layers.influence && frame.i[robot].toFixed(2)]
-        .filter(Boolean).join(" ");
-      if (!label) return;
+    const bent = new Set(frame.h);
+    this.at.forEach(([x, y], robot) => {
+      const chosen = this.selected.includes(robot);
+      if (this.at.length > MANY && !chosen) return;
+      const { name, fill, ink } = look(this.run, frame.p[robot]);
+      const above = y - this.radius - (chosen ? 19 : bent.has(robot) ? 14 : 10); // clear of the rings
+      const letters = this.layers.plans ? name : "";
+      const beside = [this.radius < 6 && String(robot), this.layers.influence && frame.i[robot].toFixed(2)].filter(Boolean).join(" ");
+      pen.font = `700 11px ${MONO}`;
+      const wide = letters ? pen.measureText(letters).width + 6 : 0;
+      if (letters) {
+        // On a tag in the plan's colour: no letter is taken for a stroke of the picture.
+        pen.fillStyle = fill;
+        pen.fillRect(x - wide / 2, above - 7, wide, 13);
+        pen.lineWidth = 1;
+        pen.strokeStyle = theme().paper;
+        pen.strokeRect(x - wide / 2, above - 7, wide, 13);
+        pen.fillStyle = ink;
+        pen.fillText(letters, x, above);
+      }
+      if (!beside) return;
       pen.font = `600 11px ${FONT}`;
+      pen.textAlign = "left";
       pen.lineWidth = 3;
       pen.strokeStyle = theme().paper;
-      const above = y - this.radius - (this.selected.includes(robot) ? 15 : 8); // clear of the ring
-      pen.strokeText(label, x, above);
+      pen.strokeText(beside, x + wide / 2 + 3, above);
       pen.fillStyle = theme().ink;
-      pen.fillText(label, x, above);
+      pen.fillText(beside, x + wide / 2 + 3, above);
+      pen.textAlign = "center";
     });
-  }
-
-  /** Marks a selected robot: a ring around the disk, apart from it so that no colour of a plan hides it. */
-  ring(x, y) {
-    const { pen } = this.surface;
-    for (const [wide, ink] of [[6, theme().paper], [3, theme().accent]]) {
-      this.surface.circle([x, y], this.radius + 5);
-      pen.lineWidth = wide;
-      pen.strokeStyle = ink;
-      pen.stroke();
-    }
   }
 
   /** A length to compare with. */
@@ -426,8 +391,4 @@ export class Arena {
     this.forget();
     this.surface.close();
   }
-}
-
-function between(one, other, part) {
-  return { ...one, x: one.x.map((at, k) => at.map((value, axis) => value + part * (other.x[k][axis] - value))) };
 }

@@ -11,6 +11,7 @@ export class Clock {
     this.listeners = new Set();
     this.pending = false;
     this.before = 0;
+    this.began = false;
   }
 
   attach(run) {
@@ -20,6 +21,11 @@ export class Clock {
   }
 
   grown(run) {
+    // A record plays from its start when it appears, unless the system asks for less motion.
+    if (run.about && !run.about.live && !this.held && !this.began) {
+      this.began = true;
+      this.playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    }
     if (run.fresh && this.grows(run)) {
       // A live run is followed from its first appearance on, until the user moves the cursor.
       this.following = !this.held;
@@ -103,7 +109,8 @@ export class Clock {
 
   live() {
     this.playing = false;
-    this.following = this.runs.some(this.grows);
+    this.began = true; // a record that is still being read does not play from its start any more
+    this.following = this.runs.some((run) => run.open); // its end is known once it has been read
     this.held = false;
     this.cursor = this.last;
     this.changed();

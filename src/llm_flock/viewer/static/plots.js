@@ -1,16 +1,20 @@
-// Small plots over rounds, linked to the cursor. Several runs are told apart by the stroke as well as by the colour.
-import { FONT, Surface, theme } from "llm-flock-viewer/surface.js";
+// Plots over rounds, linked to the cursor. Runs are told apart by colour and stroke, and a line says why it ends.
+import { FONT, Surface, side, theme } from "llm-flock-viewer/surface.js";
 
 const LEFT = 52;
-const RIGHT = 12;
-const STROKES = [[], [6, 3], [2, 3]];
+const RIGHT = 14;
+const LEAST = 150; // pixels that a chart needs to be read
+const LINE = 16; // pixels of a line of the legend
 
 export class Plots {
   constructor(element, runs, clock, options) {
     this.runs = runs;
     this.clock = clock;
     this.charts = options.charts;
-    this.surface = new Surface(element, `Plots over rounds: ${this.charts.map((chart) => chart.title).join(", ")}`, () => this.draw());
+    this.names = options.names;
+    element.style.minHeight = `${this.charts.length * (LEAST + (runs.length > 1 ? LINE : 0))}px`;
+    const titles = this.charts.map((chart) => chart.title).join(", ");
+    this.surface = new Surface(element, `Plots over rounds: ${titles}`, () => this.draw());
     this.forget = clock.listen(() => this.draw());
     const seek = (event) => {
       clock.playing = false;
@@ -29,50 +33,101 @@ export class Plots {
     this.charts.forEach((chart, k) => this.chart(chart, k * each, each));
   }
 
+  /** The lines of a chart: of one run they differ by colour, of two by the runs' colours and the figures' strokes. */
+  series(chart) {
+    const pair = this.runs.length > 1;
+    return chart.series.flatMap((one, s) => this.runs.map((run, r) => ({
+      run,
+      r,
+      values: run.figures[one.figure]?.values || [],
+      ink: pair ? side(r).ink : [theme().accent, theme().warn][s % 2],
+      stroke: pair ? (s ? [2, 3] : side(r).stroke) : [[], [6, 3]][s % 2],
+      name: [pair ? this.names[r] : "", one.name].filter(Boolean).join(" "),
+    })));
+  }
+
   chart(chart, top, room) {
     const { pen, width } = this.surface;
     const colours = theme();
-    const [y0, y1] = [top + room - 14, top + 22];
-    const span = Math.max(1, this.clock.last);
-    const x = (round) => LEFT + (round / span) * (width - LEFT - RIGHT);
-    const series = chart.series.flatMap((one, s) =>
-      this.runs.map((run, r) => ({ ...one, values: run.figures[one.figure]?.values || [], stroke: s + r, run })));
-    const edge = chart.edge && this.runs[0].about ? this.runs[0].about[chart.edge] : null;
-    let high = edge || 0;
-    for (const one of series) for (const value of one.values) if (value > high) high = value;
-    if (chart.edge && edge) high = Math.min(high, 6 * edge);
-    high = high > 0 ? high * 1.08 : 1;
-    const y = (value) => y0 - (Math.min(value, high) / high) * (y0 - y1);
-    pen.font = `600 12px ${FONT}`;
+    const series = this.series(chart);
+    pen.font = `600 13px ${FONT}`;
     pen.textAlign = "left";
     pen.textBaseline = "middle";
     pen.fillStyle = colours.ink;
-    pen.fillText(chart.title, 4, top + 10);
-    pen.strokeStyle = colours.grid;
+    pen.fillText(chart.title, 4, top + 12);
+    const lines = this.legend(series, top + 12, pen.measureText(chart.title).width + 24);
+    const [y0, y1] = [top + room - 20, top + 24 + lines * LINE];
+    const span = Math.max(1, this.clock.last);
+    const x = (round) => LEFT + (round / span) * (width - LEFT - RIGHT);
+    const edge = chart.edge && this.runs[0].about ? this.runs[0].about[chart.edge] : null;
+    let high = edge || 0;
+    for (const one of series) for (const value of one.values) if (value > high) high = value;
+    if (edge) high = Math.min(high, 6 * edge);
+    high = high > 0 ? high * 1.08 : 1;
+    const y = (value) => y0 - (Math.min(value, high) / high) * (y0 - y1);
+    this.frame(x, y, y0, y1, high, span);
+    if (edge) {
+      pen.strokeStyle = pen.fillStyle = colours.danger;
+      pen.setLineDash([4, 3]);
+      this.surface.line([LEFT, y(edge)], [width - RIGHT, y(edge)]);
+      pen.setLineDash([]);
+      pen.textAlign = "right";
+      pen.fillText("safe distance", width - RIGHT - 4, y(edge) + 8);
+    }
+    pen.lineWidth = 1.8;
+    for (const one of series) {
+      this.curve(one, x, y);
+      this.end(one, x, y);
+    }
+    pen.setLineDash([]);
+    pen.strokeStyle = colours.accent;
+    pen.lineWidth = 1.5;
+    this.surface.line([x(this.clock.round), y0], [x(this.clock.round), y1]);
+  }
+
+  frame(x, y, y0, y1, high, span) {
+    const { pen, width } = this.surface;
+    pen.strokeStyle = theme().grid;
     pen.lineWidth = 1;
     pen.setLineDash([]);
     pen.strokeRect(LEFT, y1, width - LEFT - RIGHT, y0 - y1);
+    this.surface.line([LEFT, y(high / 2)], [width - RIGHT, y(high / 2)]);
     pen.font = `11px ${FONT}`;
-    pen.fillStyle = colours.soft;
+    pen.fillStyle = theme().soft;
     pen.textAlign = "right";
-    pen.fillText(short(high), LEFT - 4, y1 + 4);
-    pen.fillText("0", LEFT - 4, y0 - 3);
-    if (edge) {
-      pen.strokeStyle = colours.warn;
-      pen.setLineDash([4, 3]);
-      this.surface.line([LEFT, y(edge)], [width - RIGHT, y(edge)]);
-    }
-    const inks = [colours.accent, colours.warn, colours.ink];
-    pen.lineWidth = 1.8;
-    for (const one of series) this.curve(one, x, y, inks[one.stroke % 3]);
-    pen.setLineDash([]);
-    this.cursor(chart, series, x, y0, y1, top, inks);
+    for (const [value, at] of [[high, y1 + 4], [high / 2, y(high / 2)], [0, y0 - 3]]) pen.fillText(short(value), LEFT - 4, at);
+    pen.textAlign = "left";
+    pen.fillText("0", LEFT, y0 + 9);
+    pen.textAlign = "right";
+    pen.fillText(`round ${span}`, x(span), y0 + 9);
   }
 
-  curve(one, x, y, ink) {
+  /** Names and values at the cursor, above the lines; returns in how many lines below the title's. */
+  legend(series, first, used) {
+    const { pen, width } = this.surface;
+    pen.font = `12px ${FONT}`;
+    let [left, line] = [used, 0];
+    for (const one of series) {
+      const value = one.values[Math.min(this.clock.round, one.values.length - 1)];
+      const text = `${one.name ? `${one.name} ` : ""}${value === undefined || Number.isNaN(value) ? "–" : short(value)}`;
+      const wide = pen.measureText(text).width + 40;
+      if (left + wide > width - 4 && left > 4) [left, line] = [4, line + 1];
+      const y = first + line * LINE;
+      pen.strokeStyle = pen.fillStyle = one.ink;
+      pen.lineWidth = 2;
+      pen.setLineDash(one.stroke);
+      this.surface.line([left, y], [left + 22, y]);
+      pen.setLineDash([]);
+      pen.fillText(text, left + 26, y);
+      left += wide;
+    }
+    return line;
+  }
+
+  curve(one, x, y) {
     const { pen } = this.surface;
-    pen.strokeStyle = ink;
-    pen.setLineDash(STROKES[one.stroke % 3]);
+    pen.strokeStyle = one.ink;
+    pen.setLineDash(one.stroke);
     pen.beginPath();
     let down = false;
     let before = -Infinity;
@@ -90,27 +145,23 @@ export class Plots {
     pen.stroke();
   }
 
-  cursor(chart, series, x, y0, y1, top, inks) {
-    const { pen, width } = this.surface;
-    const round = this.clock.round;
-    pen.strokeStyle = theme().accent;
+  /** Where a line stops before the others: ✓ if its run had formed, × if not. The words are above the plots. */
+  end(one, x, y) {
+    const { pen } = this.surface;
+    const { run, values } = one;
+    const value = values[values.length - 1];
+    if (run.open || run.last >= this.clock.last || value === undefined || Number.isNaN(value)) return;
+    const formed = run.outcome && run.outcome.tone === "good";
+    pen.setLineDash([]);
+    pen.font = `700 13px ${FONT}`;
+    pen.textAlign = "center";
+    pen.fillStyle = theme().paper;
+    this.surface.circle([x(run.last), y(value)], 7);
+    pen.fill();
+    pen.fillStyle = pen.strokeStyle = one.ink;
     pen.lineWidth = 1.5;
-    this.surface.line([x(round), y0], [x(round), y1]);
-    let right = width - RIGHT;
-    pen.textAlign = "right";
-    for (const one of [...series].reverse()) {
-      const value = one.values[Math.min(round, one.values.length - 1)];
-      const text = `${one.name ? `${one.name} ` : ""}${value === undefined || Number.isNaN(value) ? "–" : short(value)}`;
-      pen.fillStyle = inks[one.stroke % 3];
-      pen.fillText(text, right, top + 10);
-      const wide = pen.measureText(text).width;
-      pen.strokeStyle = inks[one.stroke % 3];
-      pen.lineWidth = 2;
-      pen.setLineDash(STROKES[one.stroke % 3]);
-      this.surface.line([right - wide - 20, top + 10], [right - wide - 5, top + 10]);
-      pen.setLineDash([]);
-      right -= wide + 30;
-    }
+    pen.stroke();
+    pen.fillText(formed ? "✓" : "×", x(run.last), y(value) + 0.5);
   }
 
   close() {

@@ -27,8 +27,9 @@ class Column {
 }
 
 export class Recording {
-  constructor(key) {
+  constructor(key, held = null) {
     this.key = key;
+    this.held = held;
     this.about = null;
     this.last = -1;
     this.open = true;
@@ -38,6 +39,10 @@ export class Recording {
     this.missions = [];
     this.marks = new Map();
     this.figures = {};
+    this.extent = [];
+    this.formation = [];
+    this.outcome = null;
+    this.steer = null;
     this.frames = new Map();
     this.asked = new Set();
     this.grown = () => {};
@@ -48,6 +53,7 @@ export class Recording {
   }
 
   async get(path) {
+    if (this.held) return this.held(path); // a page that holds its run
     const answer = await fetch(`/data/${this.key}/${path}`, { credentials: "same-origin" });
     if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
     return answer.json();
@@ -81,7 +87,12 @@ export class Recording {
     this.missions.push(...news.missions);
     for (const [name, values] of Object.entries(news.figures)) (this.figures[name] ||= new Column()).push(values);
     for (const [round, counts] of Object.entries(news.marks)) this.marks.set(Number(round), counts);
-    const grew = news.last > this.last || news.open !== this.open || news.failure !== this.failure;
+    this.extent = news.extent;
+    this.formation = news.formation;
+    this.outcome = news.outcome;
+    const steered = JSON.stringify(news.steer) !== JSON.stringify(this.steer);
+    this.steer = news.steer;
+    const grew = steered || news.last > this.last || news.open !== this.open || news.failure !== this.failure;
     this.last = news.last;
     this.open = news.open;
     this.failure = news.failure;

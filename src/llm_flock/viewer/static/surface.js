@@ -1,9 +1,9 @@
 // A canvas as sharp as the screen, redrawn when its size or the page's colours change.
 
 const DARK = { ink: "#e8eaed", soft: "#a9afb8", faint: "#5b6470", grid: "#2b323b", paper: "#12161b",
-  warn: "#ff8b4d", accent: "#5ab0ee", none: "#2b323b" };
+  warn: "#ff8b4d", accent: "#5ab0ee", none: "#2b323b", danger: "#ff6b6b", bent: "#ffb000", good: "#56d364" };
 const LIGHT = { ink: "#1d232a", soft: "#56606b", faint: "#9aa3ad", grid: "#e3e6ea", paper: "#ffffff",
-  warn: "#c2410c", accent: "#0063a8", none: "#ffffff" };
+  warn: "#c2410c", accent: "#0063a8", none: "#ffffff", danger: "#c81e1e", bent: "#ffb000", good: "#1a7f37" };
 
 export const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
 
@@ -13,6 +13,11 @@ function isDark() {
 
 export function theme() {
   return isDark() ? DARK : LIGHT;
+}
+
+/** How the runs of a page are told apart: by a colour and by a stroke. */
+export function side(k) {
+  return { ink: [theme().accent, theme().warn][k % 2], stroke: [[], [7, 4]][k % 2] };
 }
 
 /** A plan's look; without one a white disk with a dotted rim. */
@@ -93,6 +98,24 @@ export class Surface {
     });
     canvas.addEventListener("pointermove", (event) => (dragging ? drag : hover)(event));
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { dragging = false; });
+  }
+
+  /** Words beside the pointer; null takes them away, as does Escape. */
+  tip(text, x = 0, y = 0) {
+    if (!this.words && text) {
+      this.words = document.createElement("div");
+      this.words.className = "flock-tip";
+      this.words.setAttribute("role", "tooltip");
+      this.element.append(this.words);
+      document.addEventListener("keydown", (event) => { if (event.key === "Escape") this.tip(null); });
+    }
+    if (!this.words) return;
+    this.words.hidden = !text;
+    if (!text) return;
+    this.words.textContent = text;
+    const wide = this.words.offsetWidth;
+    this.words.style.left = `${Math.max(2, Math.min(this.width - wide - 2, x + 12))}px`;
+    this.words.style.top = `${y > this.height / 2 ? y - this.words.offsetHeight - 8 : y + 18}px`;
   }
 
   close() {

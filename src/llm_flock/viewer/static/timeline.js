@@ -1,40 +1,22 @@
-// Rounds from left to right, with marks for events, and the cursor.
-import { FONT, Surface, theme } from "llm-flock-viewer/surface.js";
+// Rounds from left to right, with marks for events, missions, when they were formed, and the cursor.
+import { FONT, Surface, side, theme } from "llm-flock-viewer/surface.js";
 
-const LEFT = 64;
+const LEFT = 72;
 const RIGHT = 14;
 const AXIS = 20;
 
 export class Timeline {
-  constructor(element, runs, clock, options, emit) {
+  constructor(element, runs, clock, options) {
     this.runs = runs;
     this.clock = clock;
     this.tracks = options.tracks;
-    this.emit = emit;
-    const label = "Time line: rounds and what happened in them. Left and right arrows step.";
-    this.surface = new Surface(element, label, () => this.draw());
+    this.names = options.names;
+    this.surface = new Surface(element, "Round", () => this.draw());
     this.surface.canvas.setAttribute("role", "slider");
     this.forget = clock.listen(() => this.draw());
-    this.sent = null;
     this.surface.drag((event) => this.jump(event, true), (event) => this.jump(event, false), (event) => this.hover(event));
-    this.keys = (event) => this.key(event);
-    document.addEventListener("keydown", this.keys);
+    this.surface.canvas.addEventListener("pointerleave", () => this.surface.tip(null));
     this.surface.fit();
-  }
-
-  /** Keys of the whole page, except where another control has the focus. */
-  key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
-    if (event.target.closest("input, textarea, select, [role=tab], [role=listbox], [contenteditable]")) return;
-    if (event.key === " " && event.target.closest("button, a, [role=checkbox], [role=button]")) return;
-    const { clock } = this;
-    const acts = {
-      " ": () => clock.toggle(), ArrowLeft: () => clock.step(-1), ArrowRight: () => clock.step(1),
-      Home: () => clock.seek(0), End: () => clock.live(),
-    };
-    if (!acts[event.key]) return;
-    acts[event.key]();
-    event.preventDefault();
   }
 
   get span() {
@@ -51,9 +33,8 @@ export class Timeline {
   }
 
   track(y) {
-    const rows = this.tracks.length;
-    const k = Math.floor((y / (this.surface.height - AXIS)) * rows);
-    return this.tracks[k] ? this.tracks[k].name : null;
+    const k = Math.floor((y / (this.surface.height - AXIS)) * this.tracks.length);
+    return this.tracks[k] || null;
   }
 
   /** The round of the nearest mark of a track within a finger's width, or the round itself. */
@@ -66,7 +47,7 @@ export class Timeline {
     for (const run of this.runs) {
       for (const [number, counts] of run.marks) {
         const far = Math.abs(this.x(number) - x);
-        if (counts[track] && far < nearest) [best, nearest] = [number, far];
+        if (counts[track.name] && far < nearest) [best, nearest] = [number, far];
       }
     }
     return best;
@@ -78,8 +59,21 @@ export class Timeline {
   }
 
   hover(event) {
-    const track = this.tracks.find((one) => one.name === this.track(event.offsetY));
-    this.surface.canvas.title = track ? `${track.name}: ${track.about}` : "";
+    const track = this.track(event.offsetY);
+    this.surface.tip(track ? this.words(track, event.offsetX, event.offsetY) : null, event.offsetX, event.offsetY);
+  }
+
+  /** A track, or what happened in the round of the nearest mark, in words. */
+  words(track, x, y) {
+    if (x < LEFT - 6) return `${track.name}: ${track.about}`;
+    const round = this.near(x, y);
+    const counted = this.runs.map((run, k) => {
+      const count = (run.marks.get(round) || {})[track.name];
+      return count ? `${this.runs.length > 1 ? `${this.names[k]}: ` : ""}${count} × ${track.name}` : null;
+    }).filter(Boolean);
+    const missions = this.runs.flatMap((run) => run.missions.filter((one) => one.round === round && round > 0));
+    const given = missions.length ? [`another mission: ${missions[0].text}`] : [];
+    return [`Round ${round}`, ...counted, ...given].join(" · ") + (counted.length ? ` (${track.about})` : "");
   }
 
   draw() {
@@ -87,8 +81,7 @@ export class Timeline {
     if (!width) return;
     const colours = theme();
     this.surface.clear();
-    const rows = this.tracks.length;
-    const row = (height - AXIS) / rows;
+    const row = (height - AXIS) / this.tracks.length;
     pen.font = `11px ${FONT}`;
     pen.textBaseline = "middle";
     this.tracks.forEach((track, k) => {
@@ -99,8 +92,9 @@ export class Timeline {
       pen.strokeStyle = colours.grid;
       pen.lineWidth = 1;
       this.surface.line([LEFT, y], [width - RIGHT, y]);
-      this.marks(track, y, Math.min(5, row / 2 - 1));
+      this.runs.forEach((run, r) => this.marks(track, run, r, y, row));
     });
+    this.runs.forEach((run, r) => this.missions(run, r, height - AXIS));
     this.axis(height - AXIS);
     const x = this.x(Math.min(this.clock.cursor, this.span));
     pen.strokeStyle = colours.accent;
@@ -110,47 +104,60 @@ export class Timeline {
     canvas.setAttribute("aria-valuemin", "0");
     canvas.setAttribute("aria-valuemax", String(this.clock.last));
     canvas.setAttribute("aria-valuenow", String(this.clock.round));
-    this.send();
   }
 
-  /** Send the cursor to the server, which renders the text beside it; no more often than text can be read. */
-  send() {
-    const { clock } = this;
-    const now = {
-      round: clock.round, last: clock.last, playing: clock.playing, following: clock.following,
-      open: this.runs.some((run) => run.open), failure: this.runs.map((run) => run.failure).find(Boolean) || "",
-    };
-    const text = JSON.stringify(now);
-    if (text === this.sent || this.waiting) return;
-    this.waiting = true;
-    setTimeout(() => {
-      this.waiting = false;
-      const late = JSON.stringify({ ...now, round: clock.round, last: clock.last });
-      if (late !== text) return this.send();
-      this.sent = text;
-      this.emit("cursor", now);
-      // A message from before the page is connected is lost: send it once more, if it still holds.
-      setTimeout(() => { if (this.sent === text) this.emit("cursor", now); }, 1000);
-      return undefined;
-    }, clock.playing || clock.following ? 0 : 60);
-  }
-
-  marks(track, y, size) {
+  /** Marks of one run; of two runs, the first has the upper half of each row and the second the lower. */
+  marks(track, run, r, y, row) {
     const { pen } = this.surface;
     const colours = theme();
-    pen.fillStyle = pen.strokeStyle = track.name === "faults" ? colours.warn : colours.ink;
+    const pair = this.runs.length > 1;
+    const at = pair ? y + (r ? 0.24 : -0.24) * row : y;
+    const size = pair ? Math.min(3.5, row / 4) : Math.min(5, row / 2 - 1);
+    const bad = track.name === "faults" || track.mark === "pair";
+    pen.fillStyle = pen.strokeStyle = pair ? side(r).ink : track.mark === "pair" ? colours.danger : bad ? colours.warn : colours.ink;
     pen.lineWidth = 1.5;
     let before = -Infinity;
-    for (const run of this.runs) {
-      for (const [round, counts] of run.marks) {
-        if (!counts[track.name]) continue;
-        const x = this.x(round);
-        if (Math.abs(x - before) < 1.5) continue;
-        before = x;
-        mark(this.surface, track.mark, x, y, size);
-      }
-      before = -Infinity;
+    for (const [round, counts] of run.marks) {
+      if (!counts[track.name]) continue;
+      const x = this.x(round);
+      if (Math.abs(x - before) < 1.5) continue;
+      before = x;
+      mark(this.surface, track.mark, x, at, size);
     }
+  }
+
+  /** Where missions begin, where they are formed, and where a run ends before the other one. */
+  missions(run, r, bottom) {
+    const { pen } = this.surface;
+    const pair = this.runs.length > 1;
+    const parts = run.outcome ? run.outcome.missions : [];
+    pen.font = `700 11px ${FONT}`;
+    parts.forEach((part, k) => {
+      if (k) {
+        pen.strokeStyle = pair ? side(r).ink : theme().soft;
+        pen.lineWidth = 1;
+        pen.setLineDash([2, 2]);
+        this.surface.line([this.x(part.first), 0], [this.x(part.first), bottom]);
+        pen.setLineDash([]);
+      }
+      if (part.formed !== null) this.sign("✓", this.x(part.formed), bottom, pair ? side(r).ink : theme().good, r);
+    });
+    if (run.open || run.last >= this.clock.last) return;
+    pen.strokeStyle = side(r).ink;
+    pen.lineWidth = 2;
+    this.surface.line([this.x(run.last), bottom - 6], [this.x(run.last), bottom + 4]);
+  }
+
+  sign(text, x, bottom, ink, r) {
+    const { pen } = this.surface;
+    pen.strokeStyle = ink;
+    pen.lineWidth = 1.5;
+    this.surface.line([x, 0], [x, bottom]);
+    pen.fillStyle = theme().paper;
+    pen.fillRect(x - 6, bottom - 13 - 13 * r, 12, 13);
+    pen.fillStyle = ink;
+    pen.textAlign = "center";
+    pen.fillText(text, x, bottom - 6 - 13 * r);
   }
 
   axis(y) {
@@ -159,6 +166,7 @@ export class Timeline {
     const rough = this.span / room;
     const power = 10 ** Math.floor(Math.log10(Math.max(1, rough)));
     const by = Math.max(1, power * ([1, 2, 5, 10].find((k) => k * power >= rough) || 10));
+    pen.font = `11px ${FONT}`;
     pen.fillStyle = theme().soft;
     pen.textAlign = "left";
     pen.fillText("round", 4, y + 12);
@@ -167,30 +175,37 @@ export class Timeline {
   }
 
   close() {
-    document.removeEventListener("keydown", this.keys);
     this.forget();
     this.surface.close();
   }
 }
 
+const PATHS = {
+  diamond: [[0, -1], [1, 0], [0, 1], [-1, 0]],
+  triangle: [[0, -1], [1, 0.9], [-1, 0.9]],
+  square: [[-0.85, -0.85], [0.85, -0.85], [0.85, 0.85], [-0.85, 0.85]],
+  bolt: [[0.3, -1.2], [-0.8, 0.2], [0, 0.2], [-0.3, 1.2], [0.8, -0.2], [0, -0.2]],
+  flag: [[-0.7, -1.1], [0.9, -0.5], [-0.4, 0.1], [-0.4, 1.1], [-0.7, 1.1]],
+};
+
 function mark(surface, shape, x, y, r) {
-  const paths = {
-    diamond: [[0, -1], [1, 0], [0, 1], [-1, 0]],
-    triangle: [[0, -1], [1, 0.9], [-1, 0.9]],
-    square: [[-0.85, -0.85], [0.85, -0.85], [0.85, 0.85], [-0.85, 0.85]],
-    bolt: [[0.3, -1.2], [-0.8, 0.2], [0, 0.2], [-0.3, 1.2], [0.8, -0.2], [0, -0.2]],
-    flag: [[-0.7, -1.1], [0.9, -0.5], [-0.4, 0.1], [-0.4, 1.1], [-0.7, 1.1]],
-  };
   if (shape === "cross") {
     surface.pen.beginPath();
-    for (const side of [-0.8, 0.8]) {
-      surface.pen.moveTo(x + side * r, y - 0.8 * r);
-      surface.pen.lineTo(x - side * r, y + 0.8 * r);
+    for (const way of [-0.8, 0.8]) {
+      surface.pen.moveTo(x + way * r, y - 0.8 * r);
+      surface.pen.lineTo(x - way * r, y + 0.8 * r);
     }
     surface.pen.stroke();
     return;
   }
+  if (shape === "pair") {
+    for (const way of [-0.55, 0.55]) {
+      surface.circle([x + way * r, y], r * 0.7);
+      surface.pen.stroke();
+    }
+    return;
+  }
   if (shape === "circle") surface.circle([x, y], r * 0.8);
-  else surface.polygon(paths[shape].map(([a, b]) => [x + a * r, y + b * r]));
+  else surface.polygon(PATHS[shape].map(([a, b]) => [x + a * r, y + b * r]));
   surface.pen.fill();
 }

@@ -1,0 +1,329 @@
+"""Ask one question: through the planner of a robot, with its prompts, parsers and checks, and score the answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from llm_flock.errors import ModelError
+from llm_flock.exam.questions import WORDS, Question
+from llm_flock.exam.score import (
+    Marks,
+    objection_to_plan,
+    objection_to_step,
+    plan_marks,
+    shortfall,
+    step_marks,
+    word_marks,
+)
+from llm_flock.llm.answer_forms import REASONING
+from llm_flock.llm.frame import FrameName, frame_plan, frame_step
+from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.planner import LanguagePlanner
+from llm_flock.llm.port import Attempt, AttemptSink, Call, LanguageModel, Reply
+from llm_flock.llm.prompt_values import place_text
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.mission import Mission
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.viewer.mission_text import mission_call
+
+SCRIPT = "exam:script"
+"""Name of the model of answers that are put into a model's mouth."""
+
+SAID = "I have worked it out."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """The result of one question, once: a line of a result file.
+
+    Attributes:
+        question: its id.
+        repeat: 0 for the first time that it was asked.
+        tries: reasons that the model was given before its answer was right, 0 for none; None if it never was.
+        readable: whether the first answer could be read.
+        flyable: whether a robot would fly the first answer, clipped if need be; for words, whether nobody would be
+            shown a wrong mission.
+        error: of the first answer, as in `Marks`.
+        degrees: of the first answer, as in `Marks`.
+        separation: of the first answer, as in `Marks`.
+        seconds: from asking to the last answer, waits for faults of the provider included [s].
+        cost_usd: [US dollars]; None where the price is not known.
+        cause: kind of the fault where no answer came (`timeout`, ...), None otherwise.
+        reason: what was wrong with the first answer, None if nothing was.
+    """
+
+    question: str
+    section: str
+    tags: tuple[str, ...]
+    n: int
+    distance: float | None
+    repeat: int
+    tries: int | None
+    readable: bool
+    flyable: bool
+    error: float | None = None
+    degrees: float | None = None
+    separation: bool | None = None
+    calls: int
+    tokens_input: int
+    tokens_output: int
+    seconds: float
+    cost_usd: float | None
+    cause: str | None = None
+    reason: str | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class Asked:
+    """What came back for a question; one list entry for each robot that was asked.
+
+    Attributes:
+        answers: accepted answers.
+        attempts: calls of the model, without those that were scripted.
+        first: the first answer that could be read at first ask.
+        reasons: why first answers were refused.
+    """
+
+    answers: list[PlanAnswer | StepAnswer | NoAnswer] = field(default_factory=list[PlanAnswer | StepAnswer | NoAnswer])
+    attempts: list[list[Attempt]] = field(default_factory=list[list[Attempt]])
+    first: PlanAnswer | StepAnswer | None = None
+    reasons: list[str] = field(default_factory=list[str])
+
+
+class Scripted:
+    """A `LanguageModel` that gives fixed answers first, and asks another one from then on."""
+
+    def __init__(self, model: LanguageModel, texts: tuple[str, ...]) -> None:
+        self.name = model.name
+        self._model = model
+        self._texts = list(texts)
+
+    async def ask(self, call: Call) -> Reply:
+        """The next fixed answer, or the model's own."""
+        if self._texts:
+            return Reply(text=self._texts.pop(0), model=SCRIPT, cost_usd=0.0)
+        return await self._model.ask(call)
+
+
+class Invigilator:
+    """Asks questions of one model with one set of prompts.
+
+    Args:
+        prompts: renders the questions.
+        frame: coordinates of the prompts.
+        max_retries: rejected answers that are sent back with the reason.
+        sink: receives every call of the model, for a recording.
+    """
+
+    def __init__(
+        self, prompts: PromptSet, frame: FrameName, *, max_retries: int = 2, sink: AttemptSink = lambda _: None
+    ) -> None:
+        self._prompts = prompts
+        self._frame: FrameName = frame
+        self._retries = max_retries
+        self._sink = sink
+
+    async def ask(self, question: Question, model: LanguageModel | None, round_: int, repeat: int = 0) -> Outcome:
+        """Ask a question, and score what comes back.
+
+        Args:
+            question: the question.
+            model: who is asked; None asks geometry.
+            round_: a number that tells its calls from those of all other questions in a recording.
+            repeat: how often it was asked before.
+        """
+        if question.section == WORDS:
+            assert model is not None, "geometry cannot read"
+            return await self._ask_words(question, model, round_, repeat)
+        mission = question.build_mission()
+        asked = Asked()
+        for robot in question.robots:
+            await self._ask_robot(question, mission, robot, model, round_, asked)
+        return _outcome(question, mission, asked, repeat)
+
+    async def _ask_robot(
+        self, question: Question, mission: Mission, robot: int, model: LanguageModel | None, round_: int, asked: Asked
+    ) -> None:
+        """Ask one robot's question through its planner."""
+        attempts: list[Attempt] = []
+        asked.attempts.append(attempts)
+        scripted = 0 if question.first is None else 1
+        seen: list[PlanAnswer | StepAnswer] = []
+
+        def note(attempt: Attempt) -> None:
+            self._sink(attempt)
+            if attempt.model == SCRIPT:
+                seen.clear()
+                return
+            attempts.append(attempt)
+            if len(attempts) == 1:
+                # The checks have seen the answer by now, if it could be read.
+                asked.first = asked.first or next(iter(seen), None)
+                asked.reasons += [] if attempt.rejected is None else [attempt.rejected]
+
+        plan_question = question.plan_question(mission, robot, round_) if question.asks_plan else None
+        step_question = None if question.asks_plan else question.step_question(mission, round_)
+
+        def check_plan(given: PlanQuestion, answer: PlanAnswer) -> str | None:
+            if given is plan_question:
+                seen.append(answer)
+            # Which place robots choose is asked apart from whether their plans are right.
+            return None if question.section == "place" else objection_to_plan(given, answer)
+
+        def check_step(given: StepQuestion, answer: StepAnswer) -> str | None:
+            if given is step_question:
+                seen.append(answer)
+            return objection_to_step(given, answer)
+
+        if model is None:
+            answer = await _by_geometry(plan_question, step_question)
+            asked.first = asked.first or (None if isinstance(answer, NoAnswer) else answer)
+            asked.answers.append(_checked(answer, plan_question, step_question, question))
+        else:
+            script = self._script(question, mission, robot, round_)
+            with_history = question.own is not None and self._frame == "world"
+            planner = LanguagePlanner(
+                robot,
+                Scripted(model, script),
+                self._prompts,
+                max_retries=self._retries + scripted,
+                history=None if with_history else 0,
+                on_attempt=note,
+                check_plan=check_plan,
+                check_step=check_step,
+                frame=self._frame,
+            )
+            if with_history:
+                await planner.plan(question.plan_question(mission, robot, round_))
+            if plan_question is not None:
+                asked.answers.append(await planner.plan(plan_question))
+            elif step_question is not None:
+                asked.answers.append(await planner.step(step_question))
+
+    def _script(self, question: Question, mission: Mission, robot: int, round_: int) -> tuple[str, ...]:
+        """The answers to put into the model's mouth, in the frame and the form of the prompts."""
+        if question.own is not None and self._frame == "world":
+            return (self._plan_text(question.own, question, mission, robot, round_),)
+        if question.first is None:
+            return ()
+        if "text" in question.first:
+            return (question.first["text"],)
+        if "plan" in question.first:
+            return (self._plan_text(question.first, question, mission, robot, round_),)
+        framed = frame_step(question.step_question(mission, round_), self._frame).frame
+        waypoint = question.first["waypoint"]
+        place = place_text(waypoint if framed is None else framed.rounded(waypoint))
+        return (self._worded(f"Position: {place}", {"position": json.loads(place)}),)
+
+    def _plan_text(self, said: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int) -> str:
+        framed = frame_plan(question.plan_question(mission, robot, round_), self._frame).frame
+        rows = said["plan"] if framed is None else [framed.rounded(point) for point in said["plan"]]
+        plan = f"[{', '.join(map(place_text, rows))}]"
+        lines = f"Plan: {plan}\nmy plan: {said['slot']}"
+        return self._worded(lines, {"plan": json.loads(plan), "my_plan": said["slot"]})
+
+    def _worded(self, lines: str, fields: dict[str, Any]) -> str:
+        """An answer in the form that the prompts ask for."""
+        if self._prompts.json:
+            return json.dumps({REASONING: SAID, **fields} if self._prompts.reasons else fields)
+        return f"{SAID}\n\n{lines}" if self._prompts.reasons else lines
+
+    async def _ask_words(self, question: Question, model: LanguageModel, round_: int, repeat: int) -> Outcome:
+        """Ask for a mission in plain words: once, as the cockpit does."""
+        assert question.words is not None
+        call = replace(mission_call(question.words), round=round_)
+        try:
+            reply = await model.ask(call)
+        except ModelError as error:
+            attempt = Attempt(call=call, model=error.model or model.name, error=(error.kind, error.detail))
+            attempt = replace(attempt, faults=error.faults)
+            self._sink(attempt)
+            return _scored(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
+        marks = word_marks(question, reply.text)
+        attempt = Attempt(call=call, model=reply.model, reply=reply, rejected=marks.reason, latency_s=reply.latency_s)
+        self._sink(attempt)
+        tries = 0 if marks.reason is None else None
+        scored = _scored(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
+        return replace(scored, readable=marks.read, flyable=marks.safe)
+
+
+async def _by_geometry(plan: PlanQuestion | None, step: StepQuestion | None) -> PlanAnswer | StepAnswer | NoAnswer:
+    planner = GeometryPlanner()
+    if plan is not None:
+        return await planner.plan(plan)
+    assert step is not None
+    return await planner.step(step)
+
+
+def _checked(
+    answer: PlanAnswer | StepAnswer | NoAnswer,
+    plan: PlanQuestion | None,
+    step: StepQuestion | None,
+    question: Question,
+) -> PlanAnswer | StepAnswer | NoAnswer:
+    """An answer of geometry after the checks that a model's answer goes through."""
+    reason = None
+    if isinstance(answer, PlanAnswer) and plan is not None and question.section != "place":
+        reason = objection_to_plan(plan, answer)
+    elif isinstance(answer, StepAnswer) and step is not None:
+        reason = objection_to_step(step, answer)
+    return answer if reason is None else NoAnswer(cause="answer", reason=reason)
+
+
+def _outcome(question: Question, mission: Mission, asked: Asked, repeat: int) -> Outcome:
+    """The score of a question for a plan or a step."""
+    usable = [answer for answer in asked.answers if not isinstance(answer, NoAnswer)]
+    failed = [answer for answer in asked.answers if isinstance(answer, NoAnswer)]
+    cause = next((answer.cause for answer in failed if answer.cause != "answer"), None)
+    reason = next(iter(asked.reasons), None) or next((answer.reason for answer in failed), None)
+    tries: int | None = None
+    if not failed:
+        lacking = shortfall(question, mission, usable)
+        reason = reason or lacking
+        if lacking is None:
+            tries = max((max(0, len(attempts) - 1) for attempts in asked.attempts), default=0)
+    marks = None
+    if isinstance(asked.first, PlanAnswer):
+        marks = plan_marks(question, mission, asked.first)
+    elif asked.first is not None:
+        marks = step_marks(question, mission, asked.first)
+    attempts = [attempt for robot in asked.attempts for attempt in robot]
+    return _scored(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
+
+
+def _scored(
+    question: Question,
+    repeat: int,
+    attempts: list[Attempt],
+    *,
+    tries: int | None,
+    marks: Marks | None,
+    cause: str | None,
+    reason: str | None,
+) -> Outcome:
+    replies = [attempt.reply for attempt in attempts if attempt.reply is not None]
+    costs = [reply.cost_usd for reply in replies]
+    return Outcome(
+        question=question.id,
+        section=question.section,
+        tags=question.tags,
+        n=question.n,
+        distance=question.distance,
+        repeat=repeat,
+        tries=tries,
+        readable=marks is not None,
+        flyable=marks is not None and marks.flyable,
+        error=None if marks is None or marks.error is None else round(marks.error, 4),
+        degrees=None if marks is None or marks.degrees is None else round(marks.degrees, 2),
+        separation=None if marks is None else marks.separation,
+        calls=len(attempts),
+        tokens_input=sum(reply.usage.input for reply in replies),
+        tokens_output=sum(reply.usage.output for reply in replies),
+        seconds=round(sum(attempt.latency_s for attempt in attempts), 4),
+        cost_usd=None if None in costs else sum(cost for cost in costs if cost is not None),
+        cause=cause,
+        reason=None if reason is None else reason[:300],
+    )

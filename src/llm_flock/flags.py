@@ -1,0 +1,77 @@
+"""Input errors in the words of the command line: the flag as it was typed, in place of the field that it sets."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from typing import Any, cast
+
+import typer
+from typer.core import TyperArgument, TyperCommand, TyperGroup
+
+from llm_flock.errors import MOST_SHOWN, FieldError, InputError
+from llm_flock.printable import one_line
+
+_FROM_FILE = "--config"
+
+
+class FlagErrors(TyperGroup):
+    """A group of commands whose input errors name flags."""
+
+    def invoke(self, ctx: typer.Context) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Run a command.
+
+        Raises:
+            InputError: as the command raises it, with flags in its text.
+        """
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            command = self.commands.get(ctx.invoked_subcommand or "")
+            if isinstance(error, FieldError) or not isinstance(command, TyperCommand):
+                raise
+            raise FieldError(error.field, error.value, says=in_flags(error, command, sys.argv[1:])) from None
+
+
+def in_flags(error: InputError, command: TyperCommand, argv: Sequence[str]) -> str:
+    """The error with the flag or argument of `command` that sets its field, if that was typed or has its default.
+
+    A field of a configuration file keeps its name.
+    """
+    field, _, place = error.field.partition(".")
+    own = "--" + field.replace("_", "-")
+    parameter = next((p for p in command.params if field in (p.name, _metavar(p)) or own in p.opts), None)
+    if parameter is None:
+        return str(error)
+    if isinstance(parameter, TyperArgument):
+        given = _metavar(parameter).upper() if error.value is None else _word(error.value)
+        return f"{given or error.field}: {error.says}"
+    names = [*parameter.opts, *parameter.secondary_opts]
+    typed = next((k for k, word in enumerate(argv) if word.partition("=")[0] in names), None)
+    if typed is None and any(word.partition("=")[0] == _FROM_FILE for word in argv):
+        return str(error)
+    flag, equals, text = ("", "", "") if typed is None else argv[typed].partition("=")
+    if not equals and typed is not None and not isinstance(error.value, bool):
+        text = " ".join(argv[typed + 1 : typed + 2])
+    shown = error.value if isinstance(error.value, int | float | str) or not text else text
+    if place and not all(part.isdecimal() for part in place.split(".")):
+        return f"{flag or names[0]}, {place} = {_word(error.value)}: {error.says}"
+    given = "" if error.value is None or isinstance(error.value, bool) else f" {_word(text if place else shown)}"
+    return f"{flag or names[0]}{given}: {error.says}"
+
+
+def _metavar(parameter: object) -> str:
+    """The name of an argument as the help shows it, `record` of `[RECORD]...`."""
+    return str(getattr(parameter, "metavar", None) or "").strip("[].").lower()
+
+
+def _word(value: object) -> str:
+    """A value as typed in a shell, on one line."""
+    return shlex.quote(one_line(_typed(value), MOST_SHOWN))
+
+
+def _typed(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return ",".join(map(_typed, cast("Sequence[object]", value)))
+    return f"{value:g}" if isinstance(value, float) else str(value)

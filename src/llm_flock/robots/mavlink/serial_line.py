@@ -1,0 +1,70 @@
+"""A serial line to one or more vehicles, read and written by threads: pyserial blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+from llm_flock.extras import require
+
+LONGEST = 200
+"""Packets that may wait to be written; more than that are dropped, as a radio does."""
+
+
+class SerialLine:
+    """An open line. `came` gets bytes in a thread of this line."""
+
+    def __init__(self, device: Any, came: Callable[[bytes], None]) -> None:
+        self._device = device
+        self._came = came
+        self._open = True
+        self._packets: queue.Queue[bytes | None] = queue.Queue(LONGEST)
+        for work in (self._read, self._write):
+            threading.Thread(target=work, name="mavlink", daemon=True).start()
+
+    def send(self, packet: bytes, to: Any) -> None:
+        """Queue a packet; a line has no other address."""
+        with contextlib.suppress(queue.Full):
+            self._packets.put_nowait(packet)
+
+    def close(self) -> None:
+        """Close the line; its threads end."""
+        self._open = False
+        with contextlib.suppress(queue.Full):
+            self._packets.put_nowait(None)
+
+    def _read(self) -> None:
+        try:
+            while self._open:
+                data = self._device.read(max(1, self._device.in_waiting))
+                if data:
+                    self._came(bytes(data))
+        except (OSError, RuntimeError):
+            pass  # unplugged, or the event loop has ended: silence tells
+        finally:
+            self._device.close()
+
+    def _write(self) -> None:
+        with contextlib.suppress(OSError):
+            while self._open and (packet := self._packets.get()) is not None:
+                self._device.write(packet)
+
+
+def open_serial(path: str, baud: int, came: Callable[[bytes], None]) -> SerialLine:
+    """Open a line.
+
+    Raises:
+        InputError: pyserial is not installed.
+        OSError: no such device, it is in use, or it does not know this rate.
+    """
+    require("mavlink", "a serial line")
+    library: Any = import_module("serial")
+    try:
+        device = library.Serial(path, baud, timeout=0.1, write_timeout=1.0)
+    except (ValueError, OverflowError) as error:
+        raise OSError(str(error)) from error
+    return SerialLine(device, came)

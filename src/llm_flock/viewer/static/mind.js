@@ -1,0 +1,164 @@
+// What a robot knew and asked in a round, and the events of the round: text that follows the cursor.
+import { button, choice, fill, h } from "llm-flock-viewer/dom.js";
+
+const REFRESH_MS = 400; // while the cursor runs, text follows more slowly than the picture
+
+/** Calls `show` with the round under the cursor, at once when it stands and seldom while it runs. */
+export function following(clock, show) {
+  let [shown, due] = [null, 0];
+  const look = () => {
+    const round = clock.round;
+    if (round === shown) return;
+    const now = performance.now();
+    if ((clock.playing || clock.following) && now < due) {
+      setTimeout(look, due - now + 5);
+      due = Math.max(due, now);
+      return;
+    }
+    due = now + REFRESH_MS;
+    shown = round;
+    show(round);
+  };
+  clock.listen(look);
+  return () => { shown = null; look(); };
+}
+
+export class Minds {
+  constructor(runs, names, clock, select) {
+    this.runs = runs;
+    this.names = names;
+    this.clock = clock;
+    this.tell = select;
+    this.lists = ["Robot", "Compare with"].map((label, k) => {
+      const list = choice([["", "none"]], "", () => this.changed());
+      list.id = `flock-robot-${k}`;
+      return list;
+    });
+    this.note = h("div", { class: "flock-hint flock-first" });
+    this.place = h("div", { class: "flock-minds" });
+    this.element = h("div", {}, h("div", { class: "flock-choose" }, ...this.lists.map((list, k) =>
+      h("div", { class: "flock-labelled" }, h("label", { for: list.id, text: ["Robot", "Compare with"][k] }), list))),
+    this.note, this.place);
+    this.sizes = "";
+    this.asked = 0;
+    this.opened = false;
+    clock.listen(() => this.offer());
+    this.refresh = following(clock, (round) => this.show(round));
+  }
+
+  /** Fill the lists once the teams are known, and open with the robot that is worth a look. */
+  offer() {
+    const sizes = this.runs.map((run) => (run.about ? run.about.robots : 0));
+    if (String(sizes) !== this.sizes) {
+      this.sizes = String(sizes);
+      const robots = sizes.flatMap((n, k) => Array.from({ length: n }, (_, robot) =>
+        [`${k}:${robot}`, sizes.length > 1 ? `${this.names[k]}: ${robot}` : String(robot)]));
+      for (const list of this.lists) fill(list, [["", "none"], ...robots], list.value);
+    }
+    const k = Math.max(0, this.runs.findIndex((run) => run.outcome && run.outcome.guilty.length));
+    const found = this.runs[k].outcome;
+    if (!this.opened && found && !this.runs.some((run) => run.open && !run.about.live)) {
+      this.opened = true;
+      if (this.lists[0].value) return;
+      this.choose(k, found.interesting.robot, false);
+      this.note.textContent = `Robot ${found.interesting.robot} is shown first: ${found.interesting.why}.`;
+    }
+  }
+
+  choose(k, robot, second) {
+    const list = this.lists[second && this.lists[0].value ? 1 : 0];
+    list.value = `${k}:${robot}`;
+    this.changed();
+  }
+
+  changed() {
+    this.note.textContent = "";
+    this.opened = true;
+    const chosen = this.chosen();
+    this.runs.forEach((_, k) => this.tell(k, chosen.filter((one) => one[0] === k).map((one) => one[1])));
+    this.refresh();
+  }
+
+  chosen() {
+    return this.lists.map((list) => list.value).filter(Boolean).map((value) => value.split(":").map(Number));
+  }
+
+  async show(round) {
+    const mine = (this.asked += 1);
+    const chosen = this.chosen();
+    const found = await Promise.all(chosen.map(async ([k, robot]) => {
+      try {
+        return round <= this.runs[k].last ? await this.runs[k].get(`mind?robot=${robot}&round=${round}`) : null;
+      } catch {
+        return null; // a slow or ended server; the canvases say so
+      }
+    }));
+    if (mine !== this.asked) return;
+    const minds = found.map((mind, number) => mind && this.mind(this.runs[chosen[number][0]], mind)).filter(Boolean);
+    this.place.replaceChildren(...minds.length ? minds
+      : [h("div", { class: "flock-hint", text: "Choose a robot: click on it, or choose its number. Shift-click a second one to compare." })]);
+  }
+
+  mind(run, found) {
+    return h("article", { class: "flock-mind" },
+      h("h2", { class: "flock-subtitle", text: `Robot ${found.robot} · round ${found.round}` }),
+      h("div", { class: "flock-facts", text: found.facts }),
+      ...found.breakers.map((text) => h("div", { class: "flock-said flock-warned", text })),
+      ...(found.calls.length ? found.calls.map((call, k) => this.call(run, found, call, k)) : this.silent(found)),
+      ...(found.provenance ? [h("h3", { class: "flock-role", text: "Provenance of its plan" }), h("div", { class: "flock-facts", text: found.provenance })] : []),
+      h("h3", { class: "flock-role", text: `Claims within its radio range (${found.n_claims})` }),
+      h("table", { class: "flock-table" },
+        h("thead", {}, h("tr", {}, ...["robot", "plan", "place", "influence", "distance"].map((text) => h("th", { scope: "col", text })))),
+        h("tbody", {}, ...found.claims.map((row) => h("tr", {}, ...row.map((text) => h("td", { text })))))));
+  }
+
+  silent(found) {
+    if (found.before === null) return [h("div", { class: "flock-hint", text: "Its model has not been asked yet." })];
+    return [h("div", { class: "flock-hint", text: `Its model was last asked in round ${found.before}.` }),
+      button(`Go to round ${found.before}`, () => this.clock.seek(found.before))];
+  }
+
+  call(run, found, call, k) {
+    const prompt = h("details", { class: "flock-prompt" }, h("summary", { text: `Prompt (${call.messages} messages)` }));
+    // Conversations are long: they are sent when they are opened.
+    prompt.addEventListener("toggle", async () => {
+      if (!prompt.open || prompt.childNodes.length > 1) return;
+      const said = await run.get(`prompt?robot=${found.robot}&round=${found.round}&call=${k}`);
+      for (const [role, text] of said) prompt.append(h("div", { class: "flock-role", text: role }), h("div", { class: "flock-said", text }));
+    });
+    return h("section", { class: "flock-call" },
+      h("h3", { class: "flock-call-title", text: call.title }), h("div", { class: "flock-hint", text: call.model }), prompt,
+      ...(call.answer === null ? [] : [h("div", { class: "flock-role", text: "answer" }),
+        h("div", { class: "flock-said flock-answer", tabindex: "0", text: call.answer })]),
+      h("div", { class: call.used ? "flock-verdict" : "flock-verdict flock-bad" },
+        h("span", { "aria-hidden": "true", text: call.used ? "✓" : "✗" }), h("span", { class: "flock-said", text: call.verdict })),
+      h("div", { class: "flock-hint", text: call.price }));
+  }
+}
+
+/** The events of the round under the cursor, as sentences. */
+export class Events {
+  constructor(runs, names, clock) {
+    this.runs = runs;
+    this.names = names;
+    this.asked = 0;
+    this.element = h("div", {});
+    this.refresh = following(clock, (round) => this.show(round));
+  }
+
+  async show(round) {
+    const mine = (this.asked += 1);
+    const found = await Promise.all(this.runs.map((run) => run.get(`events?round=${Math.min(round, Math.max(0, run.last))}`).catch(() => null)));
+    if (mine !== this.asked) return;
+    this.element.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [])));
+  }
+
+  listed({ round, total, lines }, k) {
+    const title = this.runs.length > 1 ? [h("h2", { class: "flock-subtitle", text: this.names[k] })] : [];
+    const more = total - lines.length;
+    return [...title, h("div", { class: "flock-hint", text: `${total} events in round ${round}` }),
+      ...lines.map(([who, what]) => h("div", { class: "flock-event" },
+        h("span", { class: "flock-who", text: who[0].toUpperCase() + who.slice(1) }), " ", h("span", { class: "flock-what", text: `${what}.` }))),
+      ...(more > 0 ? [h("div", { class: "flock-hint", text: `and ${more} more` })] : [])];
+  }
+}

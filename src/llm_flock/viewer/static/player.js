@@ -1,0 +1,185 @@
+// The page of one run, or of two side by side: what came of it, arena, time line, mind, plots and events.
+import { button, dialog, h, header } from "llm-flock-viewer/dom.js";
+import { listenToKeys, showKeys } from "llm-flock-viewer/keys.js";
+import { Clock } from "llm-flock-viewer/clock.js";
+import { Recording } from "llm-flock-viewer/recording.js";
+import { Arena } from "llm-flock-viewer/arena.js";
+import { Timeline } from "llm-flock-viewer/timeline.js";
+import { Plots } from "llm-flock-viewer/plots.js";
+import { Banner, Ends } from "llm-flock-viewer/banner.js";
+import { legend } from "llm-flock-viewer/legend.js";
+import { Events, Minds } from "llm-flock-viewer/mind.js";
+import { Steer } from "llm-flock-viewer/steer.js";
+import { transport } from "llm-flock-viewer/transport.js";
+
+const FITS = { formation: "Show the formation of the last round", way: "Show the whole way of the team", arena: "Show the whole arena" };
+const WIDE = 1100; // pixels from which on there is room for the legend beside the arena
+
+/** Build the page in an element; `held` answers for a page that holds its run. */
+export function player(options, place, held = null) {
+  const clock = new Clock();
+  globalThis.flockClock = () => clock;
+  const runs = options.runs.map(({ key }) => new Recording(key, held));
+  const pair = runs.length > 1;
+  const names = short(options.runs.map((run) => run.title));
+  const layers = Object.fromEntries(options.layers.map(([name, , on]) => [name, on]));
+  // The lists of the mind panel come last; the arenas tell them of clicks.
+  let minds = null;
+  let tabs = null;
+  const choose = (k) => (robot, second) => {
+    tabs.open("Mind");
+    minds.choose(k, robot, second);
+  };
+  const figures = runs.map((run, k) => {
+    const part = h("div", { class: "flock-part" });
+    const show = (robot) => {
+      arenas[k].select([robot]);
+      choose(k)(robot, false);
+    };
+    const banner = new Banner(run, k, pair, clock, show);
+    return { part, element: h("figure", { class: "flock-arena" },
+      pair ? h("figcaption", { class: "flock-caption", text: names[k] }) : null, banner.element, part) };
+  });
+  const line = h("div", { class: "flock-part" });
+  const plots = h("div", { class: "flock-part" });
+  const ends = pair ? new Ends(runs, names, clock) : null;
+  const help = legend(!pair && innerWidth >= WIDE);
+  minds = held ? null : new Minds(runs, names, clock, (k, robots) => arenas[k].select(robots));
+  const happened = new Events(runs, names, clock);
+  const steer = held ? null : new Steer(runs, options.runs.map((run) => run.key));
+  tabs = panels([
+    ...(minds ? [["Mind", minds.element, ""]] : []), ["Plots", h("div", { class: "flock-charts" }, ends ? ends.element : null, plots), "flock-plots"], ["Events", happened.element, ""],
+    ...(steer ? [["Steer", steer.element, ""]] : []),
+  ], minds && !pair ? "Mind" : "Plots", steer ? ["Steer"] : []);
+  const arenas = [];
+  const all = (act) => () => arenas.forEach(act);
+  place.replaceChildren(
+    header(options.title, held ? [] : [["Runs", "/runs"], ["Cockpit", "/cockpit"]], held ? [] : [exports(options, runs, names, clock)], showKeys),
+    h("main", { class: `flock-player${pair ? " flock-pair" : ""}` },
+      h("section", { class: "flock-field", "aria-label": "Arena" },
+        h("div", { class: "flock-layers" }, ...options.layers.map(([name, words, on]) => h("label", {},
+          h("input", { type: "checkbox", checked: on, onchange: (event) => arenas.forEach((one) => one.layer(name, event.target.checked)) }), words)),
+        h("span", { class: "flock-grow" }), help.act),
+        h("div", { class: "flock-arenas" }, help.element, ...figures.map((one) => one.element),
+          h("div", { class: "flock-zoom", role: "group", "aria-label": "What is shown" }, button("−", all((one) => one.view.zoom(0.8)), { words: "Zoom out" }), button("+", all((one) => one.view.zoom(1.25)), { words: "Zoom in" }),
+        
+          ...[["Formation", "formation", "F"], ["Way", "way", "0"], ["Arena", "arena", "A"]].map(([text, what, key]) =>
+            button(text, all((one) => one.view.fit(what)), { words: `${FITS[what]} (${key})` }))))),
+      h("aside", { class: "flock-side", "aria-label": "Mind, plots and events" }, tabs.element),
+      h("section", { class: "flock-time", "aria-label": "Time" }, transport(runs, names, clock), line)));
+  runs.forEach((run, k) => {
+    arenas.push(new Arena(figures[k].part, run, clock, { title: names[k], layers }, (robot, second) => {
+      if (minds) choose(k)(robot, second);
+    }));
+  });
+  const time = new Timeline(line, runs, clock, { tracks: options.tracks, names });
+  const charts = new Plots(plots, runs, clock, { charts: options.charts, names });
+  if (steer) clock.listen(() => steered(steer, tabs));
+  keys(clock, arenas, help);
+  for (const run of runs) clock.attach(run);
+  return { clock, arenas, time, charts };
+}
+
+/** Titles without the parts that they share, so that two runs are told apart at a glance. */
+function short(titles) {
+  const parts = titles.map((title) => title.split(", "));
+  const shared = (part) => parts.every((one) => one.includes(part));
+  return titles.map((title, k) => (titles.length > 1 && parts[k].filter((part) => !shared(part)).join(", ")) || title);
+}
+
+/** The tab that steers is there for runs that take orders, and is open at first while they fly. */
+function steered(steer, tabs) {
+  if (!steer.state) return;
+  steer.draw();
+  if (tabs.reveal("Steer") && !steer.state.run) tabs.open("Steer");
+}
+
+function keys(clock, arenas, help) {
+  const all = (act) => () => arenas.forEach(act);
+  const step = 40;
+  listenToKeys({
+    " ": () => clock.toggle(), ArrowLeft: () => clock.step(-1), ArrowRight: () => clock.step(1),
+    Home: () => clock.seek(0), End: () => clock.live(),
+    "+": all((one) => one.view.zoom(1.25)), "=": all((one) => one.view.zoom(1.25)), "-": all((one) => one.view.zoom(0.8)),
+    0: all((one) => one.view.fit("way")), ...both("a", all((one) => one.view.fit("arena"))),
+    ...both("f", all((one) => one.view.fit("formation"))), ...both("l", () => help.act.click()),
+    ShiftArrowLeft: all((one) => one.view.pan(step, 0)), ShiftArrowRight: all((one) => one.view.pan(-step, 0)),
+    ShiftArrowUp: all((one) => one.view.pan(0, step)), ShiftArrowDown: all((one) => one.view.pan(0, -step)),
+    "[": () => focused(arenas).next(-1), "]": () => focused(arenas).next(1),
+    "?": showKeys,
+  });
+}
+
+function both(key, act) {
+  return { [key]: act, [key.toUpperCase()]: act };
+}
+
+function focused(arenas) {
+  return arenas.find((one) => one.surface.canvas === document.activeElement) || arenas[0];
+}
+
+/** Tabs and their panels; those named in `hidden` are shown with `reveal`. */
+function panels(listed, first, hidden) {
+  const list = h("div", { class: "flock-tabs", role: "tablist", "aria-label": "Beside the arena" });
+  const made = new Map();
+  const open = (name) => {
+    for (const [other, { tab, panel }] of made) {
+      tab.setAttribute("aria-selected", String(other === name));
+      tab.tabIndex = other === name ? 0 : -1;
+      panel.hidden = other !== name;
+    }
+  };
+  for (const [name, content, kind] of listed) {
+    const id = `flock-tab-${name.toLowerCase()}`;
+    const tab = h("button", { type: "button", role: "tab", id, "aria-controls": `${id}-panel`, text: name, onclick: () => open(name) });
+    tab.hidden = hidden.includes(name);
+    const panel = h("div", { class: `flock-panel ${kind}`.trim(), role: "tabpanel", id: `${id}-panel`, "aria-labelledby": id, tabindex: "0" }, content);
+    made.set(name, { tab, panel });
+    list.append(tab);
+  }
+  list.addEventListener("keydown", (event) => {
+    const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!by) return;
+    const names = [...made].filter(([, one]) => !one.tab.hidden).map(([name]) => name);
+    const now = names.findIndex((name) => made.get(name).tab === document.activeElement);
+    const next = names[(now + by + names.length) % names.length];
+    open(next);
+    made.get(next).tab.focus();
+    event.preventDefault();
+  });
+  open(first);
+  return {
+    element: h("div", { class: "flock-tabbed" }, list, ...[...made.values()].map((one) => one.panel)),
+    open: (name) => { if (made.has(name)) open(name); },
+    reveal: (name) => {
+      const { tab } = made.get(name);
+      const news = tab.hidden;
+      tab.hidden = false;
+      return news;
+    },
+  };
+}
+
+/** What can be saved of each run, in a dialog. */
+function exports(options, runs, names, clock) {
+  const made = button("Export", () => {
+    const said = h("div", { role: "status", class: "flock-hint" });
+    const save = async (key, file) => {
+      said.textContent = `${file}: being made …`;
+      const answer = await fetch(`/export/${key}/${file}`, { credentials: "same-origin" }).catch(() => null);
+      if (!answer || !answer.ok) {
+        said.textContent = `error: ${answer ? await answer.text() : "the viewer does not answer"}`;
+        return;
+      }
+      const link = h("a", { href: URL.createObjectURL(await answer.blob()), download: runs.length > 1 ? `${key}-${file}` : file });
+      link.click();
+      URL.revokeObjectURL(link.href);
+      said.textContent = `${file}: saved.`;
+    };
+    dialog("Export", h("div", {}, ...runs.map((run, k) => h("div", {},
+      runs.length > 1 ? h("h3", { text: names[k] }) : null,
+      h("div", { class: "flock-row" }, ...options.exports.map(([label, file]) => button(label, () => save(run.key, file)))))), said));
+  });
+  clock.listen(() => { made.hidden = !runs.every((run) => run.about && run.about.export); });
+  return made;
+}

@@ -1,0 +1,75 @@
+// Signs at a robot beside its disk, and a robot in words.
+import { FONT, dash, look, theme } from "llm-flock-viewer/surface.js";
+
+/** The rim of a plan, around the disk: on paper, so that its dashes are seen beside every colour, however small. */
+export function planRim(surface, x, y, radius, rim) {
+  const { pen } = surface;
+  surface.circle([x, y], radius + 1);
+  pen.lineWidth = 4;
+  pen.strokeStyle = theme().paper;
+  pen.stroke();
+  pen.lineWidth = 2;
+  pen.strokeStyle = theme().ink;
+  pen.setLineDash(dash(rim).map((length) => length * Math.max(0.6, Math.min(1.5, radius / 9))));
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+/** A rim apart from the disk and edged in ink, so that it is seen on every colour of a plan. */
+export function bentRim(surface, x, y, radius) {
+  const { pen } = surface;
+  for (const [wide, ink, far] of [[5.5, theme().ink, 4], [3, theme().bent, 4], [2, theme().paper, 1]]) {
+    surface.circle([x, y], radius + far);
+    pen.lineWidth = wide;
+    pen.strokeStyle = ink;
+    pen.stroke();
+  }
+}
+
+/** A square with a G at a robot whose circuit breaker is open: geometry answers for its model. */
+export function breakerTag(surface, x, y, radius) {
+  const { pen } = surface;
+  const half = Math.max(5, radius * 0.45);
+  const [left, top] = [x + radius * 0.75, y - radius * 0.75];
+  pen.fillStyle = theme().warn;
+  pen.fillRect(left - half, top - half, 2 * half, 2 * half);
+  pen.fillStyle = theme().paper;
+  pen.font = `700 ${Math.round(half * 1.6)}px ${FONT}`;
+  pen.fillText("G", left, top + 0.5);
+}
+
+/** Marks a selected robot: a ring around the disk, apart from it so that no colour of a plan hides it. */
+export function chosenRing(surface, x, y, radius) {
+  const { pen } = surface;
+  for (const [wide, ink] of [[6, theme().paper], [3, theme().accent]]) {
+    surface.circle([x, y], radius + 9);
+    pen.lineWidth = wide;
+    pen.strokeStyle = ink;
+    pen.stroke();
+  }
+}
+
+/** A robot in words. */
+export function describe(run, frame, robot) {
+  const plan = look(run, frame.p[robot]).name;
+  const parts = [`Robot ${robot}`];
+  if (frame.d.includes(robot)) return `${parts[0]}: dead`;
+  if (frame.z.includes(robot)) return `${parts[0]}: not begun yet`;
+  parts.push(plan ? `plan ${plan}, ${frame.s[robot] === null ? "no place" : `place ${frame.s[robot]}`}` : "no plan");
+  parts.push(`heard by ${Math.round(100 * frame.i[robot])} % of the team`);
+  if (frame.h.includes(robot)) parts.push("moved otherwise than its model wanted");
+  if (frame.b.includes(robot)) parts.push("its model is not asked (circuit breaker open)");
+  return parts.join(" · ");
+}
+
+/** Distance of a point from a line between two others [pixels]. */
+export function beside([x, y], [ax, ay], [bx, by]) {
+  const long = (bx - ax) ** 2 + (by - ay) ** 2;
+  const share = long ? Math.max(0, Math.min(1, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / long)) : 0;
+  return Math.hypot(ax + share * (bx - ax) - x, ay + share * (by - ay) - y);
+}
+
+/** A picture between two rounds; `part` is the share of the way. */
+export function between(one, other, part) {
+  return { ...one, x: one.x.map((at, k) => at.map((value, axis) => value + part * (other.x[k][axis] - value))) };
+}

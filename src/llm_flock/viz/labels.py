@@ -1,0 +1,99 @@
+"""Where words stand beside discs: on no disc, on no other word, and within the picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+from numpy.typing import NDArray
+
+Rectangle = tuple[float, float, float, float]
+"""Left, right, bottom, top."""
+
+DIRECTIONS = tuple(math.radians(angle) for angle in (90, 270, 45, 135, 315, 225, 0, 180))
+"""Tried in this order: above is where readers look first."""
+
+STEPS = 6
+"""Distances from the disc that are tried in each direction; each is half a disc farther out."""
+
+HINTED = 1.1
+"""Small words on a screen are wider than their outlines by up to this factor."""
+
+GAP = 1.0
+"""Between a word and whatever is next to it [points]."""
+
+
+def beside(
+    discs: NDArray[np.float64],
+    radius: float,
+    words: Sequence[tuple[float, float]],
+    bounds: Rectangle,
+    taken: Sequence[Rectangle] = (),
+    before: Sequence[tuple[float, float] | None] | None = None,
+) -> list[tuple[float, float] | None]:
+    """From the middle of each disc to that of its word [points]; None where there is no room.
+
+    Args:
+        discs: middle of every disc, shape (n, 2) [points]; those that have no word come after the others.
+        radius: of all discs [points].
+        words: width and height of the word of each of the first discs [points].
+        bounds: of the picture [points].
+        taken: other places to keep free [points].
+        before: where the words stood a moment ago, so that they do not jump about in moving pictures.
+    """
+    found: list[tuple[float, float] | None] = [None] * len(words)
+    used = [*taken]
+    apart = np.linalg.norm(discs[:, None] - discs[None], axis=2)
+    # Whoever has the nearest neighbours has the least choice, and chooses first.
+    crowd = np.exp(-apart / (4.0 * radius)).sum(axis=1)
+    for k in sorted(range(len(words)), key=lambda k: -crowd[k]):
+        earlier = [] if before is None else [before[k]]
+        for offset in (*filter(None, earlier), *_offsets(radius, words[k])):
+            box = _box((float(discs[k, 0]) + offset[0], float(discs[k, 1]) + offset[1]), words[k])
+            if _free(box, discs, radius, bounds, used):
+                found[k] = offset
+                used.append(box)
+                break
+    return found
+
+
+def _offsets(radius: float, word: tuple[float, float]) -> Iterator[tuple[float, float]]:
+    for step in range(STEPS):
+        out = radius + GAP + 0.5 * step * radius
+        for angle in DIRECTIONS:
+            yield math.cos(angle) * (out + word[0] / 2), math.sin(angle) * (out + word[1] / 2)
+
+
+def _free(
+    box: Rectangle, discs: NDArray[np.float64], radius: float, bounds: Rectangle, used: Sequence[Rectangle]
+) -> bool:
+    left, right, bottom, top = bounds
+    if box[0] < left or box[1] > right or box[2] < bottom or box[3] > top:
+        return False
+    if any(_overlap(box, other) for other in used):
+        return False
+    nearest = np.column_stack([np.clip(discs[:, 0], box[0], box[1]), np.clip(discs[:, 1], box[2], box[3])])
+    return bool(np.linalg.norm(nearest - discs, axis=1).min() >= radius)
+
+
+def _box(middle: tuple[float, float], word: tuple[float, float]) -> Rectangle:
+    (x, y), (width, height) = middle, word
+    return (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
+
+
+def _overlap(a: Rectangle, b: Rectangle) -> bool:
+    return a[0] < b[1] + GAP and b[0] < a[1] + GAP and a[2] < b[3] + GAP and b[2] < a[3] + GAP
+
+
+@lru_cache(maxsize=4096)
+def size_of(text: str, size: float) -> tuple[float, float]:
+    """Width and height of a word in the house's font [points]."""
+    if not text.strip():
+        return 0.0, 0.0
+    outline: Any = TextPath((0, 0), text, size=size, prop=FontProperties(family="DejaVu Sans"))
+    return HINTED * float(outline.get_extents().x1), size

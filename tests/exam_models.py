@@ -1,0 +1,69 @@
+"""Models of tests: two sit the exam, one that knows every answer and one that guesses; one plays the consensus game."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from llm_flock.exam.generate_steps import sidestep
+from llm_flock.exam.questions import Question
+from llm_flock.exam.score import meant
+from llm_flock.exam.sit import round_of
+from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.port import Call
+from llm_flock.protocol.planning import PlanAnswer, StepAnswer
+
+
+class Key:
+    """Looks up which question it is, and gives a right answer in the words of a model."""
+
+    def __init__(self, questions: Sequence[Question]) -> None:
+        self._known = {round_of(question, 0): question for question in questions}
+
+    async def ask(self, call: Call) -> str:
+        question = self._known[call.round]
+        if question.words is not None:
+            return json.dumps(question.wanted)
+        mission = question.build_mission()
+        if question.asks_plan:
+            plan = question.plan_question(meant(question, mission), call.robot, call.round)
+            answer = await GeometryPlanner().plan(plan)
+            assert isinstance(answer, PlanAnswer), answer
+            return f"Plan: {[list(point) for point in answer.plan.points]}\nmy plan: {answer.slot}"
+        if question.section == "others":
+            step = sidestep(question, mission)
+        else:
+            found = await GeometryPlanner().step(question.step_question(mission, call.round))
+            step = found if isinstance(found, StepAnswer) else None
+        assert step is not None, question.id
+        if question.horizon > 1:
+            return f"Path: {[list(point) for point in (step.waypoint, *step.path)]}"
+        return f"Position: {list(step.waypoint)}"
+
+
+class Guesser:
+    """Answers in the right form with numbers by chance."""
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(3)
+
+    async def ask(self, call: Call) -> str:
+        await asyncio.sleep(0)
+        if call.form is None:
+            shape = str(self._rng.choice(["line", "circle", "grid", "star"]))
+            return json.dumps({"shape": shape, "n_robots": int(self._rng.integers(1, 31))})
+        rows = self._rng.uniform(-60, 140, (call.form.n, call.form.dim)).round(2).tolist()
+        if call.kind == "plan":
+            return f"Plan: {rows}\nmy plan: {int(self._rng.integers(call.form.n))}"
+        return f"Path: {rows[:1]}" if call.form.horizon > 1 else f"Position: {rows[0]}"
+
+
+class Keeper:
+    """Keeps its number in the consensus game, and votes to stop at once."""
+
+    async def ask(self, call: Call) -> str:
+        own = call.messages[1].text.partition("Your number: ")[2].partition("\n")[0]
+        return json.dumps({"value": int(own), "stop": True})

@@ -1,0 +1,165 @@
+"""Members with valid keys that lie together: what they have heard, and what they can sign."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+from llm_flock.errors import MessageError
+from llm_flock.mission import Mission
+from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.messages.codec import decode, encode
+from llm_flock.protocol.messages.message import (
+    UNSAID,
+    BidEntry,
+    Message,
+)
+from llm_flock.protocol.signed.certificates import (
+    Authenticator,
+    Certificate,
+    Context,
+    Proofs,
+    ReleaseGrant,
+    WitnessStatement,
+    beat_statement,
+    claim_statement,
+    claims_of,
+    offer_statement,
+    origin_statement,
+    unwrap,
+    word_statement,
+    wrap,
+)
+
+Said: TypeAlias = tuple[int, bytes, frozenset[int] | None]
+"""Who says it, the payload, and who hears it; None for all."""
+
+Entries: TypeAlias = dict[int, tuple[BidEntry, Certificate]]
+
+
+class Gang:
+    """Members that lie, one or more, each with its own keys."""
+
+    def __init__(self, keys: Mapping[int, Authenticator], mission: Mission, seed: int = 0) -> None:
+        self.keys = dict(keys)
+        self.members = sorted(keys)
+        self.mission = mission
+        self.rng = random.Random(seed)
+        self.known: Message | None = None
+        self.origin = b""
+        self.payloads: list[bytes] = []
+        self.table: dict[int, tuple[BidEntry, Certificate]] = {}
+        self.grants: dict[tuple[int, int], ReleaseGrant] = {}
+        self.sequence = 0
+        self.count = 0
+        self.rounds = 0
+
+    @property
+    def honest(self) -> list[int]:
+        return [j for j in range(self.mission.n_robots) if j not in self.keys]
+
+    def hear(self, payload: bytes) -> None:
+        """Take note of what an honest robot says."""
+        try:
+            content, proofs = unwrap(payload, self.mission.n_robots)
+            message = decode(content, self.mission.n_robots, self.mission.dim)
+        except MessageError:
+            return
+        self.payloads = [*self.payloads[-20:], payload]
+        if message.plan is None or message.provenance is None or not proofs.origin:
+            return
+        if self.known is None or message.plan_digest != self.known.plan_digest:
+            self.table, self.grants = {}, {}
+        self.known, self.origin = message, proofs.origin
+        certificates = proofs.certificates()
+        for slot, entry in enumerate(message.table or ()):
+            known = self.table.get(slot)
+            certificate = certificates.get(slot, Certificate(number=0))
+            if known is None or rank(entry) >= rank(known[0]):
+                self.table[slot] = entry, certificate
+            if isinstance(certificate.grant, ReleaseGrant):
+                self.grants[slot, entry[0]] = certificate.grant
+
+    # --- parts of messages --------------------------------------------------------------------------------------------
+
+    @property
+    def about(self) -> Context:
+        assert self.known is not None
+        return Context(self.known.mission, self.known.plan_digest or "")
+
+    @property
+    def places(self) -> range:
+        assert self.known is not None
+        return range(self.known.places)
+
+    def version(self, slot: int) -> int:
+        """The version of a place, as far as the gang has heard."""
+        return self.table[slot][0][0] if slot in self.table else 0
+
+    def owned(self, member: int) -> list[int]:
+        return [slot for slot, (entry, _) in self.table.items() if entry[2] == member]
+
+    def number(self) -> int:
+        self.count += 1
+        return self.count
+
+    def claim(
+        self, member: int, slot: int, *, version: int | None = None, bid: float = -1e-9, owner: int | None = None
+    ) -> tuple[BidEntry, Certificate]:
+        """A claim with the member's own signature, whoever is to own the place."""
+        at = self.version(slot) if version is None else version
+        entry: BidEntry = (at, bid, member if owner is None else owner)
+        number = self.number()
+        signature = self.keys[member].sign(claim_statement(self.about, slot, entry, number))
+        return entry, Certificate(number=number, signature=signature, grant=self.grants.get((slot, at)))
+
+    def word(self, member: int, slot: int, owner: int) -> WitnessStatement:
+        at = self.version(slot) + 1
+        return WitnessStatement(
+            member, slot, at, owner, self.keys[member].sign(word_statement(self.about, slot, at, owner))
+        )
+
+    def release(self, slot: int, owner: int) -> ReleaseGrant | None:
+        """The gang's own words that a place is free or blocked, if there are enough members."""
+        if len(self.members) < 2:
+            return None
+        at = self.version(slot) + 1
+        words = (
+            (member, self.keys[member].sign(word_statement(self.about, slot, at, owner))) for member in self.members
+        )
+        return ReleaseGrant(tuple(words))
+
+    def message(
+        self, member: int, entries: Entries | None = None, hears: Sequence[int] | None = None, **more: Any
+    ) -> Said:
+        """A message on the plan of the honest, signed as it has to be."""
+        assert self.known is not None
+        words, offer_number = more.pop("words", ()), more.pop("offer_number", 0)
+        table = [UNSAID] * self.known.places
+        for slot, (entry, _) in (entries or {}).items():
+            table[slot] = entry
+        self.sequence += 1
+        same = {"mission": self.known.mission, "plan": self.known.plan, "provenance": self.known.provenance}
+        said = Message(
+            **{
+                "sender": member,
+                "sequence": self.sequence,
+                "neighbors": self.mission.n_robots - 1,
+                "table": tuple(table),
+                **same,
+                **more,
+            }
+        )
+        claims, grants = claims_of({slot: certificate for slot, (_, certificate) in (entries or {}).items()})
+        origin, offer, signed = self.origin, None, self.keys[member]
+        if said.provenance is not None and said.provenance.proposer == member and said.plan_digest is not None:
+            origin = signed.sign(origin_statement(said.provenance, said.plan_digest))
+        if said.offer is not None:
+            offer = offer_number, signed.sign(offer_statement(self.about, member, said.offer, offer_number))
+        beats = None
+        if said.beats is not None:
+            own = signed.sign(beat_statement(member, said.beats[member]))
+            beats = tuple(own if j == member else b"x" * 64 for j in range(self.mission.n_robots))
+        proofs = Proofs(claims=claims, grants=grants, words=words, offer=offer, origin=origin, beats=beats)
+        return member, wrap(encode(said), proofs), None if hears is None else frozenset(hears)

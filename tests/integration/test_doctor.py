@@ -1,0 +1,43 @@
+"""`llm-flock doctor`: what it finds, and that it shows no key."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from llm_flock.cli import app
+from llm_flock.cli.doctor import Finding, reach_drones, reach_router
+
+
+def test_the_doctor_says_what_is_there_and_shows_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", "a-secret")
+    monkeypatch.delenv("DEEPSEEK_API_KEY", raising=False)
+    monkeypatch.setitem(sys.modules, "cflib", None)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        result = CliRunner().invoke(app, ["doctor", "--json", "--router", endpoint])
+    assert result.exit_code == 0 and "a-secret" not in result.output
+    found = {(line["part"], line["name"]): line for line in json.loads(result.output)}
+    assert found["key", "OPENAI_API_KEY"]["ok"] and not found["key", "DEEPSEEK_API_KEY"]["ok"]
+    assert not found["extra", "crazyflie"]["ok"] and "crazyflie" in found["reach", "drone"]["detail"]
+    assert found["reach", f"router at {endpoint}"]["ok"]
+    assert not reach_router(endpoint).ok and not reach_router("nowhere").ok
+    assert ("reach", "browser") in found
+
+
+def test_the_doctor_finds_a_drone_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cflib")
+    from llm_flock.robots.crazyflie import link
+
+    monkeypatch.setattr(link, "in_reach", lambda: ("udp://127.0.0.1:19850",))
+    assert reach_drones().ok
+
+    def broken() -> tuple[str, ...]:
+        raise OSError("no permission")
+
+    monkeypatch.setattr(link, "in_reach", broken)
+    assert reach_drones() == Finding("reach", "drone", False, "the search failed: no permission")

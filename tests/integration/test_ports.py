@@ -1,0 +1,80 @@
+"""Ports and endpoints are tried before anything starts or is shown; addresses are ready to be opened."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import pytest
+from command_line import flock
+from zenoh_router import listener, router
+
+from llm_flock.listening import open_port
+from llm_flock.ros2.graph import Graph
+from llm_flock.ros2.types import TEXT
+from llm_flock.runtime.network.swarm import free_port
+from llm_flock.transport.zenoh import open_session
+
+
+@pytest.mark.parametrize("endpoint", ["nowhere", "tcp/127.0.0.1:1"])
+def test_a_router_that_does_not_answer_is_refused_before_a_process_starts(
+    endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def refuse(*words: str, **_: Any) -> None:
+        raise AssertionError(f"started {words}")
+
+    monkeypatch.setattr("asyncio.create_subprocess_exec", refuse)
+    monkeypatch.setattr("llm_flock.ros2.graph.WAIT_MS", 200)
+    done = flock("swarm", "--ros2", endpoint, "--robots", "3", "--shape", "triangle", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and done.stderr.startswith(f"error: --ros2 {endpoint}: expected an endpoint such as ")
+    assert done.stderr.count("\n") == 1, "nothing is said to start"
+
+
+def test_a_peer_in_place_of_the_router_is_refused_for_it_passes_nothing_on(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    values = {"mode": "peer", "listen/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    with closing(open_session(values)):
+        done = flock("ros2", "--ros2", endpoint, "--connect", "tcp/127.0.0.1:1", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "a zenoh peer answers there, no router" in done.stderr
+
+
+def test_the_nodes_and_topics_of_a_bridge_are_tokens_at_its_router() -> None:
+    async def tokens(endpoint: str) -> list[str]:
+        with closing(Graph(endpoint, 0)) as graph, listener(endpoint) as other:
+            graph.node("/flock", "team").publisher("/flock/state", TEXT)
+            found: list[str] = []
+            for _ in range(50):
+                replies = await asyncio.to_thread(other.liveliness().get, "@ros2_lv/0/**")
+                found = [str(reply.ok.key_expr) for reply in replies]
+                if len(found) == 2:
+                    break
+                await asyncio.sleep(0.02)
+            return found
+
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with router(endpoint):
+        node, topic = sorted(asyncio.run(tokens(endpoint)), key=len)
+    assert node.endswith("/NN/%/%flock/team") and "/MP/%/%flock/team/%flock%state/std_msgs::msg" in topic
+
+
+def test_a_token_is_escaped_in_the_address() -> None:
+    token = "a b&c=d#e/f?g%20+ü"
+    port = open_port("127.0.0.1", 0, token)
+    try:
+        url = port.url("ws")
+        assert url.isascii() and " " not in url and dict(parse_qsl(urlsplit(url).query)) == {"token": token}
+    finally:
+        port.sock.close()
+
+
+def test_the_viewer_shows_no_address_where_the_port_of_foxglove_is_taken(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        view = ("view", "--no-browser", "--port", "0", "--foxglove", "--foxglove-port", port)
+        done = flock(*view, cwd=tmp_path, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"error: port {port} is taken; try --foxglove-port 0, which takes a free one\n"

@@ -1,0 +1,129 @@
+"""What commands say besides their result: what they wait for, replace, or refuse before they begin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from sample_records import make_record
+from sweeps import small
+from typer.testing import CliRunner, Result
+
+from llm_flock import extras
+from llm_flock.cli import app
+from llm_flock.cli.display import live_line
+from llm_flock.errors import InputError
+from llm_flock.experiments.sweep_file import load_sweep
+from llm_flock.runtime.trial import TrialProgress
+from llm_flock.viewer.mission_text import MissionReader
+
+
+def call(*argv: object, monkeypatch: pytest.MonkeyPatch) -> Result:
+    words = [str(word) for word in argv]
+    monkeypatch.setattr("sys.argv", ["llm-flock", *words])
+    return CliRunner().invoke(app, words)
+
+
+def progress(n_robots: int) -> TrialProgress:
+    return TrialProgress(
+        round=0,
+        rounds=9,
+        at_goal=0,
+        n_robots=n_robots,
+        plans_in_use=0,
+        distinct_goals=0,
+        error=None,
+        model_calls=0,
+        tokens=0,
+        cost_usd=None,
+    )
+
+
+def test_the_live_line_says_what_it_waits_for_until_a_robot_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    bar, show = live_line("circle", enabled=True, waiting="waiting for robots ...")
+    with bar:
+        show(progress(0))
+        show(progress(0))
+        show(progress(3))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "waiting for robots ..." and [line for line in lines[1:] if "at goal" in line] == lines[1:]
+    assert len(lines) == 2 and "at goal 0/3" in lines[1]
+
+
+def test_a_picture_of_a_run_that_broke_off_says_so_and_what_it_replaces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("llm_flock.viz.figures.snapshots", lambda record, rounds: None)
+    monkeypatch.setattr("llm_flock.viz.figures.save", lambda drawn, path: path.touch())
+    first = call("figure", make_record(tmp_path / "run.mcap", n=3, rounds=2), monkeypatch=monkeypatch)
+    assert (first.exit_code, first.stderr) == (0, "")
+    (tmp_path / "run.mcap").unlink()
+    path = make_record(tmp_path / "run.mcap", n=3, rounds=2, finish=False)
+    again = call("figure", path, monkeypatch=monkeypatch)
+    picture = tmp_path / "snapshots.png"
+    assert (again.exit_code, again.stdout) == (0, f"{picture}\n")
+    assert again.stderr.splitlines() == [
+        f"warning: {path} ends early (the run was stopped): drawn up to round 2",
+        f"warning: {picture} was there and is replaced",
+    ]
+
+
+def test_a_robot_and_a_round_that_are_not_in_a_record_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = make_record(tmp_path / "run.mcap", n=3, rounds=4, llm=False)
+    for argv, text in (
+        (("--robot", 44), "--robot 44: there are robots 0 to 2"),
+        (("--round", 99), "--round 99: there are rounds 0 to 4"),
+        (("--robot", 1), "no model was asked by robot 1 in this run"),
+    ):
+        error = call("inspect", path, *argv, monkeypatch=monkeypatch).exception
+        assert isinstance(error, InputError) and str(error).startswith(text), str(error)
+
+
+def test_a_flight_asks_for_its_drones_before_the_last_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = call("fly", monkeypatch=monkeypatch)
+    assert isinstance(result.exception, InputError) and "--config FILE" in str(result.exception)
+    assert "Type 'fly'" not in result.stdout
+
+
+def test_the_viewer_shows_no_address_before_all_is_known_to_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for model, text in (
+        ("simulated:ideal", "--model simulated:ideal: expected PROVIDER:MODEL or local"),
+        (f"local:{tmp_path}/none.gguf", "--model "),
+    ):
+        result = call("view", "--no-browser", "--port", 0, "--model", model, monkeypatch=monkeypatch)
+        assert isinstance(result.exception, InputError) and str(result.exception).startswith(text)
+        assert "http" not in result.stdout
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    result = call("view", "--no-browser", "--port", 0, monkeypatch=monkeypatch)
+    assert "pip install 'llm-flock[view]'" in str(result.exception) and "http" not in result.stdout
+
+
+def test_missions_in_words_take_models_on_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("llm_flock.viewer.mission_text.find_weights", lambda name: None)
+    assert MissionReader("local:smollm2").model == "local:smollm2"
+
+
+def test_a_sweep_is_shortened_from_the_command_line(tmp_path: Path) -> None:
+    grid = 'loss = [0.0, 0.2]\nkind = [{ name = "plain" }, { name = "noisy", noise = 0.1 }]'
+    small(tmp_path, seeds=5, grid=grid)
+    path = next(tmp_path.glob("*.toml"))
+    short = load_sweep(path, seeds=1, variables={"kind": ["noisy"], "loss": [0.2]})
+    assert {t.cell for t in short.trials} == {
+        "triangle/3 flock loss=0.2 kind=noisy",
+        "triangle/3 baseline loss=0.2 kind=noisy",
+    }
+    assert len(short.trials) == 2 and {t.id for t in short.trials} < {t.id for t in load_sweep(path).trials}
+    with pytest.raises(InputError, match=r"unknown value of axis kind; did you mean 'noisy'\?"):
+        load_sweep(path, variables={"kind": ["nosy"]})
+
+
+def test_compare_prints_a_table_or_markdown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("llm_flock.experiments.compare.compare", lambda cells, **options: ())
+    argv = ("compare", "--cells", "triangle/3", "--protocols", "flock")
+    assert call(*argv, monkeypatch=monkeypatch).stdout.startswith("┏")
+    assert call(*argv, "--markdown", monkeypatch=monkeypatch).stdout.startswith("| protocol |")

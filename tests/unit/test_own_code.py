@@ -1,0 +1,218 @@
+"""Classes of the user's own: how they are found, what they may do, and what a record says of them."""
+
+import asyncio
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import llm_flock
+from llm_flock.errors import InputError, ModelError
+from llm_flock.llm.own import OwnModel
+from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
+from llm_flock.llm.providers import parse_model
+from llm_flock.own_code import load_own
+from llm_flock.runtime.rules import consensus_rule
+from llm_flock.testing import check_model
+
+CALL = Call(robot=0, round=1, kind="plan", attempt=0, messages=(ChatMessage("user", "Plan?"),))
+
+RULE = """
+class Nobody:
+    name = "nobody"
+    def choose(self, own, heard): ...
+"""
+
+MODEL = '''
+class Corners:
+    """A stand-in that is of no use."""
+
+    simulated = True
+    asked = 0
+    closed = 0
+
+    async def ask(self, call):
+        type(self).asked += 1
+        return "no usable answer"
+
+    async def aclose(self):
+        type(self).closed += 1
+'''
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty current folder, forgotten by Python afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    for name in ("my_own_models", "my_own_rules"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return tmp_path
+
+
+class Echo:
+    """Says what it was made with."""
+
+    def __init__(self, answer: Any = "hm") -> None:
+        self.answer = answer
+
+    async def ask(self, call: Call) -> Any:
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+NAME = f"{__name__}:Echo"
+
+
+def test_a_rule_in_the_current_folder_is_found(folder: Path) -> None:
+    (folder / "my_own_rules.py").write_text(RULE)
+    assert consensus_rule("my_own_rules:Nobody").name == "nobody"
+    assert sys.path[-1] == str(folder), "last: nothing that is installed is replaced"
+
+
+def test_a_name_that_is_not_there_leaves_the_path_alone(folder: Path) -> None:
+    before = list(sys.path)
+    with pytest.raises(InputError, match="No module named 'my_own_rules'"):
+        load_own("consensus", "my_own_rules:Nobody", "a rule")
+    assert sys.path == before
+
+
+def test_the_error_of_a_users_module_is_told(folder: Path) -> None:
+    (folder / "my_own_rules.py").write_text("def (\n")
+    with pytest.raises(InputError, match=r"SyntaxError.*line 1"):
+        load_own("consensus", "my_own_rules:Nobody", "a rule")
+
+
+@pytest.mark.parametrize("text", ["a.b:Mine", "a.b:make", "mine:Mine", "__main__:f.<locals>.mine", "mine:Outer.Mine"])
+def test_classes_have_names(text: str) -> None:
+    assert parse_model(text).kind == "own"
+
+
+@pytest.mark.parametrize("text", ["nobody:x", "nobody:gpt-5", "opnai:o3-mini", "1a:Mine", "a..b:Mine"])
+def test_a_misspelt_provider_is_no_class(text: str) -> None:
+    assert parse_model("openai:Mine").kind == "provider"
+    with pytest.raises(InputError, match=r"package\.module:Class|did you mean 'openai'"):
+        parse_model(text)
+
+
+def test_a_run_by_name_makes_one_object_and_closes_it(folder: Path) -> None:
+    (folder / "my_own_models.py").write_text(MODEL)
+    result = llm_flock.run(shape="triangle", n_robots=3, model="my_own_models:Corners", seed=1, out=folder / "run")
+    made = sys.modules["my_own_models"].Corners
+    assert made.closed == 1 and made.asked == result.summary.model_calls > 0
+    assert result.summary.simulated and result.summary.models == ("my_own_models:Corners",)
+    record = llm_flock.read_record(folder / "run")
+    assert record.run.simulated and {entry.model for entry in record.llm} == {"my_own_models:Corners"}
+    (told,) = record.run.unrepeatable or []
+    assert "my_own_models:Corners" in told and "SHA-256" in told
+
+
+def test_an_object_is_told_to_be_unrepeatable(tmp_path: Path) -> None:
+    result = llm_flock.run(n_robots=3, shape="triangle", model=Echo("x"), max_retries=0, rounds=1, out=tmp_path)
+    assert result.summary.models == (NAME,) and not result.summary.simulated
+    (told,) = llm_flock.read_record(tmp_path).run.unrepeatable or []
+    assert "handed over as an object" in told and result.unrepeatable == (told,)
+
+
+def test_a_model_for_each_robot() -> None:
+    one = Echo("x")
+    models = [one, "simulated:ideal", one]
+    result = llm_flock.run(n_robots=3, shape="triangle", model=models, max_retries=0, rounds=1)
+    assert result.config.model.model == f"0={NAME},1=simulated:ideal,2={NAME}"
+    with pytest.raises(InputError, match="robot"):
+        llm_flock.run(n_robots=4, shape="square", model=models)
+
+
+@pytest.mark.parametrize("wrong", [Echo, object(), 3, [], [3]])
+def test_what_is_no_model_is_refused(wrong: Any) -> None:
+    with pytest.raises(InputError) as caught:
+        llm_flock.run(model=wrong)
+    assert caught.value.field == "model"
+
+
+def test_a_cassette_of_a_stand_in_stays_one(folder: Path) -> None:
+    (folder / "my_own_models.py").write_text(MODEL)
+    trial: dict[str, Any] = {"shape": "triangle", "n_robots": 3, "seed": 2, "max_retries": 0, "rounds": 1}
+    llm_flock.run(**trial, model="my_own_models:Corners", record_llm=folder / "talk.jsonl")
+    again = llm_flock.run(**trial, model=f"replay:{folder / 'talk.jsonl'}")
+    assert again.summary.simulated and again.summary.model_calls
+
+
+def ask(answer: Any) -> Reply:
+    return asyncio.run(OwnModel(Echo(answer)).ask(CALL))
+
+
+def test_text_is_a_reply() -> None:
+    assert ask("Plan: \ud800").text == "Plan: ?"
+    assert ask(Reply(text="a", model="openai:o3-mini", usage=Usage(input=3))).model == NAME
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind"),
+    [
+        (None, "garbage"),
+        (Reply(text=3, model=""), "garbage"),  # pyright: ignore[reportArgumentType]
+        (Reply(text="", model="", usage=Usage(input=-1)), "garbage"),
+        (Reply(text="", model="", cost_usd=float("nan")), "garbage"),
+        (Reply(text="", model="", settings={"a": object()}), "garbage"),
+        (TimeoutError(), "timeout"),
+        (ConnectionResetError("reset"), "connection"),
+        (ZeroDivisionError("1/0"), "refused"),
+        (ModelError("rate_limit", "slow down"), "rate_limit"),
+    ],
+)
+def test_whatever_it_does_is_a_failed_call(answer: Any, kind: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        ask(answer)
+    assert caught.value.kind == kind
+
+
+def test_a_fault_of_the_code_is_logged_once_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    model = OwnModel(Echo(ZeroDivisionError("1/0")))
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            with pytest.raises(ModelError):
+                asyncio.run(model.ask(CALL))
+    assert len(caplog.records) == 1 and caplog.records[0].exc_info
+
+
+@pytest.mark.parametrize("field", ["consensus", "assignment"])
+def test_what_is_no_rule_is_refused(field: str) -> None:
+    wrongs: list[Any] = [3, object(), type(consensus_rule("none"))]
+    for wrong in wrongs:
+        with pytest.raises(InputError, match=field):
+            llm_flock.run(**{field: wrong})
+
+
+def test_rules_of_ones_own_are_told_to_be_unrepeatable(folder: Path) -> None:
+    (folder / "my_own_rules.py").write_text(RULE)
+    named = llm_flock.run(n_robots=3, shape="triangle", rounds=1, consensus="my_own_rules:Nobody")
+    assert named.config.protocol.consensus == "my_own_rules:Nobody"
+    handed = llm_flock.run(n_robots=3, shape="triangle", rounds=1, consensus=consensus_rule("my_own_rules:Nobody"))
+    for result in (named, handed):
+        assert "my_own_rules:Nobody" in result.unrepeatable[0]
+    assert llm_flock.run(n_robots=3, shape="triangle", rounds=1, consensus=consensus_rule("none")).unrepeatable == ()
+
+
+def test_money_needs_a_price() -> None:
+    with pytest.raises(InputError, match="known price"):
+        llm_flock.run(model=Echo(), max_cost=1.0)
+
+
+def test_check_model_takes_an_object_and_says_what_is_wrong() -> None:
+    with pytest.raises(AssertionError, match=r"none of the .* answers"):
+        check_model(Echo(Reply(text="hm", model="", usage=Usage(input=1))))
+    with pytest.raises(AssertionError, match="is refused"):
+        check_model("nomodule_at_all:Mine")
+
+
+def test_nothing_of_a_record_is_imported(folder: Path) -> None:
+    (folder / "my_own_models.py").write_text(MODEL)
+    llm_flock.run(n_robots=3, shape="triangle", model="my_own_models:Corners", rounds=1, out=folder / "run")
+    del sys.modules["my_own_models"]
+    record = llm_flock.read_record(folder / "run")
+    assert record._repr_html_() and record.to_polars().height
+    assert "my_own_models" not in sys.modules

@@ -1,0 +1,82 @@
+"""A run as one page: nothing in it comes from elsewhere, and no text of a record becomes markup or script."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from base64 import b64decode, b64encode
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sample_records import make_record, run_info
+
+from llm_flock.errors import InputError, RecordError
+from llm_flock.viewer import replay_page
+from llm_flock.viewer.library import Library, load
+from llm_flock.viewer.page import ALL, PLAYER, STATIC, bundle
+from llm_flock.viewer.recording import Recording
+from llm_flock.viewer.replay_page import page, write_page
+
+HOSTILE = """</script><script>alert(1)</script>"><img src=x onerror=alert(2)>$run ${policy} \u202e"""
+
+
+def loaded(path: Path, title: str = "demo") -> Recording:
+    run = Library().add(title, path, live=False)
+    load(run)
+    return run
+
+
+def element(kind: str, text: str) -> str:
+    (found,) = re.findall(rf"<{kind}>(.*?)</{kind.split()[0]}>", text, re.DOTALL)
+    return found
+
+
+def content(text: str) -> dict[str, Any]:
+    return json.loads(zlib.decompress(b64decode(element('script type="text/plain" id="flock-run"', text))))
+
+
+def test_the_page_holds_the_run_and_its_policy_allows_only_its_own_script_and_style(tmp_path: Path) -> None:
+    text = page(loaded(make_record(tmp_path / "run.mcap", n=4, rounds=5)))
+    policy = re.findall(r'Content-Security-Policy" content="([^"]*)"', text)[0]
+    for kind, name in (('script type="module"', "script-src"), ("style", "style-src")):
+        digest = b64encode(sha256(element(kind, text).encode()).digest()).decode()
+        assert f"{name} 'sha256-{digest}';" in policy
+    assert policy.startswith("default-src 'none';") and "unsafe" not in policy and "http" not in policy
+    assert not re.search(r'(?:src|href)="(?!data:,")', text)
+    run = content(text)
+    assert [frame["r"] for frame in run["frames"]] == list(range(6)) and len(run["events"]) == 6
+    assert run["news"]["last"] == 5 and run["about"]["robots"] == 4
+
+
+def test_no_module_is_left_to_be_loaded() -> None:
+    for names in (PLAYER, ALL):
+        script = bundle(names)
+        assert not re.search(r"^\s*(?:import|export)\b", script, re.MULTILINE) and "</" not in script
+        asked = set(re.findall(r'= modules\["([^"]+)"\]', script))
+        assert asked <= set(re.findall(r'^modules\["([^"]+)"\] =', script, re.MULTILINE))
+    assert {path.stem for path in STATIC.glob("*.js")} == {*ALL, "start"}
+
+
+def test_text_of_a_record_stays_text(tmp_path: Path) -> None:
+    run = loaded(make_record(tmp_path / "run.mcap", n=3, rounds=2), HOSTILE)
+    run.write(run_info(config={"model": {"model": HOSTILE}, "protocol": {"consensus": HOSTILE, "assignment": "x"}}))
+    for event in run._events[1]:
+        event.detail["reason"] = HOSTILE
+    text = page(run)
+    assert text.count("<script") == 3 and "<img" not in text and "\u202e" not in text
+    assert "&lt;/script&gt;&lt;script&gt;alert(1)" in text and "$run" in text
+
+
+def test_large_runs_and_files_that_are_no_records_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = make_record(tmp_path / "run.mcap", n=4, rounds=5)
+    monkeypatch.setattr(replay_page, "MOST_ROBOT_ROUNDS", 20)
+    with pytest.raises(InputError, match="at most 5 for a page of 4 robots"):
+        write_page(record, tmp_path / "replay.html")
+    (tmp_path / "run.mcap").write_bytes(b"no record")
+    for name in ("run.mcap", "missing.mcap"):
+        with pytest.raises(RecordError):
+            write_page(tmp_path / name, tmp_path / "replay.html")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]

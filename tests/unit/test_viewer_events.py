@@ -1,0 +1,53 @@
+"""Every kind of event is a sentence: people read it, and no name of a field or value of Python is in it."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from llm_flock.protocol.events import NOTES
+from llm_flock.record.schema import ProtocolEvent
+from llm_flock.viewer.events import in_words, told_kinds
+
+VALUES: dict[str, Any] = {
+    "plan": "ab12", "asked": "ab12", "slot": 3, "before": None, "from": 2, "by": "model", "question": "step",
+    "cause": "refused", "reason": "it is too far", "state": "open", "refusals": 3, "wait": 2, "detail": "who knows",
+    "about": "step", "begun": True, "vacant": [0, 1], "slots": [4], "missing": [5], "counter": 1, "digest": "x",
+    "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
+    "goal_distance": 4.5, "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
+    "model": "simulated:collapse", "loss": None,
+}  # fmt: skip
+
+
+def words(kind: str, **changes: Any) -> str:
+    detail = {name: VALUES[name] for name in NOTES.get(kind, frozenset())} | changes
+    return in_words(ProtocolEvent(round=5, comm_round=0, robot=1, kind=kind, detail=detail), lambda plan: "A")
+
+
+@pytest.mark.parametrize("kind", sorted(NOTES))
+def test_every_kind_of_event_is_a_sentence(kind: str) -> None:
+    sentence = "Robot 1 " + words(kind)
+    assert re.match(r"Robot 1 [a-z]+ |Robot 1 (died|joined)$", sentence), sentence
+    assert not re.search(r"True|False|None|[\[\]{}_=]|ab12|aGVsbG8", sentence), sentence
+
+
+def test_no_kind_is_told_that_is_not_noted() -> None:
+    assert told_kinds() == frozenset(NOTES)
+
+
+def test_the_same_kind_says_which_way_it_went() -> None:
+    assert words("search") == "set out to look for robots for places 0, 1"
+    assert "ended its search" in words("search", begun=False)
+    assert words("claimed", before=1) == "claimed place 3 instead of 1"
+    assert words("claimed", slot=None, before=1) == "gave place 1 up"
+    assert "again" in words("breaker", state="closed") and "not asked" in words("breaker")
+    assert words("injected", model=None, loss=0.4).startswith("loses 40% of the messages")
+    assert words("shielded").endswith("to (1.5, 2.25)")
+    assert words("rejected_message", reason="other_mission", detail="").endswith("it heard: other mission")
+    assert words("asked_again", reason="new_goal").endswith("its place is another one")
+
+
+def test_what_is_not_known_is_told_all_the_same() -> None:
+    assert words("link_lost", battery_v=3.2) == "reports: link lost; battery v 3.2"

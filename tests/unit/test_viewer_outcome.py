@@ -1,0 +1,139 @@
+"""What the first screen says of a run: formed or not, when, which mission, and who kept the team from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sample_records import FakeRun, llm_entry, make_record
+
+import llm_flock
+from llm_flock.record.schema import MissionInfo, ProtocolEvent, RoundEnd, State, SummaryMessage
+from llm_flock.viewer.data import news
+from llm_flock.viewer.library import Library, load
+from llm_flock.viewer.outcome import mission_parts, outcome
+from llm_flock.viewer.recording import Recording, close_pairs
+from llm_flock.viewer.run_rows import run_row
+
+
+def replayed(path: Path) -> Recording:
+    run = Library().add("test", path, live=False)
+    load(run)
+    return run
+
+
+def flown(folder: Path, **fields: Any) -> Recording:
+    llm_flock.run(out=str(folder), **{"shape": "circle", "n_robots": 6, "seed": 2, **fields})
+    return replayed(folder / "run.mcap")
+
+
+def test_one_hopeless_model_is_named_and_shown_first(tmp_path: Path) -> None:
+    models = "3=simulated:malformed,0-2=simulated:ideal,4-5=simulated:ideal"
+    run = flown(tmp_path, model=models, fallback="hold", rounds=15)
+    found = outcome(run)
+    assert (found["tone"], found["headline"]) == ("bad", "Not formed: all 15 rounds were used up")
+    assert found["guilty"] == [3] and found["protocol"] == "flock"
+    assert found["why"].startswith("Robot 3: its model gave no usable answer in 45 of 45 calls. The last reason: ")
+    assert found["interesting"] == {"robot": 3, "why": "it kept the team from forming"}
+    row = run_row(run)
+    assert row["tone"] == "bad" and row["ratio"] is None and len(row["thumbnail"]) == 6 and row["deletable"]
+
+
+def test_a_run_that_formed_says_when_and_by_whom(tmp_path: Path) -> None:
+    run = flown(tmp_path, model="simulated:ideal")
+    found = outcome(run)
+    assert run.result is not None
+    when = run.result["rounds_to_formed"]
+    assert (found["tone"], found["headline"], found["why"]) == ("good", f"Formed in round {when}", "")
+    assert found["by"].startswith(f"plan by robot {run.result['plan_robot']} (simulated:ideal)")
+    assert run_row(run)["ratio"] == round(when / run.result["lower_bound_rounds"], 3)
+
+
+def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
+    changes = [{"round": 14, "robot": 0, "set": {"shape": "line"}}]
+    run = flown(tmp_path, model="simulated:ideal", n_robots=8, seed=3, changes=changes)
+    first, second = mission_parts(run)
+    assert run.result is not None
+    told = run.result["missions"]
+    assert (first.first, first.last, first.text, first.formed) == (0, 13, "circle of 8", told[0]["formed"])
+    assert (second.first, second.last, second.text) == (14, None, "line of 8")
+    assert second.formed == told[1]["formed"] == 13 + run.result["rounds_to_formed"]
+    took = run.result["rounds_to_formed"]
+    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took}, {took} after its order"
+    # While it flies there is no result: what was measured says the same.
+    run.result, run.open = None, True
+    assert [part.formed for part in mission_parts(run)] == [told[0]["formed"], told[1]["formed"]]
+    run.write(ProtocolEvent(round=run.rounds, comm_round=0, robot=1, kind="killed", detail={}))
+    assert mission_parts(run)[1].formed is None, "the team has to form again"
+    # Older records count from the last mission only.
+    run.result = {"formed": True, "rounds_to_formed": took}
+    assert mission_parts(run)[1].formed == 13 + took
+
+
+def test_a_run_that_flies_has_not_failed(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5, finish=False, agree=False))
+    assert outcome(run)["headline"] == "Not formed: the record ends early"
+    run.open = True
+    found = outcome(run)
+    assert (found["tone"], found["headline"], found["why"]) == ("open", "Not formed yet", "")
+
+
+def test_the_dead_are_named_and_disagreement_is_nobodys_fault_alone(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5, agree=False))
+    found = outcome(run)
+    assert "did not agree: 4 plans" in found["why"]
+    last = run.states[-1]
+    run.states[-1] = last.model_copy(update={"phases": ["idle", "dead", "idle", "idle"]})
+    assert outcome(run)["why"].startswith("Robot 1 died") and outcome(run)["guilty"] == [1]
+
+
+def test_without_trouble_the_proposer_is_shown_first(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
+    assert outcome(run)["interesting"] == {"robot": 0, "why": "nothing stands out"}
+    plan = run.states[5].plan_ids[0]
+    for robot, kind, more in ((2, "proposed", {"slot": 0, "by": "model"}), (0, "adopted", {"from": 2})):
+        run.write(ProtocolEvent(round=4, comm_round=0, robot=robot, kind=kind, detail={"plan": plan, **more}))
+    assert outcome(run)["interesting"] == {"robot": 2, "why": "it proposed the plan in force"}
+    run.write(llm_entry(5, 3, parsed=None, rejected="too far"))
+    run.write(llm_entry(5, 1, parsed=None, text=None, error="timeout"))
+    run.write(ProtocolEvent(round=5, comm_round=0, robot=1, kind="fallback", detail={"by": "geometry"}))
+    assert outcome(run)["interesting"] == {"robot": 1, "why": "1 failed, 1 times helped"}
+
+
+def test_pairs_that_are_too_close_are_counted_by_round() -> None:
+    fake, run = FakeRun(n=4, rounds=1), Recording("1", "test", None, live=False)
+
+    class Crowded:
+        """Puts the first three robots nearer than the safe distance (3 units) to one another."""
+
+        def write(self, entry: Any) -> None:
+            if isinstance(entry, State) and entry.round == 1:
+                rows = [[10.0, 10.0], [11.0, 10.0], [12.5, 10.0], [50.0, 50.0]]
+                entry = entry.model_copy(update={"positions": rows})
+            if entry.__class__.__name__ == "MetricsRow" and entry.round == 1:
+                entry = entry.model_copy(update={"min_separation": 1.0})
+            run.write(entry)
+
+    fake.write(Crowded())
+    assert fake.mission.safe_distance == 3.0
+    assert news(run, 0, 0, 0)["marks"]["1"]["too close"] == 3
+    assert "too close" not in news(run, 0, 0, 0)["marks"].get("0", {})
+
+
+@pytest.mark.parametrize(
+    ("rows", "pairs"), [([[0, 0], [3, 0]], 0), ([[0, 0], [2.9, 0], [0, -2.9]], 2), ([[1, 1]] * 4, 6)]
+)
+def test_close_pairs_are_nearer_than_the_safe_distance(rows: list[list[float]], pairs: int) -> None:
+    assert close_pairs(rows, 3.0) == pairs
+
+
+def test_a_summary_that_is_not_as_it_should_be_breaks_nothing(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=2))
+    for result in ({"missions": ["x"]}, {"missions": [{"formed": "x"}]}, {"missions": 3, "formed": True}):
+        run.write(SummaryMessage(result=result))
+        assert outcome(run)["headline"] and run_row(run)["outcome"]
+    info = run.missions[0]
+    run.write(MissionInfo(version=1, round=3, mission=info.mission, ideal=info.ideal))
+    run.write(RoundEnd(round=2))
+    assert len(outcome(run)["missions"]) == 2

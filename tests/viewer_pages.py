@@ -1,0 +1,87 @@
+"""Viewers as a user starts them, and their pages in a real browser."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, Request, expect
+
+
+@contextmanager
+def viewer(folder: Path, *arguments: str) -> Iterator[str]:
+    """A viewer as a user starts it; gives the address that it prints."""
+    command = [sys.executable, "-m", "llm_flock", "view", *arguments, "--no-browser", "--port", "0"]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            assert url.startswith("http://"), process.stderr.read() if process.stderr else ""
+            yield url
+        finally:
+            process.terminate()
+            _, errors = process.communicate(timeout=20)
+            assert "Traceback" not in errors, errors
+
+
+@contextmanager
+def page_at(
+    browser: Browser, url: str, *, width: int = 1280, height: int = 720, dark: bool = False, still: bool = True
+) -> Iterator[Page]:
+    """A page that must neither complain, nor ask anybody else, nor give a request up.
+
+    Where it is not `still`, a record plays when it appears.
+    """
+    context = browser.new_context(
+        color_scheme="dark" if dark else "light",
+        viewport={"width": width, "height": height},
+        reduced_motion="reduce" if still else "no-preference",
+        accept_downloads=True,
+    )
+    page = context.new_page()
+    said: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+
+    def give_up(request: Request) -> None:
+        said.append(f"given up: {request.url} {request.failure}")
+
+    page.on("requestfailed", give_up)
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("websocket", lambda socket: asked.append(socket.url))
+    page.goto(url)
+    yield page
+    # A page of a run in flight asks on; what is under way when it is left is nobody's fault.
+    page.remove_listener("requestfailed", give_up)
+    own = re.escape(url.split("/")[2])
+    assert said == [], said
+    assert [address for address in asked if not re.match(rf"((http|ws)://{own}/|data:|blob:)", address)] == []
+    context.close()
+
+
+def shown_round(page: Page, arena: int = 0) -> int:
+    return int(page.locator("main .flock-arena canvas").nth(arena).get_attribute("data-round") or -1)
+
+
+def until(true: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not true():
+        assert time.monotonic() < end, what
+        time.sleep(0.05)
+
+
+def ready(page: Page) -> None:
+    page.locator("main .flock-arena canvas[data-round]").first.wait_for()
+    # The words beside the time line come from the server: it knows of the page from then on.
+    expect(page.locator(".flock-where")).to_contain_text("of")
+
+
+def choose(page: Page, robot: int) -> None:
+    page.get_by_label("Robot", exact=True).select_option(f"0:{robot}")
+    expect(page.locator(".flock-mind").first).to_contain_text(f"Robot {robot} ·")
