@@ -354,7 +354,8 @@ def curve(arguments: Sequence[str] = ()) -> None:
         for liars in counts:
             if options.liars not in (None, liars):
                 continue
-            for lie in WORST if liars else ("silence",):
+            worst = WORST if options.lie is None else (options.lie,)
+            for lie in worst if liars else ("silence",):
                 print(
                     line(lie, n, liars, [fly(lie, n, liars, seed, options.told) for seed in range(options.runs)]),
                     flush=True,
@@ -374,7 +375,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--robots", type=int, help="only teams of this size, for the curve")
     parser.add_argument("--liars", type=int, help="only this many liars, for curve and swarm")
-    parser.add_argument("--lie", help="only this one, for the swarm")
+    parser.add_argument("--lie", help="only this one, for curve and swarm")
     parser.add_argument("--jobs", type=int, default=1, help="swarms of processes at a time [1]")
     parser.add_argument("--hard", action="store_true", help="with loss and obstacles, for the swarm")
     parser.add_argument("--told", type=int, help="number of liars that the team reckons with, for the curve [as many]")
