@@ -105,4 +105,4 @@ def test_a_member_neither_speaks_nor_lives_for_another_and_floods_only_itself(tm
     assert alive == [(1, True)]
     # As many as at once, and as many as in that time.
     assert heard.count((2, b"flood")) <= (BURST_S + lasted) * SPARE / config.network.gossip_s
-    assert refused["too_many"] >= 1000
+    assert refused["too_many"] > heard.count((2, b"flood")) > 0
