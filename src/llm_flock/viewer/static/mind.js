@@ -74,6 +74,10 @@ export class Minds {
   changed() {
     this.note.textContent = "";
     this.opened = true;
+    // A robot is not compared with itself.
+    const [first, second] = this.lists;
+    if (second.value === first.value) second.value = "";
+    for (const option of second.options) option.disabled = Boolean(option.value) && option.value === first.value;
     const chosen = this.chosen();
     this.runs.forEach((_, k) => this.tell(k, chosen.filter((one) => one[0] === k).map((one) => one[1])));
     this.refresh();
@@ -108,7 +112,7 @@ export class Minds {
       ...(found.provenance ? [h("h3", { class: "flock-role", text: "Provenance of its plan" }), h("div", { class: "flock-facts", text: found.provenance })] : []),
       h("h3", { class: "flock-role", text: `Claims within its radio range (${found.n_claims})` }),
       h("table", { class: "flock-table" },
-        h("thead", {}, h("tr", {}, ...["robot", "plan", "place", "influence", "distance"].map((text) => h("th", { scope: "col", text })))),
+        h("thead", {}, h("tr", {}, ...["robot", "plan", "place", "influence", "distance [units]"].map((text) => h("th", { scope: "col", text })))),
         h("tbody", {}, ...found.claims.map((row) => h("tr", {}, ...row.map((text) => h("td", { text })))))));
   }
 
@@ -119,7 +123,7 @@ export class Minds {
   }
 
   call(run, found, call, k) {
-    const prompt = h("details", { class: "flock-prompt" }, h("summary", { text: `Prompt (${call.messages} messages)` }));
+    const prompt = h("details", { class: "flock-prompt" }, h("summary", { text: `Prompt (${call.messages} ${call.messages === 1 ? "message" : "messages"})` }));
     // Conversations are long: they are sent when they are opened.
     prompt.addEventListener("toggle", async () => {
       if (!prompt.open || prompt.childNodes.length > 1) return;
@@ -156,7 +160,7 @@ export class Events {
   listed({ round, total, lines }, k) {
     const title = this.runs.length > 1 ? [h("h2", { class: "flock-subtitle", text: this.names[k] })] : [];
     const more = total - lines.length;
-    return [...title, h("div", { class: "flock-hint", text: `${total} events in round ${round}` }),
+    return [...title, h("div", { class: "flock-hint", text: `${total} ${total === 1 ? "event" : "events"} in round ${round}` }),
       ...lines.map(([who, what]) => h("div", { class: "flock-event" },
         h("span", { class: "flock-who", text: who[0].toUpperCase() + who.slice(1) }), " ", h("span", { class: "flock-what", text: `${what}.` }))),
       ...(more > 0 ? [h("div", { class: "flock-hint", text: `and ${more} more` })] : [])];
