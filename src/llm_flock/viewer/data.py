@@ -127,7 +127,7 @@ def frames(run: Recording, first: int, count: int) -> list[dict[str, Any]]:
 def _frame(run: Recording, state: State) -> dict[str, Any]:
     return {
         "r": state.round,
-        "x": [_from_above(row) for row in state.positions],
+        "x": [[round(part, DECIMALS) for part in row] for row in state.positions],
         "g": [None if row is None else _from_above(row) for row in state.goals],
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
         "s": list(state.slots),

@@ -26,7 +26,7 @@ from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.labels import size_of
 from llm_flock.viz.panel import Panel
-from llm_flock.viz.style import MOST_TITLE, heading, house_style, line_colour
+from llm_flock.viz.style import DANGER, MOST_TITLE, heading, house_style, line_colour
 
 STEPS_A_ROUND = 4
 """Most frames of a round; robots fly straight between rounds, from rest to rest."""
@@ -172,7 +172,7 @@ def _same_palette(pictures: Sequence[Image.Image]) -> list[Image.Image]:
 
 def _shades() -> NDArray[np.float64]:
     """Greys, and each colour of plans and paths mixed with paper and with ink, as soft edges mix them; shape (k, 3)."""
-    plain = dict.fromkeys([*PALETTE, *(line_colour(fill) for fill in PALETTE)])
+    plain = dict.fromkeys([*PALETTE, DANGER, *(line_colour(fill) for fill in PALETTE)])
     colours = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in plain])
     paler = [255 + share * (colours - 255) for share in (1.0, 0.8, 0.6, 0.4, 0.2)]
     darker = [share * colours for share in (0.75, 0.5)]

@@ -22,7 +22,7 @@ from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.charts import DPI, new_figure
-from llm_flock.viz.panel import Box, Panel, close_up, view
+from llm_flock.viz.panel import Box, Panel, close_up, key_of, view
 from llm_flock.viz.style import GRID, INK, LINES, MARKERS, fitted, heading, house_style, model_names, shapes
 
 PANELS_A_ROW = 4
@@ -133,7 +133,7 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
-        figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=max(2, columns))
+        figure.legend(handles=key_of(panels), loc="outside lower center", ncols=max(2, columns))
         _draw_teams(figure, teams)
         return figure
 

@@ -69,8 +69,8 @@ export class Arena {
     }
     const link = (this.linked || []).find(([one, other]) => beside([x, y], this.pixel(frame.x[one]), this.pixel(frame.x[other])) < 4);
     if (!link) return null;
-    const [[ax, ay], [bx, by]] = [frame.x[link[0]], frame.x[link[1]]];
-    return `Radio link of robots ${link[0]} and ${link[1]}: ${Math.hypot(ax - bx, ay - by).toFixed(1)} units`;
+    const far = Math.hypot(...frame.x[link[0]].map((value, axis) => value - frame.x[link[1]][axis]));
+    return `Radio link of robots ${link[0]} and ${link[1]}: ${far.toFixed(1)} units`;
   }
 
   choose(robot, second) {
@@ -141,7 +141,7 @@ export class Arena {
     this.surface.clear();
     pen.lineJoin = "round";
     this.walls(about);
-    if (this.layers.cells) this.cells(frame, about);
+    if (this.layers.cells && !about.space) this.cells(frame, about); // cells of space have no outline from above
     this.linked = [];
     if (this.layers.links) this.links(frame, about);
     if (this.layers.trails) this.trails(frame);
@@ -155,6 +155,8 @@ export class Arena {
     this.ruler();
     this.surface.canvas.dataset.scale = this.scale.toPrecision(4);
     this.surface.canvas.dataset.near = String(this.near.length);
+    this.surface.canvas.dataset.links = String(this.linked.length);
+    this.surface.canvas.dataset.radius = this.radius.toPrecision(4);
   }
 
   /** A disk that fanned out is tied to where its robot is. */
@@ -172,7 +174,8 @@ export class Arena {
     pen.font = `700 11px ${FONT}`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
-    for (const { members, middle } of crowds) {
+    for (const { members, middle, counted } of crowds) {
+      if (!counted) continue;
       const text = `${members.length}×`;
       const wide = pen.measureText(text).width + 6;
       pen.fillStyle = theme().danger;
@@ -355,7 +358,7 @@ export class Arena {
     });
     const disks = this.at.map(([x, y], robot) => [x, y, reach(this.radius,
       { bent: bent.has(robot), opened: opened.has(robot), close: close.has(robot), chosen: this.selected.includes(robot) })]);
-    const taken = [...crowds.map(({ middle }) => around(middle, [26, 16])), [width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, this.run.about.space ? 200 : 110, height]];
+    const taken = [...crowds.filter((crowd) => crowd.counted).map(({ middle }) => around(middle, [26, 16])), [width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, this.run.about.space ? 200 : 110, height]];
     const before = this.offsets && this.offsets.length === words.length ? this.offsets : [];
     this.offsets = placed(disks, words.map((one) => one && [one.wide, 14]), [width, height], taken, before);
     this.offsets.forEach((offset, robot) => {

@@ -4,6 +4,7 @@ import { links } from "llm-flock-viewer/geometry.js";
 const ROUNDING = 1e-6; // units; as the server counts pairs
 const COUNT = 13; // pixels between the middle of a crowd and its disks, for the number in it
 const APART = 1.6; // radii, and two pixels of rims, from which on one disk leaves the number of another in sight
+const PASSES = 4; // each move may bring a disk near another
 const TURNS = 12; // angles that are tried for a crowd among others
 
 /** Pairs nearer than the safe distance. */
@@ -24,7 +25,7 @@ export function fanned(pixels, radius) {
     return { members, middle };
   });
   // A little aside: less than a robot's radius, and nothing to be told.
-  for (let pass = 0; pass < 3; pass += 1) {
+  for (let pass = 0; pass < PASSES; pass += 1) {
     for (const [one, other] of links(at, apart, new Set())) {
       const [dx, dy] = [at[other][0] - at[one][0], at[other][1] - at[one][1]];
       const gap = Math.hypot(dx, dy) || 1;
@@ -32,8 +33,18 @@ export function fanned(pixels, radius) {
       at[one] = [at[one][0] - dx * by, at[one][1] - dy * by];
       at[other] = [at[other][0] + dx * by, at[other][1] + dy * by];
     }
+    for (const { middle } of crowds) {
+      at.forEach((place, k) => {
+        const [dx, dy] = [place[0] - middle[0], place[1] - middle[1]];
+        const gap = Math.hypot(dx, dy) || 1;
+        if (gap < radius + COUNT) at[k] = [middle[0] + (dx / gap) * (radius + COUNT), middle[1] + (dy / gap) * (radius + COUNT)];
+      });
+    }
   }
-  return { at, crowds };
+  // A number is left out where there is no room for it: the disks that fan out say the same.
+  const clear = ({ middle }, k) => at.every((place) => Math.hypot(place[0] - middle[0], place[1] - middle[1]) > radius + COUNT - 3)
+    && crowds.every((other, j) => j === k || Math.hypot(other.middle[0] - middle[0], other.middle[1] - middle[1]) > 2 * COUNT);
+  return { at, crowds: crowds.map((crowd, k) => ({ ...crowd, counted: clear(crowd, k) })) };
 }
 
 function groups(count, near) {
