@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from llm_flock.record.schema import DEAD, SILENT
-from llm_flock.record.words import counted, robots_text, work_text
+from llm_flock.record.words import MOST_PLACES, counted, robots_text, work_text
 
 if TYPE_CHECKING:
     from llm_flock.viewer.recording import Recording
@@ -148,10 +148,15 @@ def _gaps(run: Recording) -> str:
 
 def _work(run: Recording) -> str:
     """Who died, and who did the work."""
+    return " · ".join(part for part in (_deaths_text(run), work_text(run.result or {})) if part)
+
+
+def _deaths_text(run: Recording) -> str:
+    """Who died, and when; empty if all are alive."""
     dead = _dead(run)
-    return " · ".join(
-        part for part in (f"{robots_text(dead)} died" if dead else "", work_text(run.result or {})) if part
-    )
+    rounds = sorted({run.died[robot] for robot in dead if robot in run.died})
+    when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MOST_PLACES]))}" if rounds else ""
+    return f"{robots_text(dead)} died{when}" if dead else ""
 
 
 def _dead(run: Recording) -> list[int]:
@@ -207,7 +212,7 @@ def blame(run: Recording) -> Blame:
         return Blame(_model_blame(run, bad), tuple(bad))
     dead = _dead(run)
     if dead:
-        return Blame(f"{_begun(robots_text(dead))} died, and the others did not fill the formation.", tuple(dead))
+        return Blame(f"{_begun(_deaths_text(run))}, and the others did not fill the formation.", tuple(dead))
     if without:
         return Blame(f"{_begun(robots_text(without))} got no plan.", tuple(without))
     if len(groups) > 1:

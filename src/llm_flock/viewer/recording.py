@@ -140,6 +140,7 @@ class Recording:
         plan_numbers: number of each plan, in the order in which plans were first seen.
         marks: number of marks on each timeline track, by round.
         accused: robots that others accused of lying, each with the last reason.
+        died: the round in which each robot died last.
         disturbed: last round in which a robot died or joined, 0 before any did.
         tallies: what became of the calls of each robot's model.
         steer: what can be ordered of it now, for runs that take orders.
@@ -163,6 +164,7 @@ class Recording:
         self.plan_numbers: dict[str, int] = {}
         self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
         self.accused: dict[int, str] = {}
+        self.died: dict[int, int] = {}
         self.disturbed = 0
         self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self.extent: list[float] = []
@@ -189,6 +191,8 @@ class Recording:
                     self.tallies[entry.robot].opened += entry.detail.get("state") == "open"
                 if entry.kind in ("killed", "joined"):
                     self.disturbed = max(self.disturbed, entry.round)
+                if entry.kind == "killed":
+                    self.died[entry.robot] = entry.round
                 if entry.kind == "accused" and isinstance(entry.detail.get("robot"), int):
                     self.accused[entry.detail["robot"]] = str(entry.detail.get("reason")).replace("_", " ")
                 if entry.kind == "fallback":

@@ -322,6 +322,8 @@ export class Arena {
     const opened = new Set(frame.b);
     pen.textAlign = "center";
     pen.textBaseline = "middle";
+    // Below all disks: the ring of one robot must not hide the number of another.
+    for (const robot of this.selected) if (this.at[robot]) chosenRing(this.surface, ...this.at[robot], this.radius);
     this.at.forEach(([x, y], robot) => {
       const { fill, ink, rim } = look(this.run, frame.p[robot]);
       this.surface.circle([x, y], this.radius);
@@ -330,7 +332,6 @@ export class Arena {
       if (few || this.selected.includes(robot)) {
         if (bent.has(robot)) bentRim(this.surface, x, y, this.radius);
         planRim(this.surface, x, y, this.radius, rim);
-        if (this.selected.includes(robot)) chosenRing(this.surface, x, y, this.radius);
         if (opened.has(robot)) breakerTag(this.surface, x, y, this.radius);
       }
       if (!few && !this.selected.includes(robot)) return;

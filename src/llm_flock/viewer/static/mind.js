@@ -1,6 +1,7 @@
 // What a robot knew and asked in a round, and the events of the round: text that follows the cursor.
 import { button, choice, fill, h } from "llm-flock-viewer/dom.js";
 
+const GONE = "The viewer does not answer: is its command still running?";
 const REFRESH_MS = 400; // while the cursor runs, text follows more slowly than the picture
 
 /** Calls `show` with the round under the cursor, at once when it stands and seldom while it runs. */
@@ -90,17 +91,20 @@ export class Minds {
   async show(round) {
     const mine = (this.asked += 1);
     const chosen = this.chosen();
+    let gone = false;
     const found = await Promise.all(chosen.map(async ([k, robot]) => {
       try {
         return round <= this.runs[k].last ? await this.runs[k].get(`mind?robot=${robot}&round=${round}`) : null;
       } catch {
-        return null; // a slow or ended server; the canvases say so
+        gone = true;
+        return null;
       }
     }));
     if (mine !== this.asked) return;
     const minds = found.map((mind, number) => mind && this.mind(this.runs[chosen[number][0]], mind)).filter(Boolean);
+    const over = chosen.some(([k]) => round > this.runs[k].last) ? "This run ended before the round under the cursor." : "";
     this.place.replaceChildren(...minds.length ? minds
-      : [h("div", { class: "flock-hint", text: "Choose a robot: click on it, or choose its number. Shift-click a second one to compare." })]);
+      : [h("div", { class: "flock-hint", text: gone ? GONE : over || "Choose a robot: click on it, or choose its number. Shift-click a second one to compare." })]);
   }
 
   mind(run, found) {
@@ -154,7 +158,7 @@ export class Events {
     const mine = (this.asked += 1);
     const found = await Promise.all(this.runs.map((run) => run.get(`events?round=${Math.min(round, Math.max(0, run.last))}`).catch(() => null)));
     if (mine !== this.asked) return;
-    this.element.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [])));
+    this.element.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [h("div", { class: "flock-hint", text: GONE })])));
   }
 
   listed({ round, total, lines }, k) {

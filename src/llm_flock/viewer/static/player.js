@@ -43,12 +43,13 @@ export function player(options, place, held = null) {
   const line = h("div", { class: "flock-part" });
   const plots = h("div", { class: "flock-part" });
   const ends = pair ? new Ends(runs, names, clock) : null;
+  const note = h("p", { class: "flock-hint flock-unknown", hidden: true, text: "A line ends with ? where its figure is not known: the shape error while robots are missing." });
   const help = legend(!pair && innerWidth >= WIDE, layers);
   minds = held ? null : new Minds(runs, names, clock, (k, robots) => arenas[k].select(robots));
   const happened = new Events(runs, names, clock);
   const steer = held ? null : new Steer(runs, options.runs.map((run) => run.key));
   tabs = panels([
-    ...(minds ? [["Mind", minds.element, ""]] : []), ["Plots", h("div", { class: "flock-charts" }, ends ? ends.element : null, plots), "flock-plots"], ["Events", happened.element, ""],
+    ...(minds ? [["Mind", minds.element, ""]] : []), ["Plots", h("div", { class: "flock-charts" }, ends ? ends.element : null, note, plots), "flock-plots"], ["Events", happened.element, ""],
     ...(steer ? [["Steer", steer.element, ""]] : []),
   ], minds && !pair ? "Mind" : "Plots", steer ? ["Steer"] : []);
   const arenas = [];
@@ -76,7 +77,7 @@ export function player(options, place, held = null) {
     }));
   });
   const time = new Timeline(line, runs, clock, { tracks: options.tracks, names });
-  const charts = new Plots(plots, runs, clock, { charts: options.charts, names });
+  const charts = new Plots(plots, runs, clock, { charts: options.charts, names, note });
   if (steer) clock.listen(() => steered(steer, tabs));
   keys(clock, arenas, help);
   for (const run of runs) clock.attach(run);

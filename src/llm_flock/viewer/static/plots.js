@@ -12,6 +12,7 @@ export class Plots {
     this.clock = clock;
     this.charts = options.charts;
     this.names = options.names;
+    this.note = options.note;
     element.style.minHeight = `${this.charts.length * (LEAST + (runs.length > 1 ? LINE : 0))}px`;
     const titles = this.charts.map((chart) => chart.title).join(", ");
     this.surface = new Surface(element, `Plots over rounds: ${titles}`, () => this.draw());
@@ -114,7 +115,8 @@ export class Plots {
     let [left, line] = [used, 0];
     for (const one of series) {
       const value = one.values[Math.min(this.clock.round, one.values.length - 1)];
-      const text = `${one.name ? `${one.name} ` : ""}${value === undefined || Number.isNaN(value) ? "–" : short(value)}`;
+      const known = value !== undefined && !Number.isNaN(value);
+      const text = `${one.name ? `${one.name} ` : ""}${known ? short(value) : value === undefined ? "–" : "unknown"}`;
       const wide = pen.measureText(text).width + 40;
       if (left + wide > width - 4 && left > 4) [left, line] = [4, line + 1];
       const y = first + line * LINE;
@@ -150,23 +152,27 @@ export class Plots {
     pen.stroke();
   }
 
-  /** Where a line stops before the others: ✓ if its run had formed, × if not. The words are above the plots. */
+  /** Where a line stops before the others: ✓ if its run had formed, × if not, ? if it is not known further. The words are above the plots. */
   end(one, x, y) {
     const { pen } = this.surface;
     const { run, values } = one;
-    const value = values[values.length - 1];
-    if (run.open || run.last >= this.clock.last || value === undefined || Number.isNaN(value)) return;
+    let last = values.length - 1;
+    while (last >= 0 && Number.isNaN(values[last])) last -= 1;
+    const value = values[last];
+    const unknown = last < values.length - 1;
+    if (value === undefined || (!unknown && (run.open || run.last >= this.clock.last))) return;
+    if (unknown && this.note) this.note.hidden = false;
     const formed = run.outcome && run.outcome.tone === "good";
     pen.setLineDash([]);
     pen.font = `700 13px ${FONT}`;
     pen.textAlign = "center";
     pen.fillStyle = theme().paper;
-    this.surface.circle([x(run.last), y(value)], 7);
+    this.surface.circle([x(last), y(value)], 7);
     pen.fill();
     pen.fillStyle = pen.strokeStyle = one.ink;
     pen.lineWidth = 1.5;
     pen.stroke();
-    pen.fillText(formed ? "✓" : "×", x(run.last), y(value) + 0.5);
+    pen.fillText(unknown ? "?" : formed ? "✓" : "×", x(last), y(value) + 0.5);
   }
 
   close() {
