@@ -97,3 +97,58 @@ def test_a_large_formation_keeps_its_disks_apart(tmp_path: Path, browser: Browse
         expect(legend.get_by_text("safety disc")).to_be_hidden()
         page.get_by_role("checkbox", name="Safety discs").check()
         expect(legend.get_by_text("safety disc")).to_be_visible()
+
+
+def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> None:
+    for name in ("one", "x" * 120):
+        make_record(tmp_path / name / "run.mcap", n=4, rounds=3, agree=name == "one")
+    with viewer(tmp_path, "one", "x" * 120) as url:
+        for width, height in ((320, 720), (320, 180), (400, 860)):  # the second is 1280 by 720 at a zoom of 400 %
+            with page_at(browser, url, width=width, height=height) as page:
+                for path in ("run/2", "pair/1/2", "runs", "cockpit"):
+                    page.goto(url + path)
+                    page.locator("canvas[data-round], tbody tr, .flock-shape").first.wait_for()
+                    wide = page.evaluate("document.documentElement.scrollWidth")
+                    assert wide <= width, (path, width, wide)
+                page.goto(f"{url}run/1")
+                ready(page)
+                bar = page.evaluate("getComputedStyle(document.querySelector('.flock-time')).position")
+                assert bar == ("sticky" if height > 560 else "static"), "what stays in sight leaves room for the rest"
+                page.goto(f"{url}runs")
+                cells = page.locator("tbody tr").first.get_by_role("cell")
+                expect(cells).to_have_count(10)
+                assert page.get_by_role("link", name="one").evaluate("(at) => at.getBoundingClientRect().height") < 40
+
+
+def test_a_robot_is_not_compared_with_itself(tmp_path: Path, browser: Browser) -> None:
+    make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
+    with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
+        ready(page)
+        expect(page.locator(".flock-mind")).to_have_count(1)
+        other = page.get_by_label("Compare with")
+        other.select_option("0:2")
+        expect(page.locator(".flock-mind")).to_have_count(2)
+        page.get_by_label("Robot", exact=True).select_option("0:2")
+        expect(page.locator(".flock-mind")).to_have_count(1)
+        expect(other).to_have_value("")
+        assert other.locator("option[disabled]").all_text_contents() == ["2"]
+
+
+def test_what_is_gone_is_said_in_words(tmp_path: Path, browser: Browser) -> None:
+    record = make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
+    page = browser.new_page()
+    with viewer(tmp_path, "one") as url:
+        page.goto(f"{url}run/7")
+        expect(page.get_by_role("heading")).to_have_text("No such run")
+        page.get_by_role("link", name="All runs").click()
+        page.get_by_role("link", name="one").click()
+        ready(page)
+        record.unlink()
+        page.get_by_role("button", name="Export").click()
+        page.get_by_role("button", name="Record (MCAP)").click()
+        expect(page.get_by_role("dialog")).to_contain_text("run.mcap is no longer on the disk")
+        page.keyboard.press("Escape")
+        expect(page.get_by_role("dialog")).to_have_count(0)
+    page.get_by_label("Robot", exact=True).select_option("0:2")
+    expect(page.get_by_role("tabpanel", name="Mind")).to_contain_text("does not answer: is its command still running?")
+    page.close()

@@ -12,6 +12,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from sample_records import FakeRun, make_record
@@ -240,7 +241,7 @@ def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
     red = [
         c
         for c in figure.axes[0].collections
-        if isinstance(c, PathCollection) and mpl.colors.same_color(c.get_edgecolor()[0], DANGER)
+        if isinstance(c, PathCollection) and same_color(c.get_edgecolor()[0], DANGER)
     ]
     assert [len(np.asarray(c.get_offsets())) for c in red] == [3]
     assert "nearer than the safe distance" not in words(figures.snapshots(replace(record, metrics=apart), [2, 10]))
@@ -248,6 +249,28 @@ def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
         [replace(record, metrics=apart), replace(record, positions=stacked, metrics=metrics)], ["one", "other"]
     )
     assert "nearer than the safe distance" in words(both), "the legend is for all panels"
+
+
+@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10]])
+def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
+    mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
+    states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)
+    metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
+    full = replace(
+        record, states=states, metrics=metrics, missions=(record.mission.model_copy(update={"mission": mission}),)
+    )
+    for one in (record, full):
+        figure = figures.snapshots(one, rounds)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        (legend,) = figure.legends
+        heading_of = figure._suptitle  # pyright: ignore[reportAttributeAccessIssue]
+        parts = [heading_of, legend, *(text for axes in figure.axes for text in (axes.title, axes.xaxis.label))]
+        boxes_of = [part.get_window_extent(renderer) for part in parts]
+        whole = figure.bbox
+        assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in boxes_of)
+        assert not [(a, b) for a, b in itertools.combinations(boxes_of, 2) if a.overlaps(b)]
 
 
 def test_the_dead_keep_their_numbers(record: RunRecord) -> None:

@@ -148,7 +148,8 @@ def _gaps(run: Recording) -> str:
 
 def _work(run: Recording) -> str:
     """Who died, and who did the work."""
-    return " · ".join(part for part in (_deaths_text(run), work_text(run.result or {})) if part)
+    work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
+    return " · ".join(part for part in (_deaths_text(run), work) if part)
 
 
 def _deaths_text(run: Recording) -> str:

@@ -59,8 +59,9 @@ def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float6
             at[i], at[j] = at[i] - aside, at[j] + aside
         for i, k in np.argwhere(_gaps(at, middles) < radius + ROOM):
             at[i] += _aside(at[i] - middles[k], radius + ROOM)
-    free = (_gaps(middles, at) > radius + LEAST_ROOM).all(axis=1)
-    free &= (_gaps(middles, middles) + np.diag(np.full(len(middles), np.inf)) > 2 * ROOM).all(axis=1)
+    alone = _gaps(middles, middles) + np.diag(np.full(len(middles), np.inf)) > 2 * ROOM
+    clear = _gaps(middles, at) > radius + LEAST_ROOM
+    free = [bool(a.all() and b.all()) for a, b in zip(alone, clear, strict=True)]
     return at, [Crowd(members, middles[k] if free[k] else None) for k, members in enumerate(crowds)]
 
 

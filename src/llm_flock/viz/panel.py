@@ -45,6 +45,9 @@ INSET = 0.24
 
 TIMES = "\u00d7"
 
+LEGEND_EMS = 4.2
+"""Width of a sign in a legend with the room around it, in sizes of its letters."""
+
 ROUNDING = 1e-6
 """A pair that is nearer than the safe distance by less than this keeps it [units]; as in the viewer."""
 
@@ -296,7 +299,7 @@ class Panel:
         phases = {phase for state in self.record.states for phase in state.phases}
         silent: list[Line2D | Patch] = []
         if DEAD in phases:
-            named = f"dead robot ({TIMES}){', with its number' if self.labelled else ''}"
+            named = f"dead robot ({TIMES})"
             silent.append(Line2D([], [], marker="o", ls="", ms=7, mfc=INK, mec=INK, label=named))
         if ASLEEP in phases:
             look_asleep: dict[str, Any] = {"mfc": NO_PLAN, "mec": INK, "mew": 0.8}
@@ -318,7 +321,7 @@ class Panel:
             found.append(Patch(facecolor=FAINT, edgecolor=FAINT, label="obstacle"))
         safe = float(mission["safe_distance"])
         if any(row.min_separation is not None and row.min_separation < safe - ROUNDING for row in self.record.metrics):
-            words = "nearer than the safe distance" + (f"; 2{TIMES}: in one place" if self.labelled else "")
+            words = "nearer than the safe distance"
             found.append(
                 Line2D([], [], marker="o", ls="-", c=DANGER, ms=8, mfc="none", mec=DANGER, mew=1.4, label=words)
             )
@@ -332,6 +335,18 @@ def key_of(panels: Sequence[Panel]) -> list[Line2D | Patch]:
         for entry in panel.key():
             found.setdefault(str(entry.get_label()), entry)
     return list(found.values())
+
+
+def columns_of(entries: Sequence[Line2D | Patch], inches: float, size: float) -> int:
+    """Most columns of a legend with letters of a `size` [points] that fit a width; entries fill column after column."""
+    widths = [size_of(str(entry.get_label()), size)[0] + LEGEND_EMS * size for entry in entries]
+    for columns in range(len(widths), 1, -1):
+        rows, longer = divmod(len(widths), columns)
+        lengths = [rows + (k < longer) for k in range(columns)]
+        firsts = [sum(lengths[:k]) for k in range(columns)]
+        if sum(max(widths[i : i + n]) for i, n in zip(firsts, lengths, strict=True)) <= 72.0 * inches:
+            return columns
+    return 1
 
 
 def _dpi(axes: Axes) -> float:

@@ -322,15 +322,16 @@ export class Arena {
     const opened = new Set(frame.b);
     pen.textAlign = "center";
     pen.textBaseline = "middle";
-    // Below all disks: the ring of one robot must not hide the number of another.
+    // Below all disks: no ring of one robot hides the number of another.
     for (const robot of this.selected) if (this.at[robot]) chosenRing(this.surface, ...this.at[robot], this.radius);
+    if (few) for (const robot of frame.h) bentRim(this.surface, ...this.at[robot], this.radius);
     this.at.forEach(([x, y], robot) => {
       const { fill, ink, rim } = look(this.run, frame.p[robot]);
       this.surface.circle([x, y], this.radius);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
       pen.fill();
       if (few || this.selected.includes(robot)) {
-        if (bent.has(robot)) bentRim(this.surface, x, y, this.radius);
+        if (bent.has(robot) && !few) bentRim(this.surface, x, y, this.radius);
         planRim(this.surface, x, y, this.radius, rim);
         if (opened.has(robot)) breakerTag(this.surface, x, y, this.radius);
       }
