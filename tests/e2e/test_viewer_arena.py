@@ -105,6 +105,7 @@ def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> N
     with viewer(tmp_path, "one", "x" * 120) as url:
         for width, height in ((320, 720), (320, 180), (400, 860)):  # the second is 1280 by 720 at a zoom of 400 %
             with page_at(browser, url, width=width, height=height) as page:
+                page.locator("tbody tr").first.wait_for()  # the viewer is there
                 for path in ("run/2", "pair/1/2", "runs", "cockpit"):
                     page.goto(url + path)
                     page.locator("canvas[data-round], tbody tr, .flock-shape").first.wait_for()

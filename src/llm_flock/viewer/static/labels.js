@@ -1,5 +1,4 @@
 // Where letters and numbers stand beside disks: on no disk, on no other word, within the picture.
-import { links } from "llm-flock-viewer/geometry.js";
 
 const ANGLES = [270, 90, 315, 225, 45, 135, 0, 180].map((angle) => (angle * Math.PI) / 180); // above is looked at first
 const STEPS = 3; // distances from the disk that are tried; farther out nobody sees whose word it is
@@ -14,13 +13,13 @@ const GAP = 2; // pixels around a word
 export function placed(disks, words, [width, height], taken = [], before = []) {
   const found = disks.map(() => null);
   const widest = Math.max(1, ...disks.map((disk) => disk[2])) + Math.max(0, ...words.map((word) => (word ? Math.hypot(...word) : 0)));
+  const wordy = disks.map((_, k) => k).filter((k) => words[k]);
   const near = disks.map(() => []);
-  for (const [one, other] of links(disks, 2.5 * widest, new Set())) {
-    near[one].push(other);
-    near[other].push(one);
+  for (const k of wordy) {
+    near[k] = disks.flatMap((disk, other) => (other !== k && Math.hypot(disk[0] - disks[k][0], disk[1] - disks[k][1]) < 2.5 * widest ? [other] : []));
   }
   // Who stands in a crowd has the least choice, and chooses first.
-  const order = disks.map((_, k) => k).filter((k) => words[k]).sort((a, b) => near[b].length - near[a].length || a - b);
+  const order = wordy.sort((a, b) => near[b].length - near[a].length || a - b);
   const boxes = disks.map(() => null);
   for (const k of order) {
     const [x, y, radius] = disks[k];
