@@ -129,8 +129,9 @@ sbom: $(STAMP) ## List the parts that `make setup` installs: sbom.cdx.json (Cycl
 audit: $(STAMP) ## Which parts have known faults: make audit DATABASE=FILE, advisories in the OSV format
 	$(BIN)/python -m benchmarks.supply audit "$(DATABASE)"
 
-pictures: $(STAMP) ## Retake the pictures of docs/how-to/viewer.md in a real browser
+pictures: $(STAMP) ## Retake the pictures of the viewer's page, in a real browser, of the gallery and of the README
 	$(BIN)/python docs/viewer_images.py
+	$(BIN)/python docs/gallery_images.py
 
 docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs build/docs

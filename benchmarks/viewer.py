@@ -8,6 +8,7 @@ Needs the `view` and `dev` extras and a Chromium. Records are made up (`tests/sa
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import statistics
 import subprocess
@@ -17,6 +18,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -34,15 +36,33 @@ STEADY = 0.25
 """A heap that grows by less is steady [MB a minute]."""
 
 
+class Start(NamedTuple):
+    """A viewer that has printed its address, and when its command was given."""
+
+    url: str
+    began: float
+    process: int
+
+    def processor_s(self) -> float | None:
+        """Processor time of the viewer by now, which other programs change little; None where the system hides it."""
+        try:
+            fields = Path(f"/proc/{self.process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        except OSError:
+            return None
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 @contextmanager
-def viewer(*arguments: str) -> Iterator[tuple[str, float]]:
-    """A viewer, and when its command was given."""
+def viewer(*arguments: str) -> Iterator[Start]:
+    """A viewer that runs."""
     command = [sys.executable, "-m", "llm_flock", "view", *arguments, "--no-browser", "--port", "0"]
+    # An installed package has byte code: what is compiled at the first start is kept for the others.
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     began = time.time()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=kept) as process:
         assert process.stdout is not None
         try:
-            yield process.stdout.readline().strip(), began
+            yield Start(process.stdout.readline().strip(), began, process.pid)
         finally:
             process.terminate()
 
@@ -97,31 +117,41 @@ def paint(browser: Browser, folder: Path) -> None:
     record = make_record(folder / "paint" / "run.mcap", n=10, rounds=60)
     after: dict[str, list[float]] = {what: [] for what in PAINTS}
     printed: list[float] = []
+    used: list[float | None] = []
+    whole: list[float | None] = []
+    with viewer(str(record)):
+        pass  # as after an installation, nothing has to be compiled
     for _ in range(STARTS):
         # The browser is there before the command, as a user's is; it is the viewer that is timed.
         page = browser.new_page(viewport={"width": 1280, "height": 720})
         seen: dict[str, float] = {}
         page.expose_function("seen", lambda what, at, seen=seen: seen.setdefault(what, at))
         page.add_init_script(SEEN)
-        with viewer(str(record)) as (url, began):
-            printed.append(time.time() - began)
-            page.goto(url, timeout=60_000)
+        with viewer(str(record)) as start:
+            used.append(start.processor_s())
+            printed.append(time.time() - start.began)
+            page.goto(start.url, timeout=60_000)
             page.locator("main .flock-mind").first.wait_for(timeout=60_000)
+            whole.append(start.processor_s())
             page.wait_for_timeout(300)  # what was seen is told
             for what, times in after.items():
-                times.append(seen[what] / 1000 - began)
+                times.append(seen[what] / 1000 - start.began)
         page.close()
     print("after the command, 10 robots, 60 rounds:")
     for what, times in (
         {"its address printed": printed} | {PAINTS[what]: times for what, times in after.items()}
     ).items():
         print(f"  {what}: median {statistics.median(times):.2f} s, worst {max(times):.2f} s of {STARTS}")
+    for what, spent in (("address", used), ("mind of a robot", whole)):
+        known = [one for one in spent if one is not None]
+        if known:
+            print(f"  processor time of the viewer until its {what}: median {statistics.median(known):.2f} s")
 
 
 def scrub(browser: Browser, folder: Path) -> None:
     record = make_record(folder / "scrub" / "run.mcap", n=20, rounds=1000)
-    with viewer(str(record)) as (url, _):
-        page = opened(browser, url)
+    with viewer(str(record)) as start:
+        page = opened(browser, start.url)
         reached(page, 1000)
         took = page.evaluate(
             """async (jumps) => {
@@ -149,8 +179,8 @@ def scrub(browser: Browser, folder: Path) -> None:
 
 def frames(browser: Browser, folder: Path, n: int) -> None:
     record = make_record(folder / f"frames-{n}" / "run.mcap", n=n, rounds=60, llm=False)
-    with viewer(str(record)) as (url, _):
-        page = opened(browser, url)
+    with viewer(str(record)) as start:
+        page = opened(browser, start.url)
         reached(page, 60)
         drawn = page.evaluate(
             """async () => {
@@ -174,8 +204,8 @@ def live(browser: Browser, folder: Path, seconds: float, rate: float) -> None:
         fake.rounds = 1
         fake.write(writer, finish=False)
         fake.rounds = int(seconds * rate)
-        with viewer(str(path), "--live") as (url, _):
-            page = opened(browser, url)
+        with viewer(str(path), "--live") as start:
+            page = opened(browser, start.url)
             tab = page.context.new_cdp_session(page)
             began, told, number = time.monotonic(), 0.0, 1
             sizes: list[tuple[float, float]] = []

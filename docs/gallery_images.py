@@ -1,6 +1,7 @@
 """Flies the runs of docs/gallery.md and takes their pictures: `python docs/gallery_images.py [NAME]...`.
 
-The commands are read from the page, so that each of them is tried. Prints the rows of its table.
+So it does with the figures of the README and of the first comparison. The commands are read from the pages, so that
+each of them is tried. Prints the rows of the gallery's table.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from llm_flock.record.reader import read_record
 from llm_flock.viz import figures
 
 DOCS = Path(__file__).parent
-COLOURS = 48
+COLOURS, FINER = 128, 256
 DPI = 84
 COMMAND = re.compile(r"^## (\w+)\n.*?```bash\nllm-flock (run .*?)\n```", re.MULTILINE | re.DOTALL)
 
@@ -41,12 +42,32 @@ def fly(folder: Path, name: str, command: str) -> str:
     return f"| [{name}](#{name}) | {formed} | {result['wall_s']:.1f} s |"
 
 
+PAGES = {"in-flight": "../README.md", "three-rules": "tutorial/first-comparison.md"}
+"""Pages with the commands for other pictures, in the block before each."""
+
+
+def draw(folder: Path, name: str, page: str) -> str:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    before = text.partition(f"images/{name}.png")[0]
+    block = re.findall(r"```bash\n(.*?)```", before, re.DOTALL)[-1].replace("\\\n", " ")
+    for line in block.strip().splitlines():
+        command = [sys.executable, "-m", "llm_flock", *shlex.split(line)[1:]]
+        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    drawn = folder / shlex.split(block.strip().splitlines()[-1])[-1]
+    picture = Image.open(drawn).convert("RGB").quantize(FINER, dither=Image.Dither.NONE)
+    picture.save(DOCS / "images" / f"{name}.png", optimize=True)
+    return name
+
+
 def main() -> None:
     found = COMMAND.findall((DOCS / "gallery.md").read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as folder:
         for name, command in found:
             if not sys.argv[1:] or name in sys.argv[1:]:
                 print(fly(Path(folder), name, command), flush=True)
+        for name, page in PAGES.items():
+            if not sys.argv[1:] or name in sys.argv[1:]:
+                print(draw(Path(folder), name, page), flush=True)
 
 
 if __name__ == "__main__":

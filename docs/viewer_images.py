@@ -1,6 +1,6 @@
 """Takes the pictures of docs/how-to/viewer.md: `python docs/viewer_images.py [FOLDER]`, with extras `view` and `dev`.
 
-Every model in them is simulated. A real browser opens a real viewer; the pictures are reduced to 128 colours.
+Every model in them is simulated. A real browser opens a real viewer; the pictures are reduced to 256 colours.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
-COLOURS = 128
+COLOURS = 256
 DESKTOP, PHONE = (1280, 720), (400, 860)
 MODEL = "simulated:distorted@0.2,overshoot@0.3,malformed@0.15"
 BAD = "3=simulated:malformed,0-2=simulated:ideal,4-5=simulated:ideal"

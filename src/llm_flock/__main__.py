@@ -1,17 +1,46 @@
 """Entry point of `llm-flock` and `python -m llm_flock`; imports the rest only once Ctrl-C can be caught."""
 
+from __future__ import annotations
+
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import typer
+
+EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 
 
 def main() -> None:
-    """Run the command line. Ctrl-C ends it with exit code 130 at any time."""
+    """Run the command line; expected errors become one line on stderr and an exit code. Ctrl-C ends it with 130."""
     try:
-        from llm_flock.cli import main as command_line
-
-        command_line()
+        _run()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _run() -> None:
+    from llm_flock.errors import FlockError, InputError
+    from llm_flock.printable import log_to_stderr, printable
+    from llm_flock.renamed import current_flag
+
+    log_to_stderr()
+    sys.argv[1:] = map(current_flag, sys.argv[1:])
+    try:
+        _app()()
+    except FlockError as error:
+        print(printable(f"error: {error}"), file=sys.stderr, flush=True)
+        sys.exit(EXIT_INPUT if isinstance(error, InputError) else EXIT_FAILED)
+
+
+def _app() -> typer.Typer:
+    """All commands, or the viewer's alone: a page waits for it, and the others take as long to load again."""
+    if sys.argv[1:2] == ["view"]:
+        from llm_flock.viewer.command import app
+    else:
+        from llm_flock.cli import app
+    return app
 
 
 if __name__ == "__main__":

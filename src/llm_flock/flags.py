@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, cast
 
 import typer
@@ -32,6 +33,22 @@ class FlagErrors(TyperGroup):
             if isinstance(error, FieldError) or not isinstance(command, TyperCommand):
                 raise
             raise FieldError(error.field, error.value, says=in_flags(error, command, sys.argv[1:])) from None
+
+
+class PlainHelp(TyperCommand):
+    """A command whose help is plain text: `[m]` in it is a unit, no markup."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        from rich.markup import escape  # slow to load, and rarely needed
+
+        shown = copy(self)
+        shown.params = [copy(param) for param in self.params]
+        for param in shown.params:
+            if text := getattr(param, "help", None):
+                vars(param)["help"] = escape(text)
+        shown.help = None if self.help is None else escape(self.help)
+        TyperCommand.format_help(shown, ctx, formatter)
 
 
 def in_flags(error: InputError, command: TyperCommand, argv: Sequence[str]) -> str:

@@ -56,6 +56,11 @@ def test_pages_keep_the_rules_of_wcag(served: str, browser: Browser, dark: bool)
             page.goto(served + path)
             page.locator(".flock-headline:not(:empty), tbody tr, .flock-shape").first.wait_for()
             assert violations(page) == [], path
+        page.set_viewport_size({"width": 400, "height": 860})
+        for path in ("run/2", "pair/1/2", "runs", "cockpit"):
+            page.goto(served + path)
+            page.locator(".flock-headline:not(:empty), tbody tr, .flock-shape").first.wait_for()
+            assert violations(page) == [], f"{path} on a phone"
         page.evaluate("document.body.append(document.createElement('button'))")
         assert any("button-name" in line for line in violations(page)), "the checker checks"
 

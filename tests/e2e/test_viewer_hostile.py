@@ -92,9 +92,9 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
             page.get_by_label("Robot", exact=True).select_option(f"0:{robot}")
             mind = page.locator(".flock-mind").first
             expect(mind).to_contain_text(f"Robot {robot} ·")
-            expect(mind.locator(".flock-facts").first).to_contain_text(f"{SHOWN} · moved by {SHOWN}")
+            expect(mind.locator(".flock-facts").first).to_contain_text(f"moved by {SHOWN} · {SHOWN}")
             expect(mind.locator(".flock-call")).to_contain_text(SHOWN)
-            mind.get_by_text("Prompt (1 messages)").click()
+            mind.get_by_text("Prompt (1 message)").click()
             expect(mind.locator(".flock-prompt .flock-said")).to_have_text(SHOWN)
             unharmed(page)
         page.get_by_role("tab", name="Events").click()

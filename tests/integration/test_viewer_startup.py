@@ -118,6 +118,31 @@ def test_a_run_is_drawn_before_there_is_a_viewer(tmp_path: Path) -> None:
         address.sock.close()
 
 
+def test_a_page_that_was_asked_for_gets_its_run_before_anything_else_is_loaded(tmp_path: Path) -> None:
+    library = Library()
+    load(library.add("one", make_record(tmp_path / "run.mcap", n=4, rounds=3), live=False))
+    address = listen("127.0.0.1", 0, None)
+    address.startup.show(player("one"), address.hosts)
+    address.startup.answer_data(partial(answer, library))
+    try:
+        waiting = threading.Thread(target=lambda: address.startup.wait_for_page(30.0))
+        waiting.start()
+        waiting.join(10)
+        assert not waiting.is_alive(), "nobody has asked for a page"
+        ask(address, "/", ACCEPT)
+        waiting = threading.Thread(target=lambda: address.startup.wait_for_page(30.0))
+        waiting.start()
+        ask(address, "/data/1/news?rounds=0&plans=0&missions=0")
+        waiting.join(0.2)
+        assert waiting.is_alive(), "the page lacks the mind of a robot"
+        ask(address, "/data/1/mind?robot=2&round=1")
+        waiting.join(10)
+        assert not waiting.is_alive()
+    finally:
+        address.startup.stop()
+        address.sock.close()
+
+
 @pytest.mark.parametrize(
     ("host", "heads"),
     [

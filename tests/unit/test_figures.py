@@ -12,6 +12,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from sample_records import FakeRun, make_record
@@ -22,8 +23,9 @@ from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.record.scene import PALETTE
 from llm_flock.viz import figures
 from llm_flock.viz.animation import frames
+from llm_flock.viz.crowd import spread
 from llm_flock.viz.panel import Panel, short, view
-from llm_flock.viz.style import heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
+from llm_flock.viz.style import DANGER, heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
 
 
 @pytest.fixture
@@ -197,11 +199,11 @@ def boxes(axes: Axes) -> tuple[list[Bbox], list[Bbox]]:
     return words, discs
 
 
-@pytest.mark.parametrize(("n", "spread"), [(5, 100.0), (5, 12.0), (10, 100.0), (10, 40.0), (10, 12.0), (15, 12.0)])
-def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, spread: float) -> None:
+@pytest.mark.parametrize(("n", "wide"), [(5, 100.0), (5, 12.0), (10, 100.0), (10, 40.0), (10, 12.0), (15, 12.0)])
+def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, wide: float) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=n, rounds=2))
     rng = np.random.default_rng(n)
-    record = replace(record, positions=rng.uniform(50.0 - spread / 2, 50.0 + spread / 2, record.positions.shape))
+    record = replace(record, positions=rng.uniform(50.0 - wide / 2, 50.0 + wide / 2, record.positions.shape))
     for axes in figures.snapshots(record, [1, 2]).axes:
         words, discs = boxes(axes)
         assert len(discs) == n and len(words) > 0.5 * n
@@ -209,6 +211,73 @@ def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, spread: fl
         assert not [(word, disc) for word in words for disc in discs if word.overlaps(disc)]
         inside = axes.get_window_extent()
         assert all(inside.x0 <= word.x0 and word.x1 <= inside.x1 for word in words)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_disc_of_a_crowd_is_seen(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    discs = np.concatenate([np.full((3, 2), 50.0), [[90.0, 50.0], [90.5, 50.0]], rng.uniform(0.0, 100.0, (6, 2))])
+    at, crowds = spread(discs, 5.0)
+    assert [list(one.members[:3]) for one in crowds][:1] == [[0, 1, 2]], "robots in one place are a crowd"
+    apart = np.linalg.norm(at[:, None] - at[None], axis=2) + np.diag(np.full(len(at), np.inf))
+    assert apart.min() > 5.0, "no disc hides the middle of another"
+    for crowd in crowds:
+        if crowd.middle is not None:
+            assert np.linalg.norm(at - crowd.middle, axis=1).min() > 5.0 + 5.0
+    alone = np.linalg.norm(discs[:, None] - discs[None], axis=2) + np.diag(np.full(len(at), np.inf))
+    far = alone.min(axis=1) > 40.0
+    np.testing.assert_array_equal(at[far], discs[far])
+
+
+def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
+    apart = tuple(row.model_copy(update={"min_separation": 9.0}) for row in record.metrics)
+    stacked = record.positions.copy()
+    stacked[2, :2] = stacked[2, 2]
+    metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
+    figure = figures.snapshots(replace(record, positions=stacked, metrics=metrics), [2, 10])
+    assert "3\u00d7" in [text.get_text() for text in figure.axes[0].texts]
+    assert not [text for text in figure.axes[1].texts if "\u00d7" in text.get_text()]
+    assert "nearer than the safe distance" in words(figure) and "obstacle" not in words(figure)
+    red = [
+        c
+        for c in figure.axes[0].collections
+        if isinstance(c, PathCollection) and same_color(c.get_edgecolor()[0], DANGER)
+    ]
+    assert [len(np.asarray(c.get_offsets())) for c in red] == [3]
+    assert "nearer than the safe distance" not in words(figures.snapshots(replace(record, metrics=apart), [2, 10]))
+    both = figures.comparison(
+        [replace(record, metrics=apart), replace(record, positions=stacked, metrics=metrics)], ["one", "other"]
+    )
+    assert "nearer than the safe distance" in words(both), "the legend is for all panels"
+
+
+@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10]])
+def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
+    mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
+    states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)
+    metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
+    full = replace(
+        record, states=states, metrics=metrics, missions=(record.mission.model_copy(update={"mission": mission}),)
+    )
+    for one in (record, full):
+        figure = figures.snapshots(one, rounds)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        (legend,) = figure.legends
+        heading_of = figure._suptitle  # pyright: ignore[reportAttributeAccessIssue]
+        parts = [heading_of, legend, *(text for axes in figure.axes for text in (axes.title, axes.xaxis.label))]
+        boxes_of = [part.get_window_extent(renderer) for part in parts]
+        whole = figure.bbox
+        assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in boxes_of)
+        assert not [(a, b) for a, b in itertools.combinations(boxes_of, 2) if a.overlaps(b)]
+
+
+def test_the_dead_keep_their_numbers(record: RunRecord) -> None:
+    states = tuple(state.model_copy(update={"phases": ["idle", "dead", *["idle"] * 3]}) for state in record.states)
+    (axes,) = figures.snapshots(replace(record, states=states), [10]).axes
+    assert [text.get_text() for text in axes.texts].count("1") == 1
+    assert "dead robot" in words(axes.figure)  # type: ignore[arg-type]
 
 
 def test_a_formation_fills_its_panel_and_an_inset_shows_where_it_is(tmp_path: Path) -> None:

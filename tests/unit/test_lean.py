@@ -20,6 +20,7 @@ from llm_flock.cli import app
 from llm_flock.cli.start import next_steps
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, ExtraMissing, require, require_posix
+from llm_flock.viewer.command import app as alone
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -69,6 +70,8 @@ LINES = {
 }
 """Command lines that have nothing to fly or draw, and what else they must not import."""
 
+LINES_OF_VIEW = ("view --help", "view --port x", "view no-such-file", "view --base-url http://localhost")
+
 PROBE = """
 import json, sys
 from llm_flock.__main__ import main
@@ -105,6 +108,30 @@ def test_the_probe_would_notice() -> None:
         timeout=60,
     )
     assert done.stderr.splitlines()[-1] == '[["numpy", "json"]]'
+
+
+def test_the_viewer_loads_no_other_command() -> None:
+    # A page waits for it. It refuses what it is given here after it has built its options.
+    probe = PROBE.replace("sys.argv[1:] = line.split()", 'sys.argv[1:] = ["view", *line.split()]')
+    done = subprocess.run(
+        [sys.executable, "-c", probe, '[["no-such-file", ["llm_flock.cli", "rich", "asyncio", "typer", "numpy"]]]'],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert "no-such-file" in done.stderr
+    assert done.stderr.splitlines()[-1] == '[["typer"]]'
+
+
+def test_the_viewer_alone_says_what_it_says_among_the_others() -> None:
+    said = [
+        CliRunner().invoke(one, line.split(), prog_name="llm-flock") for one in (app, alone) for line in LINES_OF_VIEW
+    ]
+    half = len(LINES_OF_VIEW)
+    for one, other in zip(said[:half], said[half:], strict=True):
+        assert (one.exit_code, one.output, str(one.exception)) == (other.exit_code, other.output, str(other.exception))
+    assert "--foxglove-port" in said[0].output
 
 
 def test_the_list_of_commands_is_that_of_the_commands() -> None:

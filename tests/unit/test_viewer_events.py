@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,11 +44,39 @@ def test_the_same_kind_says_which_way_it_went() -> None:
     assert words("claimed", before=1) == "claimed place 3 instead of 1"
     assert words("claimed", slot=None, before=1) == "gave place 1 up"
     assert "again" in words("breaker", state="closed") and "not asked" in words("breaker")
-    assert words("injected", model=None, loss=0.4).startswith("loses 40% of the messages")
+    assert words("injected", model=None, loss=0.4).startswith("loses 40 % of the messages")
     assert words("shielded").endswith("to (1.5, 2.25)")
     assert words("rejected_message", reason="other_mission", detail="").endswith("it heard: other mission")
     assert words("asked_again", reason="new_goal").endswith("its place is another one")
 
 
+def test_one_of_a_kind_is_told_in_the_singular() -> None:
+    assert "after 1 refusal in a row" in words("breaker", refusals=1) and "3 refusals" in words("breaker")
+    assert "for 1 round," in words("deadlock", rounds=1) and "1 unit away" in words("deadlock", goal_distance=1.0)
+    assert words("gap") == "leaves place 4 of the formation empty, after robot 5 was not found"
+    assert words("gap", slots=[4, 6], missing=[5, 7]).endswith("empty, after robots 5, 7 were not found")
+    assert words("dropped_notes", count=1) == "left 1 further event out of its report"
+
+
+FLIGHT_VALUES: dict[str, Any] = {
+    "name": "cf1", "altitude_m": 0.5, "seconds": 2.5, "asked": [1.0, 2.0], "sent": [0.5, 1.0], "spot": [1.0, 2.0],
+    "stopped": False, "reason": "no answer", "position": [1.0, 2.0, 3.0], "confirmed": True, "landing": True,
+}  # fmt: skip
+
+
+def test_every_kind_of_event_of_a_flight_is_a_sentence() -> None:
+    page = (Path(__file__).parents[2] / "docs/reference/record.md").read_text(encoding="utf-8")
+    table = page.split("| Kind | What happened | Detail |")[-1].split("\n\n")[0]
+    kinds = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", table, re.MULTILINE))
+    assert len(kinds) > 10
+    for kind in kinds.keys() - {"preflight", "poses"}:  # these are about no robot
+        for values in (FLIGHT_VALUES, {}):
+            detail = {name: values[name] for name in re.findall(r"`(\w+)`", kinds[kind]) if name in values}
+            event = ProtocolEvent(round=5, comm_round=None, robot=1, kind=kind, detail=detail)
+            sentence = in_words(event, lambda plan: "A")
+            assert not sentence.startswith("reports"), kind
+            assert not re.search(r"True|False|None|[\[\]{}_=]", sentence) or not detail, sentence
+
+
 def test_what_is_not_known_is_told_all_the_same() -> None:
-    assert words("link_lost", battery_v=3.2) == "reports: link lost; battery v 3.2"
+    assert words("swerved", battery_v=3.2) == "reports: swerved; battery v 3.2"

@@ -10,7 +10,7 @@ from sample_records import FakeRun, llm_entry, make_record
 
 import llm_flock
 from llm_flock.record.schema import MissionInfo, ProtocolEvent, RoundEnd, State, SummaryMessage
-from llm_flock.viewer.data import news
+from llm_flock.viewer.data import frames, news
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.outcome import mission_parts, outcome
 from llm_flock.viewer.recording import Recording, close_pairs
@@ -46,7 +46,7 @@ def test_a_run_that_formed_says_when_and_by_whom(tmp_path: Path) -> None:
     assert run.result is not None
     when = run.result["rounds_to_formed"]
     assert (found["tone"], found["headline"], found["why"]) == ("good", f"Formed in round {when}", "")
-    assert found["by"].startswith(f"plan by robot {run.result['plan_robot']} (simulated:ideal)")
+    assert found["by"].startswith(f"Plan by robot {run.result['plan_robot']} (simulated:ideal)")
     assert run_row(run)["ratio"] == round(when / run.result["lower_bound_rounds"], 3)
 
 
@@ -60,7 +60,7 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     assert (second.first, second.last, second.text) == (14, None, "line of 8")
     assert second.formed == told[1]["formed"] == 13 + run.result["rounds_to_formed"]
     took = run.result["rounds_to_formed"]
-    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took}, {took} after its order"
+    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took}, after {took} rounds"
     # While it flies there is no result: what was measured says the same.
     run.result, run.open = None, True
     assert [part.formed for part in mission_parts(run)] == [told[0]["formed"], told[1]["formed"]]
@@ -88,6 +88,56 @@ def test_the_dead_are_named_and_disagreement_is_nobodys_fault_alone(tmp_path: Pa
     assert outcome(run)["why"].startswith("Robot 1 died") and outcome(run)["guilty"] == [1]
 
 
+def test_half_a_team_is_not_blamed_for_the_other_half(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=5, agree=False))
+    last = run.states[-1]
+    a, b, c = last.plan_ids[:3]
+    for held, why, guilty in (
+        ([a, b, a, b, None], "2 plans were in use at the end; robots 0, 2 had plan A; robots 1, 3 had plan B.", []),
+        (
+            [a, a, c, b, b],
+            "3 plans were in use at the end; robots 0, 1 had plan A; robots 3, 4 had plan B; robot 2",
+            [],
+        ),
+        ([a, a, c, b, a], "3 plans were in use at the end; robots 2, 3 held another than most.", [2, 3]),
+    ):
+        phases = ["idle" if plan else "asleep" for plan in held]
+        run.states[-1] = last.model_copy(update={"plan_ids": held, "phases": phases})
+        found = outcome(run)
+        assert why in found["why"] and found["guilty"] == guilty, found["why"]
+
+
+def test_a_robot_that_was_accused_of_lying_comes_first(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5, agree=False))
+    said = {"robot": 2, "reason": "two_plans_of_one_name", "proof": "x"}
+    run.write(ProtocolEvent(round=3, comm_round=0, robot=0, kind="accused", detail=said))
+    found = outcome(run)
+    assert found["guilty"] == [2] == [found["interesting"]["robot"]]
+    assert found["why"] == "Robot 2 was accused of sending what no honest robot sends: two plans of one name."
+
+
+def test_a_run_without_a_round_is_nobodys_fault(tmp_path: Path) -> None:
+    found = outcome(flown(tmp_path / "none", model="simulated:ideal", rounds=0))
+    assert (found["headline"], found["why"], found["guilty"]) == ("Not formed: no round was flown", "", [])
+    assert outcome(flown(tmp_path / "one", model="simulated:ideal", rounds=1))["headline"].endswith(
+        "the only round was used up"
+    )
+
+
+def test_a_formation_with_empty_places_and_one_of_geometry_alone_say_so(tmp_path: Path) -> None:
+    found = outcome(flown(tmp_path / "gap", model="simulated:ideal", kill="1@3"))
+    assert found["headline"].endswith(", with 1 place empty") and found["by"].startswith(
+        "Robot 1 died · plan by robot "
+    )
+    run = flown(tmp_path / "geometry", model="geometry", places=4)
+    found = outcome(run)
+    assert found["headline"].endswith(", by geometry without models")
+    assert found["missions"][0]["text"] == "circle of 4, 6 robots"
+    # What no model wanted otherwise has no rim that says so.
+    rims = [{run.states[frame["r"]].origins[robot] for robot in frame["h"]} for frame in frames(run, 0, 200)]
+    assert any("geometry" in state.origins for state in run.states) and set().union(*rims) <= {"shield", "clipped"}
+
+
 def test_without_trouble_the_proposer_is_shown_first(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
     assert outcome(run)["interesting"] == {"robot": 0, "why": "nothing stands out"}
@@ -98,7 +148,7 @@ def test_without_trouble_the_proposer_is_shown_first(tmp_path: Path) -> None:
     run.write(llm_entry(5, 3, parsed=None, rejected="too far"))
     run.write(llm_entry(5, 1, parsed=None, text=None, error="timeout"))
     run.write(ProtocolEvent(round=5, comm_round=0, robot=1, kind="fallback", detail={"by": "geometry"}))
-    assert outcome(run)["interesting"] == {"robot": 1, "why": "1 failed, 1 times helped"}
+    assert outcome(run)["interesting"] == {"robot": 1, "why": "1 call failed, 1 time helped"}
 
 
 def test_pairs_that_are_too_close_are_counted_by_round() -> None:

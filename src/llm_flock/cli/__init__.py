@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,7 +30,6 @@ from llm_flock.cli.fly import fly
 from llm_flock.cli.foxglove import PACE, Pacer, run_orders, showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
-    EXIT_INPUT,
     EXIT_INTERRUPTED,
     ConfigPath,
     JsonOutput,
@@ -46,11 +44,9 @@ from llm_flock.cli.stand_ins import stand_ins
 from llm_flock.cli.swarm import mission, robot, ros2, swarm, watch, world
 from llm_flock.cli.sweep import sweep
 from llm_flock.cli.terminal import Screen, say
-from llm_flock.errors import FlockError, InputError
+from llm_flock.errors import InputError
 from llm_flock.extras import require
 from llm_flock.foxglove.options import Service, with_foxglove
-from llm_flock.printable import log_to_stderr
-from llm_flock.renamed import current_flag
 from llm_flock.viewer.command import view
 
 app = typer.Typer(
@@ -294,17 +290,3 @@ def _labels(runs: list[Any]) -> list[str]:
     from llm_flock.viz.style import rules
 
     return [rules(r.run.config) or "unknown rules" for r in runs]
-
-
-def main() -> None:
-    """Entry point: turn expected errors into one line on stderr and an exit code."""
-    log_to_stderr()
-    sys.argv[1:] = map(current_flag, sys.argv[1:])
-    try:
-        app()
-    except InputError as error:
-        say(f"error: {error}", error=True)
-        sys.exit(EXIT_INPUT)
-    except FlockError as error:
-        say(f"error: {error}", error=True)
-        sys.exit(EXIT_FAILED)

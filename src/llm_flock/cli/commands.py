@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from copy import copy
 from typing import Any, TypeVar
 
 import typer
-from rich.markup import escape
 from typer.core import TyperCommand
 
 from llm_flock.cli.options import add_config_flags
-from llm_flock.flags import FlagErrors
+from llm_flock.flags import FlagErrors, PlainHelp
 
 Function = TypeVar("Function", bound=Callable[..., None])
 
@@ -29,20 +27,6 @@ def add_group(name: str, group: typer.Typer) -> None:
     """Add a command that has commands of its own."""
     _FUNCTIONS[name] = lambda: None
     _GROUPS[name] = group
-
-
-class PlainHelp(TyperCommand):
-    """A command whose help is plain text: `[m]` in it is a unit, no markup."""
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
-        shown = copy(self)
-        shown.params = [copy(param) for param in self.params]
-        for param in shown.params:
-            if text := getattr(param, "help", None):
-                vars(param)["help"] = escape(text)
-        shown.help = None if self.help is None else escape(self.help)
-        TyperCommand.format_help(shown, ctx, formatter)
 
 
 class _Built(Mapping[str, Any]):

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, cast, get_args
 import typer
 from rich.table import Table
 
-from llm_flock.cli.commands import PlainHelp
 from llm_flock.cli.terminal import Screen
 from llm_flock.errors import InputError
+from llm_flock.flags import PlainHelp
 
 if TYPE_CHECKING:
     from llm_flock.distill.evaluation import MotionFigures, PlanFigures

@@ -31,7 +31,6 @@ FLIGHT = "llm_flock.runtime.flight.config:FlightConfig"
 """Configurations, named: most commands do not need their classes, which take long to import."""
 
 EXIT_FAILED = 1
-EXIT_INPUT = 2
 EXIT_INTERRUPTED = 130
 
 ConfigPath = Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")]

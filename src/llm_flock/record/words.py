@@ -43,6 +43,11 @@ def robots_text(robots: Sequence[int]) -> str:
     return f"robot{'s' if len(robots) > 1 else ''} {some}"
 
 
+def counted(count: object, what: str) -> str:
+    """A number of things: 1 round, 2 rounds."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def understood(parsed: Mapping[str, Any]) -> str:
     """The parsed answer in words: the next waypoint and path, or the plan and the slot."""
     words: list[str] = []

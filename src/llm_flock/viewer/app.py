@@ -25,6 +25,10 @@ MOST_ROBOTS = 250
 """Team size for which Foxglove's queue is sized: the viewer's runs are not known yet."""
 
 
+MOST_WAIT_S = 1.0
+"""Longest time for which the first page has the processor to itself, for its record and for what it shows [s]."""
+
+
 def run_viewer(
     address: Address,
     *,
@@ -53,9 +57,14 @@ def run_viewer(
     library = Library()
     found = [library.add(title_of(path), path, live=live) for path in records]
     # Growing records are read at the same time, finished ones one after another.
-    for batch in [[run] for run in found] if live else [found]:
-        threading.Thread(target=_load_all, args=(batch,), daemon=True).start()
+    loading = [threading.Thread(target=_load_all, args=(batch,), daemon=True) for batch in _batches(found, live=live)]
+    for thread in loading:
+        thread.start()
     address.startup.answer_data(partial(answer, library))
+    if len(found) == 1:
+        # A page that waits for its run gets it first: loading libraries would take half of the processor from it.
+        loading[0].join(0.0 if live else MOST_WAIT_S)
+        address.startup.wait_for_page(MOST_WAIT_S)
     # The heavy libraries come last: the startup server answers meanwhile.
     import uvicorn
     from starlette.applications import Starlette
@@ -92,6 +101,10 @@ def _serve_foxglove(port: ListeningPort, library: Library, launcher: Launcher, s
     if swarm is not None:
         swarm.also = server
     threading.Thread(target=Feed(library, server).run, daemon=True).start()
+
+
+def _batches(found: Sequence[Recording], *, live: bool) -> list[Sequence[Recording]]:
+    return [[run] for run in found] if live else [found]
 
 
 def _load_all(runs: Sequence[Recording]) -> None:

@@ -43,10 +43,11 @@ CHARTS: tuple[dict[str, Any], ...] = (
     {"title": "Shape error [units]", "series": [{"figure": "procrustes_mean", "name": ""}]},
     {
         "title": "Plans, goals",
+        "whole": True,
         "series": [{"figure": "plans_in_use", "name": "plans"}, {"figure": "distinct_goals", "name": "goals"}],
     },
     {"title": "Separation [units]", "edge": "safe_distance", "series": [{"figure": "segment_separation", "name": ""}]},
-    {"title": "Model calls", "series": [{"figure": "model_calls", "name": ""}]},
+    {"title": "Model calls", "whole": True, "series": [{"figure": "model_calls", "name": ""}]},
     {"title": "Cost [$]", "series": [{"figure": "cost_usd", "name": ""}]},
 )
 

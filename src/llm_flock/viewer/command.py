@@ -9,6 +9,7 @@ import typer
 
 from llm_flock.errors import InputError
 from llm_flock.extras import require
+from llm_flock.flags import FlagErrors, PlainHelp
 from llm_flock.foxglove.options import Service, with_foxglove
 
 DEFAULT_PORT = 8765
@@ -125,3 +126,21 @@ def view(
         reader=reader,
         foxglove=foxglove,
     )
+
+
+app = typer.Typer(
+    name="llm-flock",
+    cls=FlagErrors,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+"""This command without the others, which take as long to load again; `llm_flock.cli.app` has it too."""
+
+
+@app.callback()
+def _only() -> None:
+    """Keeps the command's name on the command line, although there is one command only."""
+
+
+app.command(cls=PlainHelp)(view)

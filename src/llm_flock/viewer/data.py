@@ -15,7 +15,7 @@ from llm_flock.record.schema import ASLEEP, DEAD, State
 from llm_flock.viewer.events import in_words
 from llm_flock.viewer.library import Library
 from llm_flock.viewer.mind import mind, prompt
-from llm_flock.viewer.outcome import outcome
+from llm_flock.viewer.outcome import outcome, shape_text
 from llm_flock.viewer.recording import Recording, box
 from llm_flock.viewer.run_rows import run_row
 from llm_flock.viz.style import plan_look
@@ -92,7 +92,8 @@ def about(run: Recording) -> dict[str, Any]:
         "simulated": run.simulated,
         "export": run.path is not None,
         "robots": run.n_robots,
-        **{name: fields[name] for name in ("safe_distance", "comm_range")},
+        "space": len(fields["arena"][0]) > 2,
+        **{name: fields[name] for name in ("safe_distance", "comm_range", "spacing")},
         "arena": [list(corner)[:2] for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }
@@ -111,10 +112,7 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
         "outcome": _printable(outcome(run)) if run.ready else None,
         "steer": None if run.steer is None else run.steer(),
         "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
-        "missions": [
-            {"round": m.round, "text": printable(f"{m.mission['shape']} of {m.mission['n_robots']}")}
-            for m in run.missions[missions:]
-        ],
+        "missions": [{"round": m.round, "text": printable(shape_text(m.mission))} for m in run.missions[missions:]],
         "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
         "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
     }
@@ -129,14 +127,18 @@ def frames(run: Recording, first: int, count: int) -> list[dict[str, Any]]:
 def _frame(run: Recording, state: State) -> dict[str, Any]:
     return {
         "r": state.round,
-        "x": [_from_above(row) for row in state.positions],
+        "x": [[round(part, DECIMALS) for part in row] for row in state.positions],
         "g": [None if row is None else _from_above(row) for row in state.goals],
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
         "s": list(state.slots),
         "i": [round(share, 2) for share in state.influence],
         "d": [robot for robot, phase in enumerate(state.phases) if phase == DEAD],
         "z": [robot for robot, phase in enumerate(state.phases) if phase == ASLEEP],
-        "h": [robot for robot, origin in enumerate(state.origins) if origin in BENT],
+        "h": [
+            robot
+            for robot, origin in enumerate(state.origins)
+            if origin in BENT and not (origin == "geometry" and run.without_models)
+        ],
         "b": [k for k, kinds in enumerate(state.open_breakers) if "step" in kinds or (kinds and not state.plan_ids[k])],
     }
 

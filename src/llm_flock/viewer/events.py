@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 from llm_flock.record.schema import ProtocolEvent
-from llm_flock.record.words import MOST_PLACES, robots_text
+from llm_flock.record.words import MOST_PLACES, counted, robots_text
 
 LARGEST = 1e12
 """Numbers from here on are not shortened: a record may hold any."""
@@ -46,14 +46,14 @@ def breaker_text(event: ProtocolEvent) -> str:
     detail = event.detail
     question, refusals, wait = detail.get("question"), detail.get("refusals"), detail.get("wait")
     probe = "" if wait is None else f"; next probe in round {event.round + int(wait)}"
-    return (
-        f"its model is not asked for a {question} after {refusals} refusals in a row (circuit breaker open{probe}); "
-        f"the last: {detail.get('reason')}"
-    )
+    after = f"after {counted(refusals, 'refusal')} in a row (circuit breaker open{probe})"
+    return f"its model is not asked for a {question} {after}; the last: {detail.get('reason')}"
 
 
 def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> str:
     """An event as a sentence without its subject; `plan_name` gives the letters that stand for a plan."""
+    if event.kind in _FLIGHT and (event.kind != "clipped" or "sent" in event.detail):
+        return _FLIGHT[event.kind](event.detail)
     told = _SENTENCES.get(event.kind)
     if event.kind in _PLAN_SENTENCES:
         return _PLAN_SENTENCES[event.kind](event.detail, plan_name(event.detail.get("plan")))
@@ -123,7 +123,8 @@ def _search(detail: Detail) -> str:
 
 def _gap(detail: Detail) -> str:
     slots, missing = _list(detail.get("slots")), _list(detail.get("missing"))
-    gone = f", after {robots_text(cast('list[int]', missing))} was not found" if missing else ""
+    found = "was" if len(missing) == 1 else "were"
+    gone = f", after {robots_text(cast('list[int]', missing))} {found} not found" if missing else ""
     return f"leaves {_places(slots)} of the formation empty{gone}" if slots else "leaves no place empty any more"
 
 
@@ -134,9 +135,9 @@ def _separating(detail: Detail) -> str:
 
 def _deadlock(detail: Detail) -> str:
     rounds, far = detail.get("rounds"), detail.get("goal_distance")
-    some = "some" if rounds is None else rounds
+    some = counted("some" if rounds is None else rounds, "round")
     away = "" if far is None else f", still {_units(far)} away"
-    return f"asks for the right of way: others have kept it from its goal for {some} rounds{away}"
+    return f"asks for the right of way: others have kept it from its goal for {some}{away}"
 
 
 def _injected(detail: Detail) -> str:
@@ -144,7 +145,7 @@ def _injected(detail: Detail) -> str:
     if model is not None:
         return f"had its model replaced from the viewer, by one that answers nonsense: {model}"
     if isinstance(loss, int | float):
-        return f"loses {loss:.0%} of the messages from now on, by order from the viewer"
+        return f"loses {100 * loss:.0f} % of the messages from now on, by order from the viewer"
     return "was disturbed from the viewer"
 
 
@@ -179,7 +180,7 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     "deadlock": _deadlock,
     "gives_way": lambda detail: f"gives way to robot {detail.get('to')}",
     "held": lambda detail: f"stayed where it was{_because(detail)}",
-    "dropped_notes": lambda detail: f"left {detail.get('count')} more events out of its report",
+    "dropped_notes": lambda detail: f"left {counted(detail.get('count'), 'further event')} out of its report",
     "accused": lambda detail: (
         f"accuses robot {detail.get('robot')} of sending what no honest robot sends: "
         f"{str(detail.get('reason')).replace('_', ' ')}"
@@ -188,6 +189,30 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     "joined": lambda detail: "joined",
     "injected": _injected,
 }
+
+
+def _seconds(detail: Detail) -> str:
+    return "" if detail.get("seconds") is None else f" after {_short(detail['seconds'])} s"
+
+
+_FLIGHT: Mapping[str, Callable[[Detail], str]] = {
+    "take_off": lambda detail: f"was sent up to {_short(detail.get('altitude_m'))} m",
+    "aloft": lambda detail: f"reached its altitude{_seconds(detail)}",
+    "clipped": lambda detail: f"was sent a shorter move by its driver{_place(', to', detail.get('sent'))}",
+    "landing": lambda detail: f"was told to land{_place(' at', detail.get('spot'))}",
+    "landed": lambda detail: f"landed{_seconds(detail)}",
+    "not_down": lambda detail: (
+        "was not seen on the floor in time; its motors " + ("had stopped" if detail.get("stopped") else "were cut")
+    ),
+    "fell": lambda detail: "fell: its own supervisor stopped its motors in the air",
+    "unreachable": lambda detail: f"did not get a command, and is called again{_because(detail)}",
+    "given_up": lambda detail: f"can no longer be reached{_place('; it was last sent to', detail.get('position'))}",
+    "cut": lambda detail: (
+        "had its motors cut, " + ("and confirmed it" if detail.get("confirmed") else "and did not confirm it")
+    ),
+    "pose_refused": lambda detail: f"was not sent a position from outside{_because(detail)}",
+}
+"""Flights of real drones, see docs/reference/record.md; where a flight is told by no robot, it is not listed."""
 
 
 def told_kinds() -> frozenset[str]:
@@ -209,8 +234,12 @@ def _because(detail: Detail) -> str:
 
 
 def _flown(detail: Detail) -> str:
-    where = _list(detail.get("flown"))
-    return f", to ({', '.join(_short(part) for part in where)})" if where else ""
+    return _place(", to", detail.get("flown"))
+
+
+def _place(before: str, at: object) -> str:
+    where = _list(at)
+    return f"{before} ({', '.join(_short(part) for part in where)})" if where else ""
 
 
 def _places(slots: Sequence[object]) -> str:
@@ -220,7 +249,7 @@ def _places(slots: Sequence[object]) -> str:
 
 
 def _units(value: object) -> str:
-    return f"{_short(value)} units"
+    return f"{_short(value)} unit{'' if value == 1 else 's'}"
 
 
 def _short(value: object) -> str:

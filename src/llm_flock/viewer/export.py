@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from llm_flock.errors import FieldError
+from llm_flock.errors import FieldError, RecordError
 from llm_flock.extras import require
 from llm_flock.viewer.canvases import PAGE_NAME, export_kinds
 from llm_flock.viewer.paths import RECORD_NAME
@@ -20,6 +20,10 @@ def exported(record: Path, name: str) -> bytes:
     """
     if name not in [one for _, one in export_kinds()]:
         raise FieldError("export", name, says="there is no such export")
+    if not record.is_file():
+        raise RecordError(
+            f"{record.name} is no longer on the disk: it was deleted or moved after the viewer had read it"
+        )
     if name == RECORD_NAME:
         return record.read_bytes()
     if name == PAGE_NAME:

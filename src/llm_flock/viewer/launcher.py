@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from llm_flock.viewer.steered_run import SteeredRun
 
 NEEDS_A_MODEL = (
-    "This needs a language model: start the viewer with --model PROVIDER:MODEL. The form below works without."
+    "This needs a language model: start the viewer with --model PROVIDER:MODEL. The form above works without."
 )
 MOST_RUNS = 4
 """Runs that fly at the same time: they share the processor with the pages."""

@@ -14,24 +14,42 @@ from llm_flock.viewer.recording import Recording
 
 MOST_CLAIMS = 30
 
+USUAL = "idle"
+"""Phase between two rounds; any other is told."""
+
+_ORIGINS = {
+    "start": "at its start",
+    "model": "moved as its model wanted",
+    "clipped": "moved as its model wanted, but not beyond a limit",
+    "shield": "moved by the safety shield",
+    "yield": "moved out of another's way",
+    "geometry": "moved by geometry",
+    "hold": "stayed where it was",
+}
+"""What moved a robot in the round, in words."""
+
 
 def mind(run: Recording, robot: int, number: int) -> dict[str, Any] | None:
     """A robot's plan, its conversation with its model, and the claims it heard; None without such a robot or round."""
     if not (0 <= robot < run.n_robots and 0 <= number <= run.rounds):
         return None
     state = run.states[number]
-    slot = "no place" if state.slots[robot] is None else f"place {state.slots[robot]}"
-    facts = (
-        f"plan {run.plan_name(state.plan_ids[robot])} · {slot} · influence {state.influence[robot]:.2f} · "
-        f"{state.phases[robot].replace('_', ' ')} · moved by {state.origins[robot]}"
-    )
+    plan, slot, phase = state.plan_ids[robot], state.slots[robot], state.phases[robot].replace("_", " ")
+    facts = [
+        "no plan" if plan is None else f"plan {run.plan_name(plan)}",
+        "no place" if slot is None else f"place {slot}",
+        f"heard by {state.influence[robot]:.0%} of the team".replace("%", " %"),
+        _ORIGINS.get(state.origins[robot], f"moved by {state.origins[robot]}"),
+    ]
+    if phase != USUAL:
+        facts.append(phase)
     sentences = run.breakers(number, robot)
     calls = run.calls(number, robot)
     found = run.claims_heard(robot, number)
     return {
         "robot": robot,
         "round": number,
-        "facts": printable(facts),
+        "facts": printable(" · ".join(facts)),
         "breakers": [printable(text[0].upper() + text[1:]) for text in sentences],
         "calls": [_call(entry) for entry in calls],
         "before": None if calls else run.last_call(number, robot),

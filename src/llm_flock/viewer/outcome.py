@@ -6,12 +6,12 @@ The first screen answers these three questions with it, before anybody has click
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from llm_flock.record.schema import DEAD, SILENT
-from llm_flock.record.words import robots_text, work_text
+from llm_flock.record.words import MOST_PLACES, counted, robots_text, work_text
 
 if TYPE_CHECKING:
     from llm_flock.viewer.recording import Recording
@@ -22,6 +22,9 @@ AT_GOAL, IN_SHAPE = 0.05, 0.1
 HELD_ROUNDS = 3
 HOPELESS = 0.5
 """Share of unusable answers from which on a robot's model is blamed."""
+
+MOST_GROUPS = 3
+"""Groups of robots that are listed."""
 
 LONGEST = 160
 """Most letters of a refusal that is quoted."""
@@ -62,9 +65,14 @@ def mission_parts(run: Recording) -> list[MissionPart]:
     parts: list[MissionPart] = []
     for k, info in enumerate(given):
         last = given[k + 1].round - 1 if k + 1 < len(given) else None
-        shape = f"{info.mission['shape']} of {info.mission['n_robots']}"
-        parts.append(MissionPart(info.round, last, shape, _formed(run, k, told, last)))
+        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formed(run, k, told, last)))
     return parts
+
+
+def shape_text(mission: Mapping[str, Any]) -> str:
+    """The shape and its number of places, and the number of robots where it is another one."""
+    n, places = mission["n_robots"], mission.get("places")
+    return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
 
 
 def _formed(run: Recording, k: int, told: Sequence[object], last: int | None) -> int | None:
@@ -106,7 +114,7 @@ def outcome(run: Recording) -> dict[str, Any]:
         "headline": _headline(run, parts, over=over),
         "protocol": protocol_name(run),
         "why": found.why,
-        "by": work_text(run.result or {}) if last.formed is not None else "",
+        "by": _begun(_work(run)) if last.formed is not None else "",
         "guilty": list(found.robots),
         "interesting": interesting(run, found),
         "missions": [
@@ -119,14 +127,41 @@ def _headline(run: Recording, parts: Sequence[MissionPart], *, over: bool) -> st
     last = parts[-1]
     name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
     if last.formed is not None:
-        took = last.formed - max(0, last.first - 1)
-        after = f", {took} after its order" if len(parts) > 1 else ""
-        # Older records do not say whether the models did it alone.
-        helped = "" if (run.result or {}).get("formed_by_models", True) else ", with help for the models"
-        return _begun(f"{name}formed in round {last.formed}{after}{helped}")
+        after = f", after {counted(last.formed - max(0, last.first - 1), 'round')}" if len(parts) > 1 else ""
+        return _begun(f"{name}formed in round {last.formed}{after}{_helped(run)}{_gaps(run)}")
     if not over:
         return _begun(f"{name}not formed yet")
     return _begun(f"{name}not formed: {stop_text(run)}")
+
+
+def _helped(run: Recording) -> str:
+    """Whether the models did it alone; older records do not say."""
+    if (run.result or {}).get("formed_by_models", True):
+        return ""
+    return ", by geometry without models" if run.without_models else ", with help for the models"
+
+
+def _gaps(run: Recording) -> str:
+    gaps = (run.result or {}).get("gaps")
+    return f", with {counted(gaps, 'place')} empty" if isinstance(gaps, int) and gaps > 0 else ""
+
+
+def _work(run: Recording) -> str:
+    """Who died, and who did the work."""
+    work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
+    return " · ".join(part for part in (_deaths_text(run), work) if part)
+
+
+def _deaths_text(run: Recording) -> str:
+    """Who died, and when; empty if all are alive."""
+    dead = _dead(run)
+    rounds = sorted({run.died[robot] for robot in dead if robot in run.died})
+    when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MOST_PLACES]))}" if rounds else ""
+    return f"{robots_text(dead)} died{when}" if dead else ""
+
+
+def _dead(run: Recording) -> list[int]:
+    return [robot for robot, phase in enumerate(run.states[run.rounds].phases) if phase == DEAD]
 
 
 def _begun(text: str) -> str:
@@ -138,6 +173,8 @@ def stop_text(run: Recording) -> str:
     if run.result is None:
         return "the record ends early"
     stopped = str(run.result.get("stopped", "ended"))
+    if stopped == "rounds" and run.rounds < 2:
+        return "the only round was used up" if run.rounds else "no round was flown"
     if stopped == "rounds":
         return f"all {run.rounds} rounds were used up"
     return _STOPPED.get(stopped, stopped)
@@ -152,9 +189,11 @@ def protocol_name(run: Recording) -> str:
 
 def blame(run: Recording) -> Blame:
     """Who or what kept the team from its last mission, by the last round."""
+    if not run.rounds:
+        return Blame("")
     state, spacing = run.states[run.rounds], float(run.mission_at(run.rounds).mission["spacing"])
     awake = [robot for robot, phase in enumerate(state.phases) if phase not in SILENT]
-    plans = Counter(plan for plan in state.plan_ids if plan is not None)
+    groups = _groups(run, awake)
     without = [robot for robot in awake if state.plan_ids[robot] is None]
     owners = Counter((state.plan_ids[robot], state.slots[robot]) for robot in awake)
     shared = [
@@ -163,24 +202,49 @@ def blame(run: Recording) -> Blame:
         if state.slots[robot] is not None and owners[state.plan_ids[robot], state.slots[robot]] > 1
     ]
     away = [robot for robot in awake if _far(state.positions[robot], state.goals[robot]) > AT_GOAL * spacing]
-    most = max(plans, key=lambda plan: plans[plan], default=None)
-    strays = [robot for robot in awake if state.plan_ids[robot] not in (None, most)]
+    largest = groups[0][1] if groups else []
+    # Where no plan has most of the robots, none of them stands apart from the team.
+    most = 2 * len(largest) > len(awake) - len(without)
+    strays = [robot for _, held in groups[1 if most else 0 :] for robot in held] if len(groups) > 1 else []
+    if run.accused:
+        return Blame(_accused_blame(run), tuple(sorted(run.accused)))
     bad = sorted({*without, *strays, *shared, *away} & {robot for robot in awake if hopeless(run, robot)})
     if bad:
         return Blame(_model_blame(run, bad), tuple(bad))
-    dead = [robot for robot, phase in enumerate(state.phases) if phase == DEAD]
+    dead = _dead(run)
     if dead:
-        return Blame(f"{_begun(robots_text(dead))} died, and the others did not fill the formation.", tuple(dead))
+        return Blame(f"{_begun(_deaths_text(run))}, and the others did not fill the formation.", tuple(dead))
     if without:
         return Blame(f"{_begun(robots_text(without))} got no plan.", tuple(without))
-    if len(plans) > 1:
-        held = f"; {robots_text(strays)} held another than most" if strays else ""
-        return Blame(f"The team did not agree: {len(plans)} plans were in use at the end{held}.", tuple(strays))
+    if len(groups) > 1:
+        told = [f"{robots_text(held)} had plan {name}" for name, held in groups[:MOST_GROUPS]]
+        held = f"{robots_text(sorted(strays))} held another than most" if most else "; ".join(told)
+        told_all = "" if most or len(groups) <= MOST_GROUPS else "; …"
+        plans = f"The team did not agree: {len(groups)} plans were in use at the end; {held}{told_all}."
+        return Blame(plans, tuple(sorted(strays)) if most else ())
     if shared:
         return Blame(f"{_begun(robots_text(shared))} claimed a place that another one claimed too.", tuple(shared))
     if away:
         return Blame(f"{_begun(robots_text(away))} had not reached the claimed places.", tuple(away))
     return _plan_blame(run)
+
+
+def _groups(run: Recording, awake: Sequence[int]) -> list[tuple[str, list[int]]]:
+    """The robots that hold each plan, by its letters; the largest group first."""
+    held: defaultdict[str, list[int]] = defaultdict(list)
+    plan_ids = run.states[run.rounds].plan_ids
+    for robot in awake:
+        if plan_ids[robot] is not None:
+            held[run.plan_name(plan_ids[robot])].append(robot)
+    return sorted(held.items(), key=lambda one: (-len(one[1]), one[0]))
+
+
+def _accused_blame(run: Recording) -> str:
+    told = [
+        f"Robot {robot} was accused of sending what no honest robot sends: {run.accused[robot]}"
+        for robot in sorted(run.accused)
+    ]
+    return ". ".join(told[:MOST_GROUPS]) + "."
 
 
 def _plan_blame(run: Recording) -> Blame:
@@ -206,7 +270,8 @@ def _model_blame(run: Recording, robots: Sequence[int]) -> str:
     whose = "its model" if len(robots) == 1 else "their models"
     last = next((tally.last for tally in reversed(tallies) if tally.last), "")
     quoted = f" The last reason: {last[:LONGEST]}{'…' if len(last) > LONGEST else ''}" if last else ""
-    return f"{_begun(robots_text(robots))}: {whose} gave no usable answer in {unusable} of {asked} calls.{quoted}"
+    calls = f"{unusable} of {counted(asked, 'call')}"
+    return f"{_begun(robots_text(robots))}: {whose} gave no usable answer in {calls}.{quoted}"
 
 
 def _far(position: Sequence[float], goal: Sequence[float] | None) -> float:

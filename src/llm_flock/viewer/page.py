@@ -27,6 +27,7 @@ PLAYER = (
         "keys",
         "surface",
         "geometry",
+        "labels",
         "clock",
         "recording",
         "crowd",

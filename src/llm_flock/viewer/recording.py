@@ -101,9 +101,13 @@ class CallCounts:
     @property
     def words(self) -> str:
         """What there is, in words."""
-        parts = [(self.refused, "refused"), (self.failed, "failed"), (self.helped, "times helped")]
-        told = [f"{count} {what}" for count, what in parts if count]
-        return ", ".join([*told, "circuit breaker opened"] if self.opened else told)
+        parts = [
+            (self.refused, "answer was refused", "answers were refused"),
+            (self.failed, "call failed", "calls failed"),
+            (self.helped, "time helped", "times helped"),
+        ]
+        told = [f"{count} {one if count == 1 else more}" for count, one, more in parts if count]
+        return ", ".join([*told, "its circuit breaker opened"] if self.opened else told)
 
 
 class HeardClaim(NamedTuple):
@@ -135,6 +139,8 @@ class Recording:
         rounds: last complete round, -1 before the start.
         plan_numbers: number of each plan, in the order in which plans were first seen.
         marks: number of marks on each timeline track, by round.
+        accused: robots that others accused of lying, each with the last reason.
+        died: the round in which each robot died last.
         disturbed: last round in which a robot died or joined, 0 before any did.
         tallies: what became of the calls of each robot's model.
         steer: what can be ordered of it now, for runs that take orders.
@@ -157,6 +163,8 @@ class Recording:
         self.rounds = -1
         self.plan_numbers: dict[str, int] = {}
         self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
+        self.accused: dict[int, str] = {}
+        self.died: dict[int, int] = {}
         self.disturbed = 0
         self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self.extent: list[float] = []
@@ -183,6 +191,10 @@ class Recording:
                     self.tallies[entry.robot].opened += entry.detail.get("state") == "open"
                 if entry.kind in ("killed", "joined"):
                     self.disturbed = max(self.disturbed, entry.round)
+                if entry.kind == "killed":
+                    self.died[entry.robot] = entry.round
+                if entry.kind == "accused" and isinstance(entry.detail.get("robot"), int):
+                    self.accused[entry.detail["robot"]] = str(entry.detail.get("reason")).replace("_", " ")
                 if entry.kind == "fallback":
                     self.tallies[entry.robot].helped += 1
                 if entry.kind in ("proposed", "adopted"):
@@ -262,6 +274,12 @@ class Recording:
     def simulated(self) -> bool:
         """Whether any language model was a simulated stand-in."""
         return self.info is not None and self.info.simulated
+
+    @property
+    def without_models(self) -> bool:
+        """Whether geometry flew all robots, as was asked for."""
+        config: Mapping[str, Any] = {} if self.info is None else self.info.config.get("model", {})
+        return config.get("model") == "geometry"
 
     @property
     def description(self) -> str:

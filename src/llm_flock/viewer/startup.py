@@ -19,6 +19,9 @@ LEAVE_S = 1.0
 """Time that answers in progress get to finish when the viewer takes over [s]."""
 
 LONGEST = 65536
+LAST = "/mind"
+"""End of the path that a page asks for last, before it is whole."""
+
 OPEN = "/data/open"
 """Answered when the viewer takes over; a page from before asks for it, and then reloads itself."""
 
@@ -79,6 +82,8 @@ class StartupServer:
         self._hosts: Collection[str] = ()
         self._answer_data: AnswerData | None = None
         self._data_known = threading.Event()
+        self._asked = threading.Event()
+        self._drawn = threading.Event()
         self._stop = threading.Event()
         self._open = threading.Event()
         self._connections: list[threading.Thread] = []
@@ -96,6 +101,11 @@ class StartupServer:
         """Answer requests for data from now on."""
         self._answer_data = answer
         self._data_known.set()
+
+    def wait_for_page(self, most_s: float) -> None:
+        """Wait until a page that was answered has all that it shows first; not at all if no page was asked for."""
+        if self._asked.is_set():
+            self._drawn.wait(most_s)
 
     def stop(self) -> None:
         """Hand the socket over. Accepted connections are still answered; later ones wait for the viewer."""
@@ -122,17 +132,22 @@ class StartupServer:
     def _handle(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError), connection:
             connection.settimeout(READ_S)
-            status, kind, body = self._respond(_parse(connection.recv(LONGEST).decode("latin-1")))
+            request = _parse(connection.recv(LONGEST).decode("latin-1"))
+            status, kind, body = self._respond(request)
             head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n"
             connection.sendall(head.encode() + _HEADERS + b"\r\n" + body)
+            if request is not None and request.path.endswith(LAST):
+                self._drawn.set()
 
     def _respond(self, request: _Request | None) -> tuple[str, str, bytes]:
         if request is not None and request.path == OPEN:
             self._open.wait()
             return "200 OK", "text/plain", b""
         if request is not None and request.page:
-            page = self._page if request.path == "/" and self._page is not None and self._is_own(request) else PAGE
-            return "200 OK", "text/html; charset=utf-8", page
+            if request.path != "/" or self._page is None or not self._is_own(request):
+                return "200 OK", "text/html; charset=utf-8", PAGE
+            self._asked.set()
+            return "200 OK", "text/html; charset=utf-8", self._page
         if request is not None and self._page is not None and self._is_own(request):
             self._data_known.wait()
             try:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -25,8 +26,8 @@ from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.labels import size_of
-from llm_flock.viz.panel import Panel
-from llm_flock.viz.style import MOST_TITLE, heading, house_style, line_colour
+from llm_flock.viz.panel import Panel, columns_of
+from llm_flock.viz.style import DANGER, MOST_TITLE, heading, house_style, line_colour
 
 STEPS_A_ROUND = 4
 """Most frames of a round; robots fly straight between rounds, from rest to rest."""
@@ -44,11 +45,16 @@ HOLD_S = 2.0
 """Time that the end is shown [s]."""
 
 INCHES = 4.8
-HEAD_INCHES = KEY_INCHES = 0.6
+HEAD_INCHES = 0.6
+KEY_INCHES, ROW_INCHES = 0.42, 0.14
+"""Below the arena: for its scale, and for each row of the legend."""
+
 WIDTH = 0.88
 """Share of the picture's width that the arena takes."""
 
 DPI = 100
+
+KEY_POINTS = 6.5
 
 TITLE_POINTS = 8.0
 """Size of the title; a longer one is smaller, so that it keeps to one line."""
@@ -92,16 +98,22 @@ def last_frame(record: RunRecord) -> Image.Image:
 def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False) -> Iterator[Image.Image]:
     """The run in pictures of one size: the start, then this many `steps` of each round; or only the last of them."""
     panel = Panel(record, width=WIDTH * INCHES * 72)
-    tall = HEAD_INCHES + WIDTH * INCHES + KEY_INCHES
+    key = panel.key()
+    columns = min(2, columns_of(key, INCHES, KEY_POINTS))
+    below = KEY_INCHES + ROW_INCHES * -(-len(key) // columns)
+    tall = round((HEAD_INCHES + WIDTH * INCHES + below) * DPI / 2) * 2 / DPI  # video coders want even sizes
     with house_style():
         figure = Figure(figsize=(INCHES, tall), dpi=DPI)
         canvas = FigureCanvasAgg(figure)
-        axes = figure.add_axes((0.09, KEY_INCHES / tall, WIDTH, WIDTH * INCHES / tall))
+        axes = figure.add_axes((0.09, below / tall, WIDTH, WIDTH * INCHES / tall))
         title = one_line(heading(record, MOST_TITLE), MOST_LETTERS)
         fits = 0.96 * INCHES * 72 / size_of(title, TITLE_POINTS)[0]
         figure.suptitle(title, y=1 - 0.09 / tall, va="top", fontsize=TITLE_POINTS * min(1.0, fits))
-        figure.legend(handles=panel.key(), loc="lower center", ncols=2, fontsize=6.5, borderaxespad=0.2)
+        figure.legend(
+            handles=key, loc="lower center", ncols=columns, fontsize=KEY_POINTS, borderaxespad=0.2, labelspacing=0.3
+        )
         panel.frame(axes)
+        axes.set_xlabel("x and y [units]", fontsize=7.0, labelpad=1.0)
         canvas.draw()
         # The background is drawn once; each frame starts from a copy of it.
         background: Any = canvas.copy_from_bbox(figure.bbox)  # pyright: ignore[reportUnknownVariableType]
@@ -172,7 +184,7 @@ def _same_palette(pictures: Sequence[Image.Image]) -> list[Image.Image]:
 
 def _shades() -> NDArray[np.float64]:
     """Greys, and each colour of plans and paths mixed with paper and with ink, as soft edges mix them; shape (k, 3)."""
-    plain = dict.fromkeys([*PALETTE, *(line_colour(fill) for fill in PALETTE)])
+    plain = dict.fromkeys([*PALETTE, DANGER, *(line_colour(fill) for fill in PALETTE)])
     colours = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in plain])
     paler = [255 + share * (colours - 255) for share in (1.0, 0.8, 0.6, 0.4, 0.2)]
     darker = [share * colours for share in (0.75, 0.5)]
@@ -181,7 +193,9 @@ def _shades() -> NDArray[np.float64]:
 
 
 def _write_video(record: RunRecord, path: Path, fps: int, ffmpeg: str) -> None:
-    size = f"{round(INCHES * DPI)}x{round((HEAD_INCHES + WIDTH * INCHES + KEY_INCHES) * DPI)}"
+    shown = frames(record)
+    first = next(shown)
+    size = f"{first.width}x{first.height}"
     coder, *settings = CODECS[path.suffix.lower()]
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"]
     target = ["-an", "-c:v", coder, "-pix_fmt", "yuv420p", *settings, str(path)]
@@ -191,7 +205,7 @@ def _write_video(record: RunRecord, path: Path, fps: int, ffmpeg: str) -> None:
         assert pipe is not None
         data = b""
         try:
-            for picture in frames(record):
+            for picture in itertools.chain([first], shown):
                 data = picture.tobytes()
                 pipe.write(data)
             for _ in range(round(HOLD_S * fps)):

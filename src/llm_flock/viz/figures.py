@@ -14,6 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from llm_flock.errors import InputError
@@ -22,11 +24,14 @@ from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.charts import DPI, new_figure
-from llm_flock.viz.panel import Box, Panel, close_up, view
-from llm_flock.viz.style import GRID, INK, LINES, MARKERS, fitted, heading, house_style, model_names, shapes
+from llm_flock.viz.panel import Box, Panel, close_up, columns_of, key_of, view
+from llm_flock.viz.style import GRID, INK, LINES, MARKERS, RC, fitted, heading, house_style, model_names, shapes
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
+
+ROWS, ROW_INCHES = 2, 0.17
+"""Rows of a legend for which there is room anyway, and the height of each further one."""
 
 MOST_LABEL = 100
 """Longest label of a curve [characters]."""
@@ -72,9 +77,17 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
                 axes.set_ylabel("y [units]")
             panels.append((panel, axes, k))
         figure.suptitle(heading(record, 0.8 * width), fontsize=10)
-        figure.legend(handles=panels[0][0].key(), loc="outside lower center", ncols=max(2, columns))
+        _legend(figure, panels[0][0].key(), width)
         _draw_teams(figure, panels)
         return figure
+
+
+def _legend(figure: Figure, entries: Sequence[Line2D | Patch], inches: float) -> None:
+    """A legend below the panels. A long one makes the figure taller: panels and titles keep their room."""
+    columns = columns_of(entries, inches, RC["legend.fontsize"])
+    rows = -(-len(entries) // columns)
+    figure.set_figheight(figure.get_figheight() + ROW_INCHES * max(0, rows - ROWS))
+    figure.legend(handles=list(entries), loc="outside lower center", ncols=columns)
 
 
 def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
@@ -133,7 +146,7 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
-        figure.legend(handles=panels[0].key(), loc="outside lower center", ncols=max(2, columns))
+        _legend(figure, key_of(panels), width)
         _draw_teams(figure, teams)
         return figure
 

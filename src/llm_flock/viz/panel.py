@@ -20,8 +20,9 @@ from llm_flock import graph
 from llm_flock.record.palette import NO_PLAN
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
+from llm_flock.viz.crowd import spread
 from llm_flock.viz.labels import beside, size_of
-from llm_flock.viz.style import FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
+from llm_flock.viz.style import DANGER, FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
 
 MOST_LABELLED = 30
 SMALLEST_LABELLED = 6.5
@@ -41,6 +42,14 @@ MARGIN = 0.02
 
 INSET = 0.24
 """Width and height of the inset that shows the whole view, as a share of the panel's."""
+
+TIMES = "\u00d7"
+
+LEGEND_EMS = 4.2
+"""Width of a sign in a legend with the room around it, in sizes of its letters."""
+
+ROUNDING = 1e-6
+"""A pair that is nearer than the safe distance by less than this keeps it [units]; as in the viewer."""
 
 Box = tuple[float, float, float, float]
 """Left, right, bottom, top [units]."""
@@ -109,7 +118,45 @@ class Panel:
         self._links(axes, state, positions)
         self._trails(axes, round_number, places)
         self._goals(axes, state, looks)
-        self._robots(axes, state, places, looks)
+        drawn, counts = self._spread(axes, places)
+        self._too_close(axes, positions, drawn)
+        self._robots(axes, state, drawn, looks, counts)
+
+    def _spread(self, axes: Axes, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
+        """Where discs are drawn [units], and the middles of crowds, which are counted; small discs stay in place."""
+        if not self.labelled:
+            return places, []
+        points = 72.0 / _dpi(axes)
+        at, crowds = spread(points * np.asarray(axes.transData.transform(places)), self._disc / 2)
+        drawn = np.asarray(axes.transData.inverted().transform(at / points))
+        counts: list[tuple[float, float]] = []
+        for members, middle in crowds:
+            ties = np.stack([places[members], drawn[members]], axis=1)
+            axes.add_collection(LineCollection(list(ties), colors=DANGER, linewidths=0.8, zorder=3.4))
+            if middle is None:
+                continue
+            x, y = np.asarray(axes.transData.inverted().transform(middle / points)).tolist()
+            counts.append((x, y))
+            look: dict[str, Any] = {"boxstyle": "square,pad=0.1", "facecolor": DANGER, "edgecolor": "none"}
+            name = f"{len(members)}{TIMES}"
+            axes.annotate(
+                name, (x, y), size=0.9 * self._font, weight="bold", color=PAPER, ha="center", va="center_baseline",
+                bbox=look, zorder=6.5,
+            )  # fmt: skip
+        return drawn, counts
+
+    def _too_close(self, axes: Axes, positions: NDArray[np.float64], drawn: NDArray[np.float64]) -> None:
+        """Pairs nearer than the safe distance, in all dimensions, in red."""
+        safe = float(self.record.mission.mission["safe_distance"])
+        pairs = np.argwhere(np.triu(graph.distances(positions) < safe - ROUNDING, 1))
+        if not len(pairs):
+            return
+        axes.add_collection(LineCollection(list(drawn[pairs]), colors=DANGER, linewidths=1.4, zorder=3.5))
+        near = drawn[np.unique(pairs)]
+        axes.scatter(
+            near[:, 0], near[:, 1], s=(self._disc + 3.0) ** 2, facecolors="none", edgecolors=DANGER, linewidths=1.4,
+            zorder=3.6,
+        )  # fmt: skip
 
     def _links(self, axes: Axes, state: State, positions: NDArray[np.float64]) -> None:
         """Radio links, by distance in all dimensions; robots that only look near in the picture are not joined."""
@@ -145,10 +192,21 @@ class Panel:
                 zorder=3,
             )
 
-    def _robots(self, axes: Axes, state: State, places: NDArray[np.float64], looks: Sequence[PlanLook]) -> None:
+    def _robots(
+        self,
+        axes: Axes,
+        state: State,
+        places: NDArray[np.float64],
+        looks: Sequence[PlanLook],
+        counts: Sequence[tuple[float, float]],
+    ) -> None:
         dead = [robot for robot, phase in enumerate(state.phases) if phase == DEAD]
         if dead:
-            axes.scatter(places[dead, 0], places[dead, 1], s=self._disc**2, c=INK, marker="x", linewidths=1.2, zorder=5)
+            for size, colour, marker in ((self._disc, INK, "o"), (0.5 * self._disc, PAPER, "x")):
+                above = 5.0 if marker == "x" else 3.9
+                axes.scatter(
+                    places[dead, 0], places[dead, 1], s=size**2, c=colour, marker=marker, linewidths=1.2, zorder=above
+                )
         alive = [robot for robot in range(len(looks)) if robot not in dead]
         if not self.labelled:
             self._discs(axes, places[alive], [looks[robot] for robot in alive], 4.0)
@@ -167,7 +225,7 @@ class Panel:
                 va="center_baseline",
                 zorder=above,
             )
-        self._words(axes, state, places, looks, alive)
+        self._words(axes, state, places, looks, counts)
 
     def _words(
         self,
@@ -175,14 +233,17 @@ class Panel:
         state: State,
         places: NDArray[np.float64],
         looks: Sequence[PlanLook],
-        alive: Sequence[int],
+        counts: Sequence[tuple[float, float]],
     ) -> None:
-        """Letter of the plan and influence, beside every robot that has begun."""
-        begun = [robot for robot in alive if state.phases[robot] != ASLEEP]
-        words = {robot: f"{looks[robot].name} {short(state.influence[robot])}".strip() for robot in begun}
-        figure = axes.figure
-        assert figure is not None, "axes are part of a figure"
-        points = 72.0 / figure.dpi
+        """Letter of the plan and influence, beside every robot that has begun; beside a dead one its number."""
+        begun = [robot for robot in range(len(looks)) if state.phases[robot] != ASLEEP]
+        words = {
+            robot: str(robot)
+            if state.phases[robot] == DEAD
+            else f"{looks[robot].name} {short(state.influence[robot])}".strip()
+            for robot in begun
+        }
+        points = 72.0 / _dpi(axes)
         order = [*begun, *(robot for robot in range(len(places)) if robot not in words)]
         (left, bottom), (right, top) = points * axes.transAxes.transform([(0, 0), (1, 1)])
         inset = [points * child.get_window_extent().get_points() for child in axes.child_axes]
@@ -192,7 +253,13 @@ class Panel:
             0.72 * self._disc,  # with the ring of a goal
             [size_of(word, self._font) for word in words.values()],
             (left, right, bottom, top),
-            [(low[0], high[0], low[1], high[1]) for low, high in inset],
+            [
+                *((low[0], high[0], low[1], high[1]) for low, high in inset),
+                *(
+                    self._tag(x, y)
+                    for x, y in points * np.asarray(axes.transData.transform(np.reshape(counts, (-1, 2))))
+                ),
+            ],
             [self._offsets.get(robot) for robot in begun],
         )
         self._offsets = dict(zip(begun, found, strict=True))
@@ -208,6 +275,10 @@ class Panel:
                     path_effects=[withStroke(linewidth=0.25 * self._font, foreground=PAPER)],
                     zorder=6,
                 )
+
+    def _tag(self, x: float, y: float) -> tuple[float, float, float, float]:
+        """The place of a crowd's number [points]."""
+        return x - self._font, x + self._font, y - 0.7 * self._font, y + 0.7 * self._font
 
     def _discs(self, axes: Axes, places: NDArray[np.float64], looks: Sequence[PlanLook], above: float) -> None:
         axes.scatter(
@@ -228,7 +299,8 @@ class Panel:
         phases = {phase for state in self.record.states for phase in state.phases}
         silent: list[Line2D | Patch] = []
         if DEAD in phases:
-            silent.append(Line2D([], [], marker="x", ls="", ms=6, mec=INK, mew=1.2, label="dead robot"))
+            named = f"dead robot ({TIMES})"
+            silent.append(Line2D([], [], marker="o", ls="", ms=7, mfc=INK, mec=INK, label=named))
         if ASLEEP in phases:
             look_asleep: dict[str, Any] = {"mfc": NO_PLAN, "mec": INK, "mew": 0.8}
             silent.append(Line2D([], [], marker="o", ls="", ms=7, label="not begun yet", **look_asleep))
@@ -238,7 +310,49 @@ class Panel:
             Line2D([], [], color=look.line, lw=1.2, label="flown path, from the dot"),
             Line2D([], [], color=FAINT, lw=1.2, label="within radio range"),
             *silent,
+            *self._warnings(),
         ]
+
+    def _warnings(self) -> list[Line2D | Patch]:
+        """Entries for what is in the way, and for robots that are too close."""
+        found: list[Line2D | Patch] = []
+        mission = self.record.mission.mission
+        if mission.get("obstacles"):
+            found.append(Patch(facecolor=FAINT, edgecolor=FAINT, label="obstacle"))
+        safe = float(mission["safe_distance"])
+        if any(row.min_separation is not None and row.min_separation < safe - ROUNDING for row in self.record.metrics):
+            words = "nearer than the safe distance"
+            found.append(
+                Line2D([], [], marker="o", ls="-", c=DANGER, ms=8, mfc="none", mec=DANGER, mew=1.4, label=words)
+            )
+        return found
+
+
+def key_of(panels: Sequence[Panel]) -> list[Line2D | Patch]:
+    """Entries of a legend for several panels, each once."""
+    found: dict[str, Line2D | Patch] = {}
+    for panel in panels:
+        for entry in panel.key():
+            found.setdefault(str(entry.get_label()), entry)
+    return list(found.values())
+
+
+def columns_of(entries: Sequence[Line2D | Patch], inches: float, size: float) -> int:
+    """Most columns of a legend with letters of a `size` [points] that fit a width; entries fill column after column."""
+    widths = [size_of(str(entry.get_label()), size)[0] + LEGEND_EMS * size for entry in entries]
+    for columns in range(len(widths), 1, -1):
+        rows, longer = divmod(len(widths), columns)
+        lengths = [rows + (k < longer) for k in range(columns)]
+        firsts = [sum(lengths[:k]) for k in range(columns)]
+        if sum(max(widths[i : i + n]) for i, n in zip(firsts, lengths, strict=True)) <= 72.0 * inches:
+            return columns
+    return 1
+
+
+def _dpi(axes: Axes) -> float:
+    figure = axes.figure
+    assert figure is not None, "axes are part of a figure"
+    return float(figure.dpi)
 
 
 def short(share: float) -> str:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 INK = "#222222"
 FAINT = "#9A9A9A"
 PAPER = "#FFFFFF"
+DANGER = "#C81E1E"
+"""Marks robots that are too close to one another; as in the viewer."""
+
 BRIGHT = 0.6
 """Relative luminance from which a thin line is hard to see on white."""
 
@@ -146,7 +149,8 @@ def heading(record: RunRecord, inches: float) -> str:
     """Shape, N, rules and model, and whether the model was simulated; broken to fit a width."""
     n = record.mission.mission["n_robots"]
     robots = "1 robot" if n == 1 else f"{n} robots"
-    parts = (shapes(record), robots, rules(record.run.config), model_names([record]))
+    above = "seen from above" if record.positions.shape[2] > 2 else ""
+    parts = (shapes(record), robots, rules(record.run.config), model_names([record]), above)
     return fitted(" · ".join(part for part in parts if part), inches)
 
 

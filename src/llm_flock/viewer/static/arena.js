@@ -2,13 +2,16 @@
 import { View } from "llm-flock-viewer/arena_view.js";
 import { closePairs, fanned } from "llm-flock-viewer/crowd.js";
 import { cells, links } from "llm-flock-viewer/geometry.js";
-import { beside, bentRim, between, breakerTag, chosenRing, describe, planRim } from "llm-flock-viewer/robot_signs.js";
+import { around, placed } from "llm-flock-viewer/labels.js";
+import { beside, bentRim, between, breakerTag, chosenRing, describe, planRim, reach, word } from "llm-flock-viewer/robot_signs.js";
 import { FONT, Surface, dash, look, theme } from "llm-flock-viewer/surface.js";
 
 const TRAIL = 24; // rounds
 const MANY = 250; // robots from which on letters and rims are left out
+const MOST_WORDS = [30, MANY]; // robots from which on there is no room for words, beside small disks and beside others
 const BODY = 0.8; // of a safety disc: two discs touch before two bodies do
-const MONO = "ui-monospace, 'DejaVu Sans Mono', monospace"; // a letter I has serifs in it, and is no tick
+const SHARE = 0.36; // of the spacing: neighbours in a formation stand apart
+const BUTTONS = [290, 40]; // pixels of the buttons in the corner, which no word is to touch
 
 export class Arena {
   constructor(element, run, clock, options, pick) {
@@ -66,8 +69,8 @@ export class Arena {
     }
     const link = (this.linked || []).find(([one, other]) => beside([x, y], this.pixel(frame.x[one]), this.pixel(frame.x[other])) < 4);
     if (!link) return null;
-    const [[ax, ay], [bx, by]] = [frame.x[link[0]], frame.x[link[1]]];
-    return `Radio link of robots ${link[0]} and ${link[1]}: ${Math.hypot(ax - bx, ay - by).toFixed(1)} units`;
+    const far = Math.hypot(...frame.x[link[0]].map((value, axis) => value - frame.x[link[1]][axis]));
+    return `Radio link of robots ${link[0]} and ${link[1]}: ${far.toFixed(1)} units`;
   }
 
   choose(robot, second) {
@@ -127,7 +130,8 @@ export class Arena {
     // A disk is as wide as the body; where that is too small to be seen and touched it is larger, but not beside safety
     // discs, which are to be larger than bodies.
     const body = (about.safe_distance / 2) * this.scale * BODY;
-    this.radius = this.layers.safety ? Math.max(3, body) : Math.max(frame.x.length > MANY ? 3 : 9, body);
+    const least = frame.x.length > MANY ? 3 : Math.min(9, SHARE * about.spacing * this.scale);
+    this.radius = Math.max(3, body, this.layers.safety ? 0 : least);
     const pixels = frame.x.map((at) => this.pixel(at));
     const { at, crowds } = frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels, this.radius);
     this.at = at;
@@ -137,20 +141,22 @@ export class Arena {
     this.surface.clear();
     pen.lineJoin = "round";
     this.walls(about);
-    if (this.layers.cells) this.cells(frame, about);
+    if (this.layers.cells && !about.space) this.cells(frame, about); // cells of space have no outline from above
     this.linked = [];
     if (this.layers.links) this.links(frame, about);
     if (this.layers.trails) this.trails(frame);
     if (this.layers.goals) this.goals(frame);
     this.ties(crowds, pixels);
     this.tooClose();
-    this.labels(frame);
     this.robots(frame);
+    this.labels(frame, crowds);
     if (this.layers.safety) this.safety(frame, about); // above the rims, which are wider where the picture is small
     this.counts(crowds);
     this.ruler();
     this.surface.canvas.dataset.scale = this.scale.toPrecision(4);
     this.surface.canvas.dataset.near = String(this.near.length);
+    this.surface.canvas.dataset.links = String(this.linked.length);
+    this.surface.canvas.dataset.radius = this.radius.toPrecision(4);
   }
 
   /** A disk that fanned out is tied to where its robot is. */
@@ -168,7 +174,8 @@ export class Arena {
     pen.font = `700 11px ${FONT}`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
-    for (const { members, middle } of crowds) {
+    for (const { members, middle, counted } of crowds) {
+      if (!counted) continue;
       const text = `${members.length}×`;
       const wide = pen.measureText(text).width + 6;
       pen.fillStyle = theme().danger;
@@ -315,15 +322,17 @@ export class Arena {
     const opened = new Set(frame.b);
     pen.textAlign = "center";
     pen.textBaseline = "middle";
+    // Below all disks: no ring of one robot hides the number of another.
+    for (const robot of this.selected) if (this.at[robot]) chosenRing(this.surface, ...this.at[robot], this.radius);
+    if (few) for (const robot of frame.h) bentRim(this.surface, ...this.at[robot], this.radius);
     this.at.forEach(([x, y], robot) => {
       const { fill, ink, rim } = look(this.run, frame.p[robot]);
       this.surface.circle([x, y], this.radius);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
       pen.fill();
       if (few || this.selected.includes(robot)) {
-        if (bent.has(robot)) bentRim(this.surface, x, y, this.radius);
+        if (bent.has(robot) && !few) bentRim(this.surface, x, y, this.radius);
         planRim(this.surface, x, y, this.radius, rim);
-        if (this.selected.includes(robot)) chosenRing(this.surface, x, y, this.radius);
         if (opened.has(robot)) breakerTag(this.surface, x, y, this.radius);
       }
       if (!few && !this.selected.includes(robot)) return;
@@ -335,41 +344,29 @@ export class Arena {
     });
   }
 
-  /** Letters of plans and influence, below all disks: where robots stand close, their numbers come first. */
-  labels(frame) {
-    const { pen } = this.surface;
-    pen.textAlign = "center";
-    pen.textBaseline = "middle";
+  /** Letters of plans, influence and what else is said beside a disk; left out where there is no room. */
+  labels(frame, crowds) {
+    const { width, height } = this.surface;
     const bent = new Set(frame.h);
-    this.at.forEach(([x, y], robot) => {
-      const chosen = this.selected.includes(robot);
-      if (this.at.length > MANY && !chosen) return;
-      const { name, fill, ink } = look(this.run, frame.p[robot]);
-      const above = y - this.radius - (chosen ? 19 : bent.has(robot) ? 14 : 10); // clear of the rings
-      const letters = this.layers.plans ? name : "";
-      const beside = [this.radius < 6 && String(robot), this.layers.influence && frame.i[robot].toFixed(2)].filter(Boolean).join(" ");
-      pen.font = `700 11px ${MONO}`;
-      const wide = letters ? pen.measureText(letters).width + 6 : 0;
-      if (letters) {
-        // On a tag in the plan's colour: no letter is taken for a stroke of the picture.
-        pen.fillStyle = fill;
-        pen.fillRect(x - wide / 2, above - 7, wide, 13);
-        pen.lineWidth = 1;
-        pen.strokeStyle = theme().paper;
-        pen.strokeRect(x - wide / 2, above - 7, wide, 13);
-        pen.fillStyle = ink;
-        pen.fillText(letters, x, above);
-      }
-      if (!beside) return;
-      pen.font = `600 11px ${FONT}`;
-      pen.textAlign = "left";
-      pen.lineWidth = 3;
-      pen.strokeStyle = theme().paper;
-      pen.strokeText(beside, x + wide / 2 + 3, above);
-      pen.fillStyle = theme().ink;
-      pen.fillText(beside, x + wide / 2 + 3, above);
-      pen.textAlign = "center";
+    const opened = new Set(frame.b);
+    const close = new Set(this.near.flat());
+    const dead = new Set(frame.d);
+    const words = this.at.map((_, robot) => {
+      if (this.at.length > MOST_WORDS[this.radius < 6 ? 0 : 1] && !this.selected.includes(robot)) return null;
+      const letters = this.layers.plans && !dead.has(robot) ? look(this.run, frame.p[robot]) : null;
+      // A disk that is too small, or has a cross in it, has its number beside it.
+      const beside = [(this.radius < 6 || dead.has(robot)) && String(robot), this.layers.influence && !dead.has(robot) && frame.i[robot].toFixed(2)];
+      return word(this.surface, letters, beside.filter(Boolean).join(" "));
     });
+    const disks = this.at.map(([x, y], robot) => [x, y, reach(this.radius,
+      { bent: bent.has(robot), opened: opened.has(robot), close: close.has(robot), chosen: this.selected.includes(robot) })]);
+    const taken = [...crowds.filter((crowd) => crowd.counted).map(({ middle }) => around(middle, [26, 16])), [width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, this.run.about.space ? 200 : 110, height]];
+    const before = this.offsets && this.offsets.length === words.length ? this.offsets : [];
+    this.offsets = placed(disks, words.map((one) => one && [one.wide, 14]), [width, height], taken, before);
+    this.offsets.forEach((offset, robot) => {
+      if (offset) words[robot].draw(this.at[robot][0] + offset[0], this.at[robot][1] + offset[1]);
+    });
+    this.surface.canvas.dataset.words = String(this.offsets.filter(Boolean).length);
   }
 
   /** A length to compare with. */
@@ -384,7 +381,7 @@ export class Arena {
     pen.font = `11px ${FONT}`;
     pen.textAlign = "left";
     pen.textBaseline = "bottom";
-    pen.fillText(`${Number(units.toPrecision(3))} units`, 14, height - 15);
+    pen.fillText(`${Number(units.toPrecision(3))} units${this.run.about.space ? " · seen from above" : ""}`, 14, height - 15);
   }
 
   close() {

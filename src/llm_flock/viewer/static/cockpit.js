@@ -17,7 +17,7 @@ export function cockpit(options, place) {
     n_robots: field("Robots", number(10, { step: 1 })),
     center: field("Centre", h("input", { value: "50, 50" }), "x, y"),
     spacing: field("Spacing", number(10), "between neighbours [units]"),
-    protocol: field("Protocol", choice(options.protocols.map(([name, about]) => [name, `${name} - ${about}`]), "flock")),
+    protocol: field("Protocol", choice(options.protocols.map(([name]) => [name, name]), "flock"), " "),
     model: field("Model", h("input", { value: "simulated:distorted@0.3,overshoot@0.3", list: models.id, autocomplete: "off" }),
       "simulated:… plays a language model with faults; no model is asked"),
     seed: field("Seed", number(0, { step: 1 }), "the same seed, the same run"),
@@ -28,6 +28,11 @@ export function cockpit(options, place) {
   };
   shown(fields.loss, (value) => `${Math.round(100 * value)} %`);
   shown(fields.pace, () => `${paceOf(pace)}`);
+  const told = () => {
+    fields.protocol.box.querySelector(".flock-hint").textContent = Object.fromEntries(options.protocols)[fields.protocol.control.value];
+  };
+  fields.protocol.control.addEventListener("change", told);
+  told();
   const on = h("input", { type: "checkbox", checked: true });
   const said = h("div", { class: "flock-error", role: "alert" });
   const launch = async (protocols) => {

@@ -17,19 +17,20 @@ function grid(points, edge) {
 
 const MOST_LINKS = 12000;
 
-/** Pairs of robots within range of each other; at most MOST_LINKS, which cannot be told apart anyway. */
+/** Pairs of robots within range of each other, in all dimensions; at most MOST_LINKS, which cannot be told apart anyway. */
 export function links(points, range, silent) {
   const boxes = grid(points, range);
   const pairs = [];
   for (let one = 0; one < points.length && pairs.length < MOST_LINKS; one += 1) {
     if (silent.has(one)) continue;
-    const [x, y] = points[one];
+    const [x, y, z = 0] = points[one];
     const [column, row] = [Math.floor(x / range), Math.floor(y / range)];
     for (let i = column - 1; i <= column + 1; i += 1) {
       for (let j = row - 1; j <= row + 1; j += 1) {
         for (const other of boxes.get(box(i, j)) || []) {
           if (other <= one || silent.has(other)) continue;
-          if ((points[other][0] - x) ** 2 + (points[other][1] - y) ** 2 <= range * range) pairs.push([one, other]);
+          const [a, b, c = 0] = points[other];
+          if ((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 <= range * range) pairs.push([one, other]);
         }
       }
     }

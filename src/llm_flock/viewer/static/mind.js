@@ -1,6 +1,7 @@
 // What a robot knew and asked in a round, and the events of the round: text that follows the cursor.
 import { button, choice, fill, h } from "llm-flock-viewer/dom.js";
 
+const GONE = "The viewer does not answer: is its command still running?";
 const REFRESH_MS = 400; // while the cursor runs, text follows more slowly than the picture
 
 /** Calls `show` with the round under the cursor, at once when it stands and seldom while it runs. */
@@ -74,6 +75,10 @@ export class Minds {
   changed() {
     this.note.textContent = "";
     this.opened = true;
+    // A robot is not compared with itself.
+    const [first, second] = this.lists;
+    if (second.value === first.value) second.value = "";
+    for (const option of second.options) option.disabled = Boolean(option.value) && option.value === first.value;
     const chosen = this.chosen();
     this.runs.forEach((_, k) => this.tell(k, chosen.filter((one) => one[0] === k).map((one) => one[1])));
     this.refresh();
@@ -86,17 +91,20 @@ export class Minds {
   async show(round) {
     const mine = (this.asked += 1);
     const chosen = this.chosen();
+    let gone = false;
     const found = await Promise.all(chosen.map(async ([k, robot]) => {
       try {
         return round <= this.runs[k].last ? await this.runs[k].get(`mind?robot=${robot}&round=${round}`) : null;
       } catch {
-        return null; // a slow or ended server; the canvases say so
+        gone = true;
+        return null;
       }
     }));
     if (mine !== this.asked) return;
     const minds = found.map((mind, number) => mind && this.mind(this.runs[chosen[number][0]], mind)).filter(Boolean);
+    const over = chosen.some(([k]) => round > this.runs[k].last) ? "This run ended before the round under the cursor." : "";
     this.place.replaceChildren(...minds.length ? minds
-      : [h("div", { class: "flock-hint", text: "Choose a robot: click on it, or choose its number. Shift-click a second one to compare." })]);
+      : [h("div", { class: "flock-hint", text: gone ? GONE : over || "Choose a robot: click on it, or choose its number. Shift-click a second one to compare." })]);
   }
 
   mind(run, found) {
@@ -108,7 +116,7 @@ export class Minds {
       ...(found.provenance ? [h("h3", { class: "flock-role", text: "Provenance of its plan" }), h("div", { class: "flock-facts", text: found.provenance })] : []),
       h("h3", { class: "flock-role", text: `Claims within its radio range (${found.n_claims})` }),
       h("table", { class: "flock-table" },
-        h("thead", {}, h("tr", {}, ...["robot", "plan", "place", "influence", "distance"].map((text) => h("th", { scope: "col", text })))),
+        h("thead", {}, h("tr", {}, ...["robot", "plan", "place", "influence", "distance [units]"].map((text) => h("th", { scope: "col", text })))),
         h("tbody", {}, ...found.claims.map((row) => h("tr", {}, ...row.map((text) => h("td", { text })))))));
   }
 
@@ -119,7 +127,7 @@ export class Minds {
   }
 
   call(run, found, call, k) {
-    const prompt = h("details", { class: "flock-prompt" }, h("summary", { text: `Prompt (${call.messages} messages)` }));
+    const prompt = h("details", { class: "flock-prompt" }, h("summary", { text: `Prompt (${call.messages} ${call.messages === 1 ? "message" : "messages"})` }));
     // Conversations are long: they are sent when they are opened.
     prompt.addEventListener("toggle", async () => {
       if (!prompt.open || prompt.childNodes.length > 1) return;
@@ -150,13 +158,13 @@ export class Events {
     const mine = (this.asked += 1);
     const found = await Promise.all(this.runs.map((run) => run.get(`events?round=${Math.min(round, Math.max(0, run.last))}`).catch(() => null)));
     if (mine !== this.asked) return;
-    this.element.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [])));
+    this.element.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [h("div", { class: "flock-hint", text: GONE })])));
   }
 
   listed({ round, total, lines }, k) {
     const title = this.runs.length > 1 ? [h("h2", { class: "flock-subtitle", text: this.names[k] })] : [];
     const more = total - lines.length;
-    return [...title, h("div", { class: "flock-hint", text: `${total} events in round ${round}` }),
+    return [...title, h("div", { class: "flock-hint", text: `${total} ${total === 1 ? "event" : "events"} in round ${round}` }),
       ...lines.map(([who, what]) => h("div", { class: "flock-event" },
         h("span", { class: "flock-who", text: who[0].toUpperCase() + who.slice(1) }), " ", h("span", { class: "flock-what", text: `${what}.` }))),
       ...(more > 0 ? [h("div", { class: "flock-hint", text: `and ${more} more` })] : [])];

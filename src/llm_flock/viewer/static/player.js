@@ -43,26 +43,30 @@ export function player(options, place, held = null) {
   const line = h("div", { class: "flock-part" });
   const plots = h("div", { class: "flock-part" });
   const ends = pair ? new Ends(runs, names, clock) : null;
-  const help = legend(!pair && innerWidth >= WIDE);
+  const note = h("p", { class: "flock-hint flock-unknown", hidden: true, text: "A line ends with ? where its figure is not known: the shape error while robots are missing." });
+  const help = legend(!pair && innerWidth >= WIDE, layers);
   minds = held ? null : new Minds(runs, names, clock, (k, robots) => arenas[k].select(robots));
   const happened = new Events(runs, names, clock);
   const steer = held ? null : new Steer(runs, options.runs.map((run) => run.key));
   tabs = panels([
-    ...(minds ? [["Mind", minds.element, ""]] : []), ["Plots", h("div", { class: "flock-charts" }, ends ? ends.element : null, plots), "flock-plots"], ["Events", happened.element, ""],
+    ...(minds ? [["Mind", minds.element, ""]] : []), ["Plots", h("div", { class: "flock-charts" }, ends ? ends.element : null, note, plots), "flock-plots"], ["Events", happened.element, ""],
     ...(steer ? [["Steer", steer.element, ""]] : []),
   ], minds && !pair ? "Mind" : "Plots", steer ? ["Steer"] : []);
   const arenas = [];
   const all = (act) => () => arenas.forEach(act);
+  const show = (name, on) => {
+    help.show(name, on);
+    for (const one of arenas) one.layer(name, on);
+  };
   place.replaceChildren(
     header(options.title, held ? [] : [["Runs", "/runs"], ["Cockpit", "/cockpit"]], held ? [] : [exports(options, runs, names, clock)], showKeys),
     h("main", { class: `flock-player${pair ? " flock-pair" : ""}` },
       h("section", { class: "flock-field", "aria-label": "Arena" },
         h("div", { class: "flock-layers" }, ...options.layers.map(([name, words, on]) => h("label", {},
-          h("input", { type: "checkbox", checked: on, onchange: (event) => arenas.forEach((one) => one.layer(name, event.target.checked)) }), words)),
+          h("input", { type: "checkbox", checked: on, onchange: (event) => show(name, event.target.checked) }), words)),
         h("span", { class: "flock-grow" }), help.act),
         h("div", { class: "flock-arenas" }, help.element, ...figures.map((one) => one.element),
           h("div", { class: "flock-zoom", role: "group", "aria-label": "What is shown" }, button("−", all((one) => one.view.zoom(0.8)), { words: "Zoom out" }), button("+", all((one) => one.view.zoom(1.25)), { words: "Zoom in" }),
-        
           ...[["Formation", "formation", "F"], ["Way", "way", "0"], ["Arena", "arena", "A"]].map(([text, what, key]) =>
             button(text, all((one) => one.view.fit(what)), { words: `${FITS[what]} (${key})` }))))),
       h("aside", { class: "flock-side", "aria-label": "Mind, plots and events" }, tabs.element),
@@ -73,7 +77,7 @@ export function player(options, place, held = null) {
     }));
   });
   const time = new Timeline(line, runs, clock, { tracks: options.tracks, names });
-  const charts = new Plots(plots, runs, clock, { charts: options.charts, names });
+  const charts = new Plots(plots, runs, clock, { charts: options.charts, names, note });
   if (steer) clock.listen(() => steered(steer, tabs));
   keys(clock, arenas, help);
   for (const run of runs) clock.attach(run);

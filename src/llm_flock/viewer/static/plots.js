@@ -12,6 +12,7 @@ export class Plots {
     this.clock = clock;
     this.charts = options.charts;
     this.names = options.names;
+    this.note = options.note;
     element.style.minHeight = `${this.charts.length * (LEAST + (runs.length > 1 ? LINE : 0))}px`;
     const titles = this.charts.map((chart) => chart.title).join(", ");
     this.surface = new Surface(element, `Plots over rounds: ${titles}`, () => this.draw());
@@ -62,10 +63,11 @@ export class Plots {
     const edge = chart.edge && this.runs[0].about ? this.runs[0].about[chart.edge] : null;
     let high = edge || 0;
     for (const one of series) for (const value of one.values) if (value > high) high = value;
-    if (edge) high = Math.min(high, 6 * edge);
-    high = high > 0 ? high * 1.08 : 1;
-    const y = (value) => y0 - (Math.min(value, high) / high) * (y0 - y1);
-    this.frame(x, y, y0, y1, high, span);
+    const most = edge ? Math.min(high, 6 * edge) : high;
+    const step = stepOf(most, chart.whole);
+    const upper = step * Math.max(1, Math.ceil(most / step - 1e-9));
+    const y = (value) => y0 - (Math.min(value, upper) / upper) * (y0 - y1);
+    this.frame(x, y, y0, y1, { step, top: upper, beyond: high > upper }, span);
     if (edge) {
       pen.strokeStyle = pen.fillStyle = colours.danger;
       pen.setLineDash([4, 3]);
@@ -85,17 +87,21 @@ export class Plots {
     this.surface.line([x(this.clock.round), y0], [x(this.clock.round), y1]);
   }
 
-  frame(x, y, y0, y1, high, span) {
+  frame(x, y, y0, y1, { step, top, beyond }, span) {
     const { pen, width } = this.surface;
     pen.strokeStyle = theme().grid;
     pen.lineWidth = 1;
     pen.setLineDash([]);
     pen.strokeRect(LEFT, y1, width - LEFT - RIGHT, y0 - y1);
-    this.surface.line([LEFT, y(high / 2)], [width - RIGHT, y(high / 2)]);
     pen.font = `11px ${FONT}`;
     pen.fillStyle = theme().soft;
     pen.textAlign = "right";
-    for (const [value, at] of [[high, y1 + 4], [high / 2, y(high / 2)], [0, y0 - 3]]) pen.fillText(short(value), LEFT - 4, at);
+    for (let k = 0; k * step <= top + 1e-9 * top; k += 1) {
+      const value = Number((k * step).toPrecision(12));
+      if (k && value < top) this.surface.line([LEFT, y(value)], [width - RIGHT, y(value)]);
+      // What is beyond the top is drawn along it.
+      pen.fillText(short(value) + (beyond && value >= top - 1e-9 * top ? "+" : ""), LEFT - 4, Math.max(y1 + 4, Math.min(y0 - 3, y(value))));
+    }
     pen.textAlign = "left";
     pen.fillText("0", LEFT, y0 + 9);
     pen.textAlign = "right";
@@ -109,7 +115,8 @@ export class Plots {
     let [left, line] = [used, 0];
     for (const one of series) {
       const value = one.values[Math.min(this.clock.round, one.values.length - 1)];
-      const text = `${one.name ? `${one.name} ` : ""}${value === undefined || Number.isNaN(value) ? "–" : short(value)}`;
+      const known = value !== undefined && !Number.isNaN(value);
+      const text = `${one.name ? `${one.name} ` : ""}${known ? short(value) : value === undefined ? "–" : "unknown"}`;
       const wide = pen.measureText(text).width + 40;
       if (left + wide > width - 4 && left > 4) [left, line] = [4, line + 1];
       const y = first + line * LINE;
@@ -145,29 +152,41 @@ export class Plots {
     pen.stroke();
   }
 
-  /** Where a line stops before the others: ✓ if its run had formed, × if not. The words are above the plots. */
+  /** Where a line stops before the others: ✓ if its run had formed, × if not, ? if it is not known further. The words are above the plots. */
   end(one, x, y) {
     const { pen } = this.surface;
     const { run, values } = one;
-    const value = values[values.length - 1];
-    if (run.open || run.last >= this.clock.last || value === undefined || Number.isNaN(value)) return;
+    let last = values.length - 1;
+    while (last >= 0 && Number.isNaN(values[last])) last -= 1;
+    const value = values[last];
+    const unknown = last < values.length - 1;
+    if (value === undefined || (!unknown && (run.open || run.last >= this.clock.last))) return;
+    if (unknown && this.note) this.note.hidden = false;
     const formed = run.outcome && run.outcome.tone === "good";
     pen.setLineDash([]);
     pen.font = `700 13px ${FONT}`;
     pen.textAlign = "center";
     pen.fillStyle = theme().paper;
-    this.surface.circle([x(run.last), y(value)], 7);
+    this.surface.circle([x(last), y(value)], 7);
     pen.fill();
     pen.fillStyle = pen.strokeStyle = one.ink;
     pen.lineWidth = 1.5;
     pen.stroke();
-    pen.fillText(formed ? "✓" : "×", x(run.last), y(value) + 0.5);
+    pen.fillText(unknown ? "?" : formed ? "✓" : "×", x(last), y(value) + 0.5);
   }
 
   close() {
     this.forget();
     this.surface.close();
   }
+}
+
+/** A round distance between the lines of a grid, two to four of them; `whole` for what is counted. */
+function stepOf(high, whole) {
+  const rough = (high > 0 ? high : 1) / 3;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((k) => k * power >= rough * (1 - 1e-9));
+  return whole ? Math.max(1, step) : step;
 }
 
 function short(value) {

@@ -1,14 +1,64 @@
 // Signs at a robot beside its disk, and a robot in words.
 import { FONT, dash, look, theme } from "llm-flock-viewer/surface.js";
 
+const MONO = "ui-monospace, 'DejaVu Sans Mono', monospace"; // a letter I has serifs in it, and is no tick
+
+/** Rims of small disks are thinner, so that neighbours in a formation stay apart. */
+function thinner(radius) {
+  return Math.min(1, radius / 9);
+}
+
+/** How far a disk goes with all that is around it [pixels]. */
+export function reach(radius, { bent, opened, close, chosen }) {
+  const thin = thinner(radius);
+  return radius + Math.max(2 * thin, bent ? 7 * thin : 0, opened ? 8 : 0, close ? 5 : 0, chosen ? 12 : 0);
+}
+
+/** A word beside a disk: letters of a plan on a tag in its colour, then other text. Null for no word. */
+export function word(surface, plan, text) {
+  const { pen } = surface;
+  const letters = plan ? plan.name : "";
+  if (!letters && !text) return null;
+  pen.font = `700 11px ${MONO}`;
+  const tag = letters ? pen.measureText(letters).width + 6 : 0;
+  pen.font = `600 11px ${FONT}`;
+  const wide = tag + (text ? pen.measureText(text).width + (tag ? 3 : 0) : 0);
+  const draw = (x, y) => {
+    pen.setLineDash([]);
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    if (letters) {
+      // On a tag in the plan's colour: no letter is taken for a stroke of the picture.
+      pen.fillStyle = plan.fill;
+      pen.fillRect(x - wide / 2, y - 7, tag, 13);
+      pen.lineWidth = 1;
+      pen.strokeStyle = theme().paper;
+      pen.strokeRect(x - wide / 2, y - 7, tag, 13);
+      pen.font = `700 11px ${MONO}`;
+      pen.fillStyle = plan.ink;
+      pen.fillText(letters, x - wide / 2 + tag / 2, y);
+    }
+    if (!text) return;
+    pen.font = `600 11px ${FONT}`;
+    pen.textAlign = "right";
+    pen.lineWidth = 3;
+    pen.strokeStyle = theme().paper;
+    pen.strokeText(text, x + wide / 2, y);
+    pen.fillStyle = theme().ink;
+    pen.fillText(text, x + wide / 2, y);
+  };
+  return { wide, draw };
+}
+
 /** The rim of a plan, around the disk: on paper, so that its dashes are seen beside every colour, however small. */
 export function planRim(surface, x, y, radius, rim) {
   const { pen } = surface;
-  surface.circle([x, y], radius + 1);
-  pen.lineWidth = 4;
+  const thin = thinner(radius);
+  surface.circle([x, y], radius + thin);
+  pen.lineWidth = 4 * thin;
   pen.strokeStyle = theme().paper;
   pen.stroke();
-  pen.lineWidth = 2;
+  pen.lineWidth = 2 * thin;
   pen.strokeStyle = theme().ink;
   pen.setLineDash(dash(rim).map((length) => length * Math.max(0.6, Math.min(1.5, radius / 9))));
   pen.stroke();
@@ -18,9 +68,10 @@ export function planRim(surface, x, y, radius, rim) {
 /** A rim apart from the disk and edged in ink, so that it is seen on every colour of a plan. */
 export function bentRim(surface, x, y, radius) {
   const { pen } = surface;
+  const thin = thinner(radius);
   for (const [wide, ink, far] of [[5.5, theme().ink, 4], [3, theme().bent, 4], [2, theme().paper, 1]]) {
-    surface.circle([x, y], radius + far);
-    pen.lineWidth = wide;
+    surface.circle([x, y], radius + far * thin);
+    pen.lineWidth = wide * thin;
     pen.strokeStyle = ink;
     pen.stroke();
   }
@@ -53,10 +104,11 @@ export function chosenRing(surface, x, y, radius) {
 export function describe(run, frame, robot) {
   const plan = look(run, frame.p[robot]).name;
   const parts = [`Robot ${robot}`];
-  if (frame.d.includes(robot)) return `${parts[0]}: dead`;
-  if (frame.z.includes(robot)) return `${parts[0]}: not begun yet`;
+  if (frame.d.includes(robot)) return `${parts[0]} is dead`;
+  if (frame.z.includes(robot)) return `${parts[0]} has not begun yet`;
   parts.push(plan ? `plan ${plan}, ${frame.s[robot] === null ? "no place" : `place ${frame.s[robot]}`}` : "no plan");
   parts.push(`heard by ${Math.round(100 * frame.i[robot])} % of the team`);
+  if (frame.x[robot].length > 2) parts.push(`height ${frame.x[robot][2].toFixed(1)} units`);
   if (frame.h.includes(robot)) parts.push("moved otherwise than its model wanted");
   if (frame.b.includes(robot)) parts.push("its model is not asked (circuit breaker open)");
   return parts.join(" · ");

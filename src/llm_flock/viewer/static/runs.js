@@ -23,14 +23,14 @@ const COLUMNS = [
 /** Build the page. */
 export function runs(options, place) {
   const state = { rows: [], sort: 2, down: true, words: "", chosen: new Set() };
-  const body = h("tbody", {});
+  const body = h("tbody", { role: "rowgroup" });
   const compared = h("div", { class: "flock-compared" });
   const count = h("div", { class: "flock-hint", role: "status" });
   const filter = h("input", { type: "search", id: "flock-filter", oninput: () => {
     state.words = filter.value.toLowerCase();
     draw();
   } });
-  const heads = COLUMNS.map(([title], k) => h("th", { scope: "col" }, h("button", { type: "button", class: "flock-sort", text: title, onclick: () => {
+  const heads = COLUMNS.map(([title], k) => h("th", { scope: "col", role: "columnheader" }, h("button", { type: "button", class: "flock-sort", text: title, onclick: () => {
     state.down = state.sort === k ? !state.down : false;
     state.sort = k;
     draw();
@@ -50,7 +50,7 @@ export function runs(options, place) {
     const order = (a, b) => (key(a) < key(b) ? -1 : key(a) > key(b) ? 1 : Number(a.key) - Number(b.key)) * (state.down ? -1 : 1);
     const listed = state.rows.filter(matches).sort(order);
     body.replaceChildren(...listed.map((row) => line(row, state, draw, load)));
-    count.textContent = state.rows.length ? `${listed.length} of ${state.rows.length} runs` : "None yet: the cockpit starts them.";
+    count.textContent = state.rows.length ? `${listed.length} of ${state.rows.length} ${state.rows.length === 1 ? "run" : "runs"}` : "None yet: the cockpit starts them.";
     compared.replaceChildren(...comparison(state, options));
   };
   const load = async () => {
@@ -71,8 +71,8 @@ export function runs(options, place) {
   place.replaceChildren(header("Runs", [["Cockpit", "/cockpit"]], [], showKeys),
     h("main", { class: "flock-page flock-broad" }, h("section", { class: "flock-card", "aria-label": "All runs" },
       h("div", { class: "flock-row" }, h("label", { for: "flock-filter", text: "Filter" }), filter, count),
-      h("div", { class: "flock-scroll", tabindex: "0", role: "region", "aria-label": "Table of runs" }, h("table", { class: "flock-table flock-runs" },
-        h("thead", {}, h("tr", {}, h("th", { scope: "col", text: "Compare" }), h("th", { scope: "col", text: "Last round" }), ...heads, h("th", { scope: "col", text: "Delete" }))),
+      h("div", { class: "flock-scroll", tabindex: "0", role: "region", "aria-label": "Table of runs" }, h("table", { class: "flock-table flock-runs", role: "table" },
+        h("thead", { role: "rowgroup" }, h("tr", { role: "row" }, h("th", { scope: "col", text: "Compare" }), h("th", { scope: "col", text: "Last round" }), ...heads, h("th", { scope: "col", text: "Delete" }))),
         body)), compared)));
   load();
 }
@@ -90,8 +90,10 @@ function line(row, state, draw, load) {
   remove.disabled = !row.deletable;
   if (!row.deletable) remove.title = row.open ? "The run is not over: end it first." : "There is no record to delete.";
   const dots = (row.thumbnail || []).map(([x, y, fill]) => ["circle", { cx: 5 + x * (SIZE - 10), cy: 5 + y * (SIZE - 10), r: 2.5, fill }]);
-  return h("tr", { "data-key": row.key }, h("td", {}, box), h("td", {}, picture(SIZE, SIZE, dots)),
-    ...COLUMNS.map(([, , cell]) => h("td", {}, ...cell(row))), h("td", {}, remove));
+  // Roles and names of cells: on a phone a row is a card, and no table any more.
+  const cell = (label, ...content) => h("td", { role: "cell", "data-label": label }, ...content);
+  return h("tr", { role: "row", "data-key": row.key }, cell("Compare", box), cell("", picture(SIZE, SIZE, dots)),
+    ...COLUMNS.map(([title, , shown]) => cell(title, ...shown(row))), cell("", remove));
 }
 
 function ask(row, load) {
@@ -103,14 +105,20 @@ function ask(row, load) {
     }, "flock-danger"]]);
 }
 
+/** A number as people read it: 46,810 tokens, and no powers of ten for what is next to nothing. */
+function figure(value) {
+  if (value && Math.abs(value) < 0.0005) return "< 0.001";
+  return value.toLocaleString("en", Number.isInteger(value) ? {} : { maximumSignificantDigits: 4 });
+}
+
 /** Figures of the chosen runs beside one another. */
 function comparison(state, options) {
   const rows = state.rows.filter((row) => state.chosen.has(row.key) && row.ready);
   if (!rows.length) return [];
-  const basic = [["Outcome", (row) => row.outcome], ["Protocol", (row) => row.protocol], ["Model", (row) => row.model], ["Seed", (row) => row.seed],
+  const basic = [["Outcome", (row) => row.outcome], ["Protocol", (row) => row.protocol], ["Model", (row) => row.model && row.model.replaceAll(",", ", ")], ["Seed", (row) => row.seed],
     ["Rounds to form", (row) => row.took], ["Lower bound", (row) => row.bound], ["Rounds / bound", (row) => row.ratio], ["Calls", (row) => row.calls]];
   const figures = options.figures.map((label, k) => [label, (row) => row.figures[k][1]]);
-  const text = (value) => (value === null || value === undefined ? "–" : typeof value === "number" ? String(Number(value.toPrecision(4))) : value);
+  const text = (value) => (value === null || value === undefined ? "–" : typeof value === "number" ? figure(value) : value);
   const pair = rows.length === 2 ? h("a", { href: `/pair/${rows[0].key}/${rows[1].key}`, text: "Play these two side by side" }) : null;
   return [h("h2", { class: "flock-subtitle", text: "Compared" }), h("div", { class: "flock-scroll", tabindex: "0", role: "region", "aria-label": "Comparison" },
     h("table", { class: "flock-table" }, h("thead", {}, h("tr", {}, h("td", {}), ...rows.map((row) => h("th", { scope: "col", text: row.title })))),

@@ -94,12 +94,13 @@ export class Timeline {
       this.surface.line([LEFT, y], [width - RIGHT, y]);
       this.runs.forEach((run, r) => this.marks(track, run, r, y, row));
     });
-    this.runs.forEach((run, r) => this.missions(run, r, height - AXIS));
     this.axis(height - AXIS);
     const x = this.x(Math.min(this.clock.cursor, this.span));
     pen.strokeStyle = colours.accent;
     pen.lineWidth = 2;
     this.surface.line([x, 0], [x, height - AXIS + 4]);
+    // Above the cursor, which would hide the tick of its round.
+    this.runs.forEach((run, r) => this.missions(run, r, height - AXIS));
     const canvas = this.surface.canvas;
     canvas.setAttribute("aria-valuemin", "0");
     canvas.setAttribute("aria-valuemax", String(this.clock.last));

@@ -1,0 +1,155 @@
+"""What the arena draws: words on no disk and no other word, crowds in which every robot is seen, and space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+from sample_records import FakeRun, make_record
+from viewer_pages import page_at, ready, viewer
+
+from llm_flock.record.schema import Entry, State
+from llm_flock.record.writer import RecordWriter
+from llm_flock.viewer.page import bundle
+
+PLACE = """([n, wide, seed]) => {
+    let state = seed;
+    const random = () => { state = (state * 1103515245 + 12345) % 2147483648; return state / 2147483648; };
+    const { fanned } = modules["llm-flock-viewer/crowd.js"];
+    const { around, placed } = modules["llm-flock-viewer/labels.js"];
+    const pixels = [];
+    for (let k = 0; k < n; k += 1) {
+        pixels.push(k % 5 === 4 ? [...pixels[k - 1]] : [300 + (random() - 0.5) * wide, 200 + (random() - 0.5) * wide]);
+    }
+    const { at, crowds } = fanned(pixels, 9);
+    const disks = at.map(([x, y]) => [x, y, 11]);
+    const words = at.map((_, k) => (k % 7 === 6 ? null : [14 + (k % 3) * 12, 14]));
+    const found = placed(disks, words, [600, 400], [[0, 360, 110, 400]]);
+    const boxes = found.map((offset, k) => offset && around([at[k][0] + offset[0], at[k][1] + offset[1]], words[k]));
+    return { at, boxes, counted: crowds.filter((one) => one.counted).map((one) => one.middle), crowds: crowds.length };
+}"""
+
+
+@pytest.fixture(scope="module")
+def scripts(browser: Browser) -> Any:
+    """The viewer's own scripts in an empty page, for the functions that decide where something is drawn."""
+    page = browser.new_page()
+    parts = bundle(("geometry", "labels", "crowd")).split("\n// The first script", 1)[0]
+    page.add_script_tag(
+        content=parts[: parts.rindex("})();") + len("})();")].replace("const modules", "var modules", 1)
+    )
+    yield page
+    page.close()
+
+
+@pytest.mark.parametrize(("n", "wide"), [(5, 300), (12, 60), (30, 250), (60, 300), (100, 500)])
+def test_no_word_lies_on_a_disk_or_on_another_word(scripts: Page, n: int, wide: float) -> None:
+    for seed in range(1, 6):
+        found = scripts.evaluate(PLACE, [n, wide, seed])
+        boxes = [box for box in found["boxes"] if box]
+        assert boxes and found["crowds"] >= 1
+        for k, (left, top, right, bottom) in enumerate(boxes):
+            assert left >= 0 and top >= 0 and right <= 600 and bottom <= 400
+            assert not (left < 110 and bottom > 360), "what is taken stays free"
+            for other in boxes[k + 1 :]:
+                assert not (left < other[2] and other[0] < right and top < other[3] and other[1] < bottom)
+            for x, y in found["at"]:
+                near = max(left, min(right, x)) - x, max(top, min(bottom, y)) - y
+                assert near[0] ** 2 + near[1] ** 2 >= 11**2 - 1e-6
+        for x, y in found["counted"]:
+            assert all((x - a) ** 2 + (y - b) ** 2 >= (9 + 10) ** 2 - 1e-6 for a, b in found["at"])
+
+
+def test_robots_over_one_another_in_space_are_neither_too_close_nor_in_radio_range(
+    tmp_path: Path, browser: Browser
+) -> None:
+    with RecordWriter(tmp_path / "space" / "run.mcap") as writer:
+        fake = FakeRun(n=3, rounds=1, dim=3)
+
+        class Stacked:
+            def write(self, entry: Entry) -> None:
+                if isinstance(entry, State):
+                    rows = [[50.0, 50.0, 10.0], [50.5, 50.0, 40.0], [51.0, 50.0, 50.0]]
+                    entry = entry.model_copy(update={"positions": rows})
+                writer.write(entry)
+
+        fake.write(Stacked())
+    with viewer(tmp_path, "space") as url, page_at(browser, url) as page:
+        ready(page)
+        canvas = page.locator("main .flock-arena canvas").first
+        expect(canvas).to_have_attribute("data-near", "0")
+        expect(canvas).to_have_attribute("data-links", "1")
+
+
+def test_a_large_formation_keeps_its_disks_apart(tmp_path: Path, browser: Browser) -> None:
+    make_record(tmp_path / "many" / "run.mcap", n=60, rounds=4, llm=False)
+    with viewer(tmp_path, "many") as url, page_at(browser, url) as page:
+        ready(page)
+        page.keyboard.press("End")
+        page.keyboard.press("f")
+        canvas = page.locator("main .flock-arena canvas").first
+        expect(canvas).to_have_attribute("data-round", "4")
+        radius, scale = (float(canvas.get_attribute(f"data-{name}") or 0) for name in ("radius", "scale"))
+        assert 2 * radius < 10.0 * scale, "the spacing is 10"
+        legend = page.locator(".flock-legend")
+        expect(legend.get_by_text("safety disc")).to_be_hidden()
+        page.get_by_role("checkbox", name="Safety discs").check()
+        expect(legend.get_by_text("safety disc")).to_be_visible()
+
+
+def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> None:
+    for name in ("one", "x" * 120):
+        make_record(tmp_path / name / "run.mcap", n=4, rounds=3, agree=name == "one")
+    with viewer(tmp_path, "one", "x" * 120) as url:
+        for width, height in ((320, 720), (320, 180), (400, 860)):  # the second is 1280 by 720 at a zoom of 400 %
+            with page_at(browser, url, width=width, height=height) as page:
+                page.locator("tbody tr").first.wait_for()  # the viewer is there
+                for path in ("run/2", "pair/1/2", "runs", "cockpit"):
+                    page.goto(url + path)
+                    page.locator("canvas[data-round], tbody tr, .flock-shape").first.wait_for()
+                    wide = page.evaluate("document.documentElement.scrollWidth")
+                    assert wide <= width, (path, width, wide)
+                page.goto(f"{url}run/1")
+                ready(page)
+                bar = page.evaluate("getComputedStyle(document.querySelector('.flock-time')).position")
+                assert bar == ("sticky" if height > 560 else "static"), "what stays in sight leaves room for the rest"
+                page.goto(f"{url}runs")
+                cells = page.locator("tbody tr").first.get_by_role("cell")
+                expect(cells).to_have_count(10)
+                assert page.get_by_role("link", name="one").evaluate("(at) => at.getBoundingClientRect().height") < 40
+
+
+def test_a_robot_is_not_compared_with_itself(tmp_path: Path, browser: Browser) -> None:
+    make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
+    with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
+        ready(page)
+        expect(page.locator(".flock-mind")).to_have_count(1)
+        other = page.get_by_label("Compare with")
+        other.select_option("0:2")
+        expect(page.locator(".flock-mind")).to_have_count(2)
+        page.get_by_label("Robot", exact=True).select_option("0:2")
+        expect(page.locator(".flock-mind")).to_have_count(1)
+        expect(other).to_have_value("")
+        assert other.locator("option[disabled]").all_text_contents() == ["2"]
+
+
+def test_what_is_gone_is_said_in_words(tmp_path: Path, browser: Browser) -> None:
+    record = make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
+    page = browser.new_page()
+    with viewer(tmp_path, "one") as url:
+        page.goto(f"{url}run/7")
+        expect(page.get_by_role("heading")).to_have_text("No such run")
+        page.get_by_role("link", name="All runs").click()
+        page.get_by_role("link", name="one").click()
+        ready(page)
+        record.unlink()
+        page.get_by_role("button", name="Export").click()
+        page.get_by_role("button", name="Record (MCAP)").click()
+        expect(page.get_by_role("dialog")).to_contain_text("run.mcap is no longer on the disk")
+        page.keyboard.press("Escape")
+        expect(page.get_by_role("dialog")).to_have_count(0)
+    page.get_by_label("Robot", exact=True).select_option("0:2")
+    expect(page.get_by_role("tabpanel", name="Mind")).to_contain_text("does not answer: is its command still running?")
+    page.close()
