@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from typing import Any, TypeVar
 
 import typer
 from rich.markup import escape
-from typer.core import TyperCommand
+from typer.core import TyperArgument, TyperCommand
 
 from llm_flock.cli.options import add_config_flags
 from llm_flock.flags import FlagErrors
@@ -31,11 +32,18 @@ def add_group(name: str, group: typer.Typer) -> None:
     _GROUPS[name] = group
 
 
+ROOMY = 110
+"""Columns that the tables of every command's help need, so that no flag in them is cut."""
+
+
 class PlainHelp(TyperCommand):
     """A command whose help is plain text: `[m]` in it is a unit, no markup."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
+        """Write the help: in tables, or in a narrow terminal in plain lines."""
+        if shutil.get_terminal_size().columns < ROOMY:
+            self._format_narrow(ctx, formatter)
+            return
         shown = copy(self)
         shown.params = [copy(param) for param in self.params]
         for param in shown.params:
@@ -43,6 +51,19 @@ class PlainHelp(TyperCommand):
                 vars(param)["help"] = escape(text)
         shown.help = None if self.help is None else escape(self.help)
         TyperCommand.format_help(shown, ctx, formatter)
+
+    def _format_narrow(self, ctx: Any, formatter: Any) -> None:
+        self.format_usage(ctx, formatter)
+        self.format_help_text(ctx, formatter)
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is not None:
+                usual = "Arguments" if isinstance(param, TyperArgument) else "Options"
+                panels.setdefault(getattr(param, "rich_help_panel", None) or usual, []).append(record)
+        for panel, records in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(records)
 
 
 class _Built(Mapping[str, Any]):

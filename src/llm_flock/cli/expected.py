@@ -34,7 +34,7 @@ def show_expected_run(config: RunConfig, *, as_json: bool) -> None:
     ):
         table.add_row(name, value)
     console = Screen()
-    console.print(table)
+    console.show(table)
     if rehearsed:
         large = config.mission.n_robots > LARGE and smaller_team(config) is not None
         flown = "a small team of the same shape" if large else "this run"
