@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -296,6 +298,10 @@ def _labels(runs: list[Any]) -> list[str]:
     return [rules(r.run.config) or "unknown rules" for r in runs]
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Faults of a full disk: where the output goes, or a file whose writer does not say so itself."""
+
+
 def main() -> None:
     """Entry point: turn expected errors into one line on stderr and an exit code."""
     log_to_stderr()
@@ -307,4 +313,10 @@ def main() -> None:
         sys.exit(EXIT_INPUT)
     except FlockError as error:
         say(f"error: {error}", error=True)
+        sys.exit(EXIT_FAILED)
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left of the output would fail again at the end
+        say(f"error: nothing more can be written ({error.strerror})", error=True)
         sys.exit(EXIT_FAILED)
