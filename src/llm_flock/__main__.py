@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from typing import TYPE_CHECKING
 
@@ -9,6 +11,9 @@ if TYPE_CHECKING:
     import typer
 
 EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 1, 2, 130
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Faults of a full disk: where the output goes, or a file whose writer does not say so itself."""
 
 
 def main() -> None:
@@ -32,6 +37,12 @@ def _run() -> None:
     except FlockError as error:
         print(printable(f"error: {error}"), file=sys.stderr, flush=True)
         sys.exit(EXIT_INPUT if isinstance(error, InputError) else EXIT_FAILED)
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left of the output would fail again at the end
+        print(printable(f"error: nothing more can be written ({error.strerror})"), file=sys.stderr, flush=True)
+        sys.exit(EXIT_FAILED)
 
 
 def _app() -> typer.Typer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
 from copy import copy
@@ -35,11 +36,18 @@ class FlagErrors(TyperGroup):
             raise FieldError(error.field, error.value, says=in_flags(error, command, sys.argv[1:])) from None
 
 
+ROOMY = 110
+"""Columns that the tables of every command's help need, so that no flag in them is cut."""
+
+
 class PlainHelp(TyperCommand):
     """A command whose help is plain text: `[m]` in it is a unit, no markup."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
+        """Write the help: in tables, or in a narrow terminal in plain lines."""
+        if shutil.get_terminal_size().columns < ROOMY:
+            self._format_narrow(ctx, formatter)
+            return
         from rich.markup import escape  # slow to load, and rarely needed
 
         shown = copy(self)
@@ -49,6 +57,19 @@ class PlainHelp(TyperCommand):
                 vars(param)["help"] = escape(text)
         shown.help = None if self.help is None else escape(self.help)
         TyperCommand.format_help(shown, ctx, formatter)
+
+    def _format_narrow(self, ctx: Any, formatter: Any) -> None:
+        self.format_usage(ctx, formatter)
+        self.format_help_text(ctx, formatter)
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is not None:
+                usual = "Arguments" if isinstance(param, TyperArgument) else "Options"
+                panels.setdefault(getattr(param, "rich_help_panel", None) or usual, []).append(record)
+        for panel, records in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(records)
 
 
 def in_flags(error: InputError, command: TyperCommand, argv: Sequence[str]) -> str:

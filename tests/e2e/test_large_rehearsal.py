@@ -12,6 +12,7 @@ from llm_flock.experiments import smaller_rehearsal, sweep_forecast
 from llm_flock.experiments.smaller_rehearsal import LARGE, SIZES, smaller_team
 from llm_flock.experiments.sweep_file import ExpectTable
 from llm_flock.experiments.sweep_forecast import Expected, expect_run
+from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig, build_config
 
 IDEAL = ExpectTable(profile="ideal")
@@ -52,8 +53,9 @@ def flown_sizes(config: RunConfig, monkeypatch: pytest.MonkeyPatch) -> list[int]
 @pytest.mark.parametrize("model", ["openai:gpt-5-mini", "simulated:ideal"])
 def test_two_thousand_robots_are_rehearsed_by_a_few(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     config = team(2000, model=model, safe_distance=3)
-    (size,) = flown_sizes(config, monkeypatch)
-    assert size in SIZES
+    asked, *alone = flown_sizes(config, monkeypatch)
+    assert asked in SIZES
+    assert alone == [asked, 48, 100], "these fly without a model"
 
 
 def test_a_forecast_by_a_small_team_is_near_to_the_team_itself(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,6 +70,16 @@ def test_a_forecast_by_a_small_team_is_near_to_the_team_itself(monkeypatch: pyte
     assert scaled.tokens_input / scaled.calls == pytest.approx(itself.tokens_input / itself.calls, rel=0.15)
     assert scaled.tokens_output / scaled.calls == pytest.approx(itself.tokens_output / itself.calls, rel=0.15)
     assert scaled.at_most == itself.at_most and scaled.cost_usd == itself.cost_usd == 0.0
+
+
+@pytest.mark.parametrize(("shape", "n", "seed"), [("circle", 64, 1), ("square", 72, 2)])
+def test_crowding_is_in_the_forecast(shape: str, n: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = team(n, shape=shape, seed=seed, center=(160, 160), arena=((0, 0), (320, 320)), rounds=600)
+    real = run(config=config, progress=False, trace=False).summary.model_calls
+    monkeypatch.setattr(sweep_forecast, "REHEARSAL_S", 0.0)
+    assert expected(config).calls == pytest.approx(real, rel=0.2)
+    monkeypatch.setattr(smaller_rehearsal, "CROWDS", ())
+    assert expected(config).calls < 0.9 * real
 
 
 def test_prompts_and_plans_grow_with_the_team() -> None:

@@ -41,3 +41,10 @@ def test_the_doctor_finds_a_drone_or_says_why_not(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(link, "in_reach", broken)
     assert reach_drones() == Finding("reach", "drone", False, "the search failed: no permission")
+
+
+@pytest.mark.parametrize("columns", ["24", "60", "80"])
+def test_no_name_is_cut(columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    text = CliRunner().invoke(app, ["doctor", "--no-drones"]).stdout
+    assert "…" not in text and "OPENAI_COMPATIBLE_API_KEY" in text and "extra" in text

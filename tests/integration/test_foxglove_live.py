@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 import time
@@ -87,6 +88,25 @@ def test_a_client_gets_the_channels_and_messages_of_the_run() -> None:
         assert [state["round"] for state in client.of("/state")] == [0, 1, 2, 3]
         assert len(client.of("/llm")) == 12
         assert client.channels["/scene"]["schemaName"] == "foxglove.SceneUpdate"
+
+
+class EagerClient(FoxgloveClient):
+    """Subscribes to a channel as soon as it hears of it, as Foxglove does."""
+
+    def _take(self, data: str | bytes) -> None:
+        super()._take(data)
+        if isinstance(data, str) and json.loads(data)["op"] == "advertise":
+            self.subscribe(*(one["topic"] for one in json.loads(data)["channels"]))
+
+
+def test_who_subscribes_at_once_misses_no_robot() -> None:
+    with server() as live, EagerClient(live.url) as client:
+        assert "/robots/3/pose" in client.channels, "known before the run begins"
+        for more in range(5, 35):  # robots that come later
+            live._add_channels(more)
+            client.listen_until(lambda more=more: f"/robots/{more - 1}/pose" in client.channels)
+        client.listen_for(0.3)
+        assert not client.statuses
 
 
 def test_who_comes_late_gets_the_arena_and_the_last_scene() -> None:

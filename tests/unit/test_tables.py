@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import pytest
 from rich.table import Table
+from sweeps import small_file
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
@@ -59,3 +61,26 @@ def test_models_can_be_copied_in_80_columns(monkeypatch: pytest.MonkeyPatch) -> 
     text = CliRunner().invoke(app, ["models"]).stdout
     for provider in PROVIDERS.values():
         assert {provider.example, provider.key_env} <= set(text.split())
+
+
+def test_a_column_that_does_not_wrap_is_not_cut() -> None:
+    table = Table("cell", "calls")
+    table.columns[1].no_wrap = True
+    table.add_row("a cell of many words", "10.81 M")
+    assert all("10.81 M" in shown(table, width) for width in range(12, 60))
+
+
+@pytest.mark.parametrize("columns", ["24", "60", "80"])
+@pytest.mark.parametrize("line", ["run --shape triangle --robots 3 --dry-run", "sweep FILE --dry-run"])
+def test_no_command_cuts_its_table(columns: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    found = CliRunner().invoke(app, line.replace("FILE", str(small_file(tmp_path))).split())
+    assert (found.exit_code, found.stdout.count("…")) == (0, 0), found.stdout
+
+
+@pytest.mark.parametrize("columns", ["60", "80", "110"])
+@pytest.mark.parametrize("name", ["run", "compare", "fly", "swarm"])
+def test_help_cuts_no_flag(name: str, columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    text = CliRunner().invoke(app, [name, "--help"]).stdout
+    assert "…" not in text and f"Usage: llm-flock {name}" in text and "--reasoning-effort" in text

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import io
 import logging
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -164,3 +166,12 @@ def test_a_huge_message_is_cut(record: RunRecord, capsys: pytest.CaptureFixture[
     show_conversation(replace(record, llm=(llm_entry(1, 0, text="[" * 2_000_000),)), 0, None)
     out = capsys.readouterr().out
     assert "and 1,900,000 more characters" in out and len(out) < 1_000_000
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device here")
+@pytest.mark.parametrize("line", ["models", "shapes", "--help"])
+def test_a_full_disk_is_one_line(line: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "llm_flock", line]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (1, "error: nothing more can be written (No space left on device)\n")

@@ -9,6 +9,7 @@ import socket
 import sys
 from dataclasses import asdict, dataclass
 from importlib import metadata
+from itertools import groupby
 from typing import Annotated
 
 import typer
@@ -59,16 +60,11 @@ def doctor(
     if json_output:
         say(json.dumps([asdict(finding) for finding in found]))
         return
-    table = Table("", "", "", "", show_header=False)
-    before = ""
-    for finding in found:
-        if finding.part != before:
-            table.add_section()
-        mark = "[green]yes[/]" if finding.ok else "[dim]no[/]"
-        part = finding.part if finding.part != before else ""
-        table.add_row(part, escape(finding.name), mark, escape(finding.detail))
-        before = finding.part
-    Screen().print(table)
+    for part, rows in groupby(found, key=lambda finding: finding.part):
+        table = Table("name", "there", "what", title=part, title_justify="left")
+        for row in rows:
+            table.add_row(escape(row.name), "[green]yes[/]" if row.ok else "[dim]no[/]", escape(row.detail))
+        Screen().show(table, copied=("name",))
     if any(extra.missing for extra in EXTRAS.values()):
         say("to add extras: pip install 'llm-flock[NAME,...]'")
 

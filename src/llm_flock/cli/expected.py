@@ -11,7 +11,7 @@ from rich.table import Table
 from llm_flock.cli.sweep_display import short
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.experiments.grid import models_of
-from llm_flock.experiments.smaller_rehearsal import LARGE, smaller_team
+from llm_flock.experiments.smaller_rehearsal import CROWDS, LARGE, smaller_team
 from llm_flock.experiments.sweep_file import ExpectTable
 from llm_flock.experiments.sweep_forecast import expect_run
 from llm_flock.runtime.config import RunConfig
@@ -34,14 +34,18 @@ def show_expected_run(config: RunConfig, *, as_json: bool) -> None:
     ):
         table.add_row(name, value)
     console = Screen()
-    console.print(table)
+    console.show(table)
     if rehearsed:
-        large = config.mission.n_robots > LARGE and smaller_team(config) is not None
-        flown = "a small team of the same shape" if large else "this run"
+        scales = smaller_team(config) is not None
+        flown, crowd = "this run", ""
+        if scales and config.mission.n_robots > CROWDS[0]:
+            large = config.mission.n_robots > LARGE
+            flown = "a small team of the same shape" if large else f"{flown} (where that takes long, a small team)"
+            crowd = "Teams of 64 to 256 robots made 0.8 to 1.2 times the calls of such forecasts. "
         text = (
             f"Assumed: {expect.output_tokens} tokens an answer, thoughts included, and answers as useful as those of "
-            f"simulated:{expect.profile}, which flew {flown} as a rehearsal. Prices are list prices. Nothing was "
-            "asked of any model."
+            f"simulated:{expect.profile}, which flew {flown} as a rehearsal. {crowd}Prices are list prices. Nothing "
+            "was asked of any model."
         )
         console.print(text, highlight=False)
     limits = config.limits

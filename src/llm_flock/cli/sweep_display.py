@@ -92,7 +92,7 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
         say(json.dumps({**found, "expected": asdict(total), "cells": cells}, allow_nan=False))
         return
     table = Table(title=escape(sweep.file.sweep.name), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("cell", overflow="fold")
+    table.add_column("cell")
     for name in ("trials\nleft", "calls", "at most", "tokens\nin", "tokens\nout", "cost\n(USD)"):
         table.add_column(name, justify="right", no_wrap=True)
     for cell, count in left.items():
@@ -100,7 +100,7 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
     table.add_section()
     table.add_row(f"all {len(left)} cells", *_figures(sum(left.values()), total))
     console = Screen()
-    console.print(table)
+    console.show(table)
     console.print(
         f"{len(sweep.trials)} trials, {len(sweep.trials) - sum(left.values())} of them flown.", highlight=False
     )

@@ -25,11 +25,12 @@ class Screen(Console):
     def show(self, table: Table, copied: Collection[str] = ()) -> None:
         """Print a table of texts; where it cannot stand without cutting words, print a list of its rows instead.
 
-        Columns whose header is in `copied` hold what is to be copied: no line break goes into them.
+        Columns whose header is in `copied` hold what is to be copied: no line break goes into them, nor into those
+        that do not wrap.
         """
         heads = [Text.from_markup(str(column.header)) for column in table.columns]
         columns = [[Text.from_markup(str(cell)) for cell in column.cells] for column in table.columns]
-        whole = [head.plain in copied for head in heads]
+        whole = [head.plain in copied or column.no_wrap for head, column in zip(heads, table.columns, strict=True)]
         if not table.show_header:
             whole[:1] = [True]  # names
         widths = _widths(heads, columns, whole, self.width - 3 * len(columns) - 1)
@@ -42,6 +43,7 @@ class Screen(Console):
             self.print(table.title, style="italic", soft_wrap=True)
         rows = list(zip(*columns, strict=True))
         if table.show_header:
+            heads = [Text(head.plain.replace("\n", " ")) for head in heads]
             names = max(cell_len(head.plain) for head in heads[1:])
             for first, *rest in rows:
                 self.print(first, style="bold", soft_wrap=True)

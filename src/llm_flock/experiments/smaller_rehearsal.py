@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -21,7 +22,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.api import run
-from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.config import ModelConfig, RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.trial import TrialProgress
 
@@ -35,7 +36,13 @@ ROUNDS = 40
 """Rounds that the small team flies where a run does not end when the formation is held."""
 
 LONGEST_S = 10.0
-"""A rehearsal of a small team stops after this time [s]."""
+"""A rehearsal of a small team stops after this time of the processor, which does not depend on other programs [s]."""
+
+CROWDS = (48, 100)
+"""Teams that fly without a model, to see how much crowding costs; the next smaller one of the shape [robots]."""
+
+CROWD_S = 15.0
+"""Longest flight of one of them [s of the processor]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +66,12 @@ def smaller_team(config: RunConfig) -> RunConfig | None:
     scales = mission.ideal is not None and mission.shape != "points" and mission.n_places == mission.n_robots
     if not scales or parse_history(model.history) != 0 or len(set(parse_models(model.model, mission.n_robots))) > 1:
         return None
-    sizes = (n for n in SIZES if 2 * n <= mission.n_robots)
-    small = next((found for n in sizes if (found := _of_size(mission, n)) is not None), None)
+    return _calm_team(config, [n for n in SIZES if 2 * n <= mission.n_robots])
+
+
+def _calm_team(config: RunConfig, sizes: Iterable[int]) -> RunConfig | None:
+    """The team of the first of these sizes that the shape takes, without what happens to the large one in flight."""
+    small = next((found for n in sizes if (found := _of_size(config.mission, n)) is not None), None)
     if small is None:
         return None
     rounds = None if config.trial.stop_when_formed else min(ROUNDS, config.most_rounds)
@@ -90,12 +101,12 @@ class _LongEnough(Exception):
 
 def rehearse_small(config: RunConfig) -> tuple[TeamUse, float]:
     """What a small team uses, and how many of its calls belong to the first round, with its plans."""
-    began = time.perf_counter()
+    began = time.process_time()
     seen: list[TrialProgress] = []
 
     def note(now: TrialProgress) -> None:
         seen.append(now)
-        if time.perf_counter() - began > LONGEST_S:
+        if time.process_time() - began > LONGEST_S:
             raise _LongEnough
 
     with suppress(_LongEnough):
@@ -116,18 +127,57 @@ def rehearse_small(config: RunConfig) -> tuple[TeamUse, float]:
     return use, first.model_calls
 
 
+def crowding(config: RunConfig, small: RunConfig) -> float:
+    """How many times the rounds per lower bound of a small team a large one needs, as robots wait for each other.
+
+    Teams of growing size fly without a model, which costs little and takes as many rounds as with good answers. What is
+    larger than the largest of them is taken to go on as from the small team to that one: as a power of the size.
+    """
+    n, few = config.mission.n_robots, small.mission.n_robots
+    base = _ratio_without_model(small)
+    size, found = few, base
+    for goal in CROWDS:
+        team = _calm_team(config, range(min(goal, n), few, -1))
+        if base is None or team is None or team.mission.n_robots <= size:
+            break
+        ratio = _ratio_without_model(team)
+        if ratio is None:
+            break
+        size, found = team.mission.n_robots, ratio
+    if base is None or found is None or size == few:
+        return 1.0
+    power = math.log(found / base) / math.log(size / few)
+    return max(1.0, (n / few) ** power)
+
+
+def _ratio_without_model(team: RunConfig) -> float | None:
+    """Rounds until a team has formed, by their lower bound; None if it does not form, or takes too long."""
+    began = time.process_time()
+
+    def note(_: TrialProgress) -> None:
+        if time.process_time() - began > CROWD_S:
+            raise _LongEnough
+
+    team = team.model_copy(update={"model": ModelConfig(model="geometry")})
+    with suppress(_LongEnough):
+        rounds = run(config=team, on_round=note, progress=False, trace=False).summary.rounds_to_formed
+        return None if rounds is None else max(1, rounds) / max(1, _bound(team))
+    return None
+
+
 def scaled(config: RunConfig, small: RunConfig, use: TeamUse, first: float) -> TeamUse:
     """The use of a large team from that of a small one.
 
     Each robot makes as many calls in the first round, and as many in each later one. Rounds grow as their lower bound
-    does. One prompt and one answer of each kind are written for the large team, which tells how much longer they are.
+    does, and by crowding. One prompt and one answer of each kind are written for the large team, which tells how much
+    longer they are.
     """
     n, few = config.mission.n_robots, small.mission.n_robots
     if not use.calls:
         return TeamUse(calls=0.0, tokens_input=0.0, tokens_output=0.0, rounds=use.rounds, wall_s=use.wall_s)
     rounds = float(config.most_rounds)
     if config.trial.stop_when_formed:
-        rounds = min(rounds, use.rounds * _bound(config) / max(1, _bound(small)))
+        rounds = min(rounds, use.rounds * crowding(config, small) * _bound(config) / max(1, _bound(small)))
     per_round = (use.calls - first) / max(1.0, use.rounds - 1)
     calls = (first + per_round * max(0.0, rounds - 1)) * n / few
     one, other = _Lengths.of(config), _Lengths.of(small)

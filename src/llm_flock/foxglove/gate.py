@@ -25,6 +25,10 @@ HEAD_S = 5.0
 SLOW_S = 20.0
 """A client that takes nothing for this long is disconnected [s]."""
 
+BEHIND_S = 0.05
+"""What a client says reaches the server after this time [s]. The server announces a channel before it knows it itself:
+a client that subscribed at once was told "Unknown channel ID", and never saw the channel."""
+
 MOST_CLIENTS = 32
 PIECE_BYTES = 65536
 APPS = frozenset({"app.foxglove.dev", "embed.foxglove.dev"})
@@ -107,7 +111,10 @@ class ClientGate:
             writer.write(answer)
             if shown and self._greeting and answer.startswith(b"HTTP/1.1 101"):
                 inner.write(_text_frame(self._greeting))
-            ways = {asyncio.create_task(_copy(reader, inner)), asyncio.create_task(_copy(inner_reader, writer))}
+            ways = {
+                asyncio.create_task(_copy(reader, inner, BEHIND_S)),
+                asyncio.create_task(_copy(inner_reader, writer)),
+            }
             try:
                 await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
             finally:
@@ -153,8 +160,9 @@ def _is_foreign(origin: str | None) -> bool:
     return parts.scheme in ("http", "https") and not (site is not None and (site in APPS or is_loopback(site)))
 
 
-async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, behind_s: float = 0.0) -> None:
     while piece := await reader.read(PIECE_BYTES):
+        await asyncio.sleep(behind_s)
         writer.write(piece)
         await asyncio.wait_for(writer.drain(), SLOW_S)
 

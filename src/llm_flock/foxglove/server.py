@@ -65,7 +65,7 @@ class FoxgloveServer:
             offered = token is not None and bool(orders)
             self._desk = OrderDesk(orders if offered else Orders(), PASS, password, self._warn)
             self._server: WebSocketServer | None = None
-            self._add_channels(0)
+            self._add_channels(n_robots)
             inner = _inner_host()
             self._server = foxglove.start_server(
                 name=NAME,
