@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
+
+from msgspec.structs import replace
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
@@ -14,17 +17,21 @@ from llm_flock.protocol.messages.message import (
     UNSAID,
     BidEntry,
     Message,
+    Offer,
 )
 from llm_flock.protocol.signed.certificates import (
     Authenticator,
     Certificate,
     Context,
+    ExchangeGrant,
     Proofs,
     ReleaseGrant,
     WitnessStatement,
+    acceptance_statement,
     beat_statement,
     claim_statement,
     claims_of,
+    drawn_bid,
     offer_statement,
     origin_statement,
     unwrap,
@@ -53,6 +60,8 @@ class Gang:
         self.grants: dict[tuple[int, int], ReleaseGrant] = {}
         self.sequence = 0
         self.count = 0
+        self.numbers: Counter[int] = Counter()
+        self.hit: tuple[int, int] | None = None
         self.rounds = 0
 
     @property
@@ -105,14 +114,47 @@ class Gang:
         return self.count
 
     def claim(
-        self, member: int, slot: int, *, version: int | None = None, bid: float = -1e-9, owner: int | None = None
+        self,
+        member: int,
+        slot: int,
+        *,
+        version: int | None = None,
+        owner: int | None = None,
+        number: int | None = None,
+        bid: float | None = None,
     ) -> tuple[BidEntry, Certificate]:
-        """A claim with the member's own signature, whoever is to own the place."""
+        """A claim with the member's own signature, whoever is to own the place, and the best bid that may be."""
         at = self.version(slot) if version is None else version
-        entry: BidEntry = (at, bid, member if owner is None else owner)
-        number = self.number()
+        owner = member if owner is None else owner
+        if bid is None:
+            bid = drawn_bid(self.about, slot, at, owner) if at else -1e-9
+        entry: BidEntry = (at, bid, owner)
+        number = self.number() if number is None else number
         signature = self.keys[member].sign(claim_statement(self.about, slot, entry, number))
         return entry, Certificate(number=number, signature=signature, grant=self.grants.get((slot, at)))
+
+    def exchange(
+        self,
+        maker: int,
+        to: int,
+        give: int,
+        take: int,
+        at: tuple[int, int] | None = None,
+        numbers: tuple[int, int] = (0, 0),
+    ) -> Entries:
+        """What two have exchanged, `at` these versions; one of the gang signs for who is not a member of it."""
+        versions = at or (self.version(give), self.version(take))
+        bids = [
+            drawn_bid(self.about, a, v + 1, j)
+            for a, v, j in zip((take, give), versions[::-1], (maker, to), strict=True)
+        ]
+        offer = Offer(to=to, give=give, take=take, give_version=versions[0], take_version=versions[1], bid=bids[0])
+        number, accepted = numbers if any(numbers) else (self.number(), self.number())
+        signed = self.keys[maker].sign(offer_statement(self.about, maker, offer, number))
+        grant = ExchangeGrant(maker, to, give, take, *versions, bids[0], number, signed, bids[1], accepted, b"")
+        signer = self.keys.get(to, self.keys[maker])
+        grant = replace(grant, accepted=signer.sign(acceptance_statement(self.about, grant)))
+        return {slot: (entry, Certificate(number=n, grant=grant)) for slot, (entry, n) in grant.entries().items()}
 
     def word(self, member: int, slot: int, owner: int) -> WitnessStatement:
         at = self.version(slot) + 1

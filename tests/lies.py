@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import msgspec.structs
 from driven_team import turned
 from gang import Entries, Gang, Said
 from mangled import mangled
 
 from llm_flock.arrays import Point
+from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import (
     BLOCKED,
@@ -31,10 +31,11 @@ from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import (
     Certificate,
-    ExchangeGrant,
     Proofs,
-    acceptance_statement,
-    offer_statement,
+    WitnessStatement,
+    drawn_bid,
+    most_claims,
+    most_exchanges,
     wrap,
 )
 
@@ -96,25 +97,54 @@ def exchanges_what_others_own(gang: Gang, member: int) -> list[Said]:
     """Two members exchange two places with each other, which are others'. One alone signs for both."""
     partner = next((other for other in gang.members if other != member), gang.honest[0])
     give, take = gang.rng.sample(gang.places, 2) if len(gang.places) > 1 else (0, 0)
-    offer = Offer(
-        to=partner,
-        give=give,
-        take=take,
-        give_version=gang.version(give),
-        take_version=gang.version(take),
-        bid=-0.5,
-    )
-    number, accepted = gang.number(), gang.number()
-    signer = gang.keys.get(partner, gang.keys[member])
-    grant = ExchangeGrant(
-        member, partner, give, take, offer.give_version, offer.take_version, -0.5, number,
-        gang.keys[member].sign(offer_statement(gang.about, member, offer, number)), -0.5, accepted, b"",
-    )  # fmt: skip
-    grant = msgspec.structs.replace(grant, accepted=signer.sign(acceptance_statement(gang.about, grant)))
-    entries: Entries = {
-        slot: (entry, Certificate(number=count, grant=grant)) for slot, (entry, count) in grant.entries().items()
-    }
-    return [gang.message(member, entries)]
+    return [gang.message(member, gang.exchange(member, partner, give, take))]
+
+
+def raises_versions(gang: Gang, member: int) -> list[Said]:
+    """Two members exchange places at versions that leave no higher one, or hardly any."""
+    partner = next((other for other in gang.members if other != member), gang.honest[0])
+    give, take = gang.rng.sample(gang.places, 2)
+    versions = gang.rng.choice(((2**40 - 2, 2**40 - 2), (2**32 - 1, 2**32 - 1), (2**32 - 2, 0)))
+    return [gang.message(member, gang.exchange(member, partner, give, take, versions, (1, 1)))]
+
+
+def hunts_one(gang: Gang, member: int) -> list[Said]:
+    """One honest robot is outbid wherever it goes, as long as numbers last; else it is said not to be there."""
+    for slot in gang.owned(gang.honest[0]):
+        entry, _ = gang.claim(member, slot, number=1)
+        higher = rank(entry) > rank(gang.table[slot][0])
+        if higher and gang.numbers[member] < most_claims(len(gang.places)):
+            gang.numbers[member] += 1
+            return [gang.message(member, {slot: gang.claim(member, slot, number=gang.numbers[member])})]
+        return [gang.message(member, words=(gang.word(member, slot, NO_OWNER),))]
+    return []
+
+
+def takes_places_from_one(gang: Gang, member: int) -> list[Said]:
+    """Two members exchange the place of one honest robot, wherever it goes, as long as their numbers last."""
+    most, turn = most_exchanges(len(gang.places)), gang.members[gang.rounds % len(gang.members)]
+    for slot in gang.owned(gang.honest[0]) if member == turn and len(gang.members) > 1 else ():
+        partner = min((other for other in gang.members if other != member), key=lambda other: gang.numbers[other])
+        if gang.hit == (slot, gang.version(slot)) or max(gang.numbers[member], gang.numbers[partner]) >= most:
+            continue
+        gang.hit = slot, gang.version(slot)
+        gang.numbers.update((member, partner))
+        other = gang.rng.choice([place for place in gang.places if place != slot])
+        numbers = gang.numbers[member], gang.numbers[partner]
+        return [gang.message(member, gang.exchange(member, partner, slot, other, numbers=numbers))]
+    return []
+
+
+def much_to_check(gang: Gang, member: int) -> list[Said]:
+    """As many statements as a message holds, each of which has a good signature, but of something else."""
+    signature = gang.keys[member].sign(b"something else")
+    words = tuple(
+        WitnessStatement(witness, slot, gang.version(slot) + 1, owner, signature)
+        for slot in gang.places
+        for witness in gang.honest
+        for owner in (NO_OWNER, BLOCKED)
+    )[:180]
+    return [gang.message(member, words=words)]
 
 
 def offers_to_all(gang: Gang, member: int) -> list[Said]:
@@ -123,14 +153,9 @@ def offers_to_all(gang: Gang, member: int) -> list[Said]:
     said: list[Said] = []
     for owner in gang.honest:
         for take in gang.owned(owner)[:1]:
-            offer = Offer(
-                to=owner,
-                give=own[0],
-                take=take,
-                give_version=gang.version(own[0]),
-                take_version=gang.version(take),
-                bid=0.0,
-            )
+            versions = gang.version(own[0]), gang.version(take)
+            bid = drawn_bid(gang.about, take, versions[1] + 1, member)
+            offer = Offer(to=owner, give=own[0], take=take, give_version=versions[0], take_version=versions[1], bid=bid)
             said.append(gang.message(member, offer=offer, offer_number=gang.number(), hears=[owner]))
     return said
 
@@ -232,6 +257,10 @@ LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
     "frees every place all the time": frees_all_the_time,
     "blocks every place": blocks,
     "exchanges what others own": exchanges_what_others_own,
+    "raises versions": raises_versions,
+    "hunts one robot": hunts_one,
+    "takes the places of one robot": takes_places_from_one,
+    "much to check": much_to_check,
     "offers one place to all": offers_to_all,
     "plans of its own": plans_of_its_own,
     "a plan in one place": a_plan_in_one_place,

@@ -43,6 +43,7 @@ from llm_flock.protocol.signed.certificates import (
     WitnessStatement,
     claim_statement,
     claims_of,
+    drawn_bid,
     offer_statement,
     origin_statement,
     word_statement,
@@ -232,10 +233,12 @@ class Liar:
         self.sequence = 0
 
     def claim(
-        self, slot: int, version: int = 0, bid: float = 0.0, number: int | None = None
+        self, slot: int, version: int = 0, bid: float | None = None, number: int | None = None
     ) -> tuple[BidEntry, Certificate]:
-        """An entry for itself, with its own signature."""
+        """An entry for itself, with its own signature; the bid is the best that may be."""
         self.number += 1
+        if bid is None:
+            bid = drawn_bid(self.team.context, slot, version, self.team.liar) if version else 0.0
         number = self.number if number is None else number
         entry: BidEntry = (version, bid, self.team.liar)
         signature = self.keys.sign(claim_statement(self.team.context, slot, entry, number))

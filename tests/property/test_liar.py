@@ -12,7 +12,7 @@ from signed_team import Liar, SignedTeam, evidence_of, good_plan, line_up
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, Offer
-from llm_flock.protocol.signed.certificates import Certificate
+from llm_flock.protocol.signed.certificates import Certificate, drawn_bid
 
 N = 6
 # In reach of each other: who is alone cannot tell a liar's second place from that of somebody out of reach.
@@ -30,7 +30,12 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
         slot, kind = int(rng.integers(N)), int(rng.integers(7))
         version, _, owner = table[slot]
         if kind == 0:
-            said.append(liar.says({a: liar.claim(a, table[a][0], -float(rng.random())) for a in range(N)}, slot=slot))
+            said.append(
+                liar.says(
+                    {a: liar.claim(a, table[a][0], None if table[a][0] else -float(rng.random())) for a in range(N)},
+                    slot=slot,
+                )
+            )
         elif kind == 1:
             said.append(liar.says({slot: liar.claim(slot, version + int(rng.integers(0, 3)))}, slot=slot))
         elif kind == 2:
@@ -48,7 +53,7 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
                 take=slot,
                 give_version=table[give][0],
                 take_version=version,
-                bid=-float(rng.random()),
+                bid=drawn_bid(team.context, slot, version + int(rng.integers(4) > 0), team.liar),
             )
             said.append(liar.says(offer=offer, offer_number=liar.number + int(rng.integers(1, 4)), slot=give))
         elif kind == 5:

@@ -13,7 +13,9 @@ from typer.testing import CliRunner
 from llm_flock.cli import app
 from llm_flock.errors import InputError
 from llm_flock.members import member_name, members
-from llm_flock.trust.keys import load_keyring, make_keys, next_session
+from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.connection import load_keys
+from llm_flock.trust.keys import Keyring, load_keyring, load_public_keys, make_keys, next_session
 
 
 @pytest.fixture(scope="module")
@@ -141,3 +143,26 @@ def test_the_command_makes_keys_and_refuses_to_write_over(tmp_path: Path) -> Non
     assert load_keyring(tmp_path / "k", 1).robots == 2
     again = CliRunner().invoke(app, ["keys", str(tmp_path / "k"), "--robots", "2"])
     assert isinstance(again.exception, InputError)
+
+
+def test_a_signature_of_one_flight_is_none_in_another(folder: Path) -> None:
+    """Claims, heartbeats and words of an earlier flight of the team would otherwise count in the next one."""
+    keys, other = load_keyring(folder, 1), load_keyring(folder, 2)
+    signature = keys.of_flight("monday").sign(b"a place is free")
+    assert other.of_flight("monday").check(1, b"a place is free", signature)
+    for name in ("tuesday", "monda", "mondaya", ""):
+        assert not other.of_flight(name).check(1, b"a place is free", signature), name
+    assert not other.check(1, b"a place is free", signature)
+    assert load_public_keys(folder).of_flight("monday").check(1, b"a place is free", signature)
+
+
+def test_a_swarm_signs_for_its_own_name_only(folder: Path) -> None:
+    def keys_of(name: str) -> Keyring:
+        options = {"shape": "triangle", "n_robots": 3, "model": "simulated:ideal", "keys": str(folder), "swarm": name}
+        keys = load_keys(SwarmConfig.build({}, **options), 0)
+        assert keys is not None
+        return keys
+
+    signature = keys_of("monday").sign(b"a place is free")
+    assert keys_of("monday").check(0, b"a place is free", signature)
+    assert not keys_of("tuesday").check(0, b"a place is free", signature)

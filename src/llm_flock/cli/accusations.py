@@ -54,7 +54,8 @@ def _judge(record: RunRecord, keys: Path) -> Judge | None:
 
     public = load_public_keys(keys)
     try:
-        return Judge(public, SwarmConfig.model_validate(record.run.config))
+        config = SwarmConfig.model_validate(record.run.config)
+        return Judge(public.of_flight(config.network.swarm), config)
     except (FlockError, ValueError):
         return None
 

@@ -15,9 +15,9 @@ import json
 import os
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -39,7 +39,7 @@ PUBLIC = 0o644
 class PublicKeys:
     """The public keys of all members of a team by their ids: enough to check what they have signed."""
 
-    swarm: bytes  # name of the team, drawn when its keys were made; part of every signature
+    swarm: bytes  # name of the team, drawn when its keys were made, and of the flight; part of every signature
     public: Mapping[int, Ed25519PublicKey]
 
     def check(self, member: int, statement: bytes, signature: bytes) -> bool:
@@ -52,6 +52,10 @@ class PublicKeys:
         except InvalidSignature:
             return False
         return True
+
+    def of_flight(self, name: str) -> Self:
+        """The same keys for one flight: what was signed in a flight of another name is then signed by nobody."""
+        return replace(self, swarm=self.swarm + name.encode() + b"\0")
 
     @property
     def robots(self) -> int:

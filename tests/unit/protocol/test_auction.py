@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment, gain, merge
+from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, LAST_EXCHANGED, AuctionAssignment, gain, merge
 from llm_flock.protocol.messages.message import BidTable, Message, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 
@@ -165,6 +165,31 @@ def test_an_exchange_from_offer_to_acceptance() -> None:
     assert zero.slot == 1 and zero.table == one.table
     # Slot 2 is nearer still for nobody: both are content, and nothing more is offered.
     assert zero.offer is None
+
+
+@pytest.mark.parametrize("slot", [0, 1])
+def test_places_of_the_last_versions_are_not_exchanged(slot: int) -> None:
+    """Versions have to stay countable, so that witnesses can raise them."""
+    for version in (LAST_EXCHANGED - 1, LAST_EXCHANGED):
+        zero, one, sensed = crossed()
+        assert zero.table is not None
+        table = tuple((version * (a == slot), *entry[1:]) for a, entry in enumerate(zero.table))
+        zero, one = replace(zero, table=table), replace(one, table=table)
+        offer = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed)).offer
+        versions = [entry[0] for entry in table]
+        asked = Offer(to=1, give=0, take=1, give_version=versions[0], take_version=versions[1], bid=-10.0)
+        assert offer == (asked if version < LAST_EXCHANGED else None)
+        zero = replace(zero, offer=asked, bound=BOUND_ROUNDS)
+        one = RULE.update(one, at(1, 1.0, says(0, zero), sensed=sensed))
+        assert one.slot == (0 if version < LAST_EXCHANGED else 1)
+
+
+def test_whoever_may_not_exchange_neither_offers_nor_accepts() -> None:
+    zero, one, sensed = crossed()
+    offered = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
+    assert offered.offer is not None
+    assert RULE.update(zero, replace(at(0, 12.0, says(1, one), sensed=sensed), exchanges=False)).offer is None
+    assert RULE.update(one, replace(at(1, 1.0, says(0, offered), sensed=sensed), exchanges=False)).slot == one.slot
 
 
 def test_a_bound_robot_accepts_nothing_else_until_its_offer_expires() -> None:

@@ -33,6 +33,10 @@ SHOWN = {
     "frees every place all the time": {None},
     "blocks every place": {None},
     "exchanges what others own": {"uncertified"},
+    "raises versions": {"uncertified"},
+    "hunts one robot": {None, "uncertified"},  # the latter without the words that freed a place
+    "takes the places of one robot": set[str | None](),  # takes two
+    "much to check": {"uncertified"},
     "offers one place to all": {None, "uncertified"},  # more than an honest robot makes
     "plans of its own": {None, "unverified_plan"},  # faultless, but for the mission before
     "a plan in one place": {"unverified_plan"},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import msgspec
 import numpy as np
 import pytest
@@ -12,10 +14,10 @@ from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.messaging import MOST_BAD_PLANS
-from llm_flock.protocol.events import Broadcast, CommRoundBegan, MissionGiven, Planned, RoundBegan
+from llm_flock.protocol.events import Broadcast, CommRoundBegan, CommRoundEnded, MissionGiven, Planned, RoundBegan
 from llm_flock.protocol.messages.channel import Authorization, _decoded
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import MOST_EPOCHS, MOST_LOOKS, NO_OWNER, Message, MissionStamp, Offer
+from llm_flock.protocol.messages.message import BLOCKED, MOST_EPOCHS, MOST_LOOKS, NO_OWNER, Message, MissionStamp, Offer
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
@@ -23,6 +25,7 @@ from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     OPERATOR,
     Proofs,
+    WitnessStatement,
     beat_statement,
     mission_statement,
     offer_statement,
@@ -167,8 +170,8 @@ def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:
 def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) -> None:
     message, _ = unwrap(liar.says(), 5)
     assert team.tell(1, message, team.liar) == ["version"]
-    assert team.tell(1, b"\4\xff", team.liar) == ["malformed"]
-    assert team.tell(1, b"\4" + bytes(10**5), team.liar) == ["oversized"]
+    assert team.tell(1, b"\5\xff", team.liar) == ["malformed"]
+    assert team.tell(1, b"\5" + bytes(10**5), team.liar) == ["oversized"]
     with pytest.raises(MessageError, match="version"):
         unwrap(b"", 5)
 
@@ -201,6 +204,48 @@ def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: Signed
     assert max(after) < 100
     team.fly(2)
     assert team.settled()
+
+
+def test_after_the_first_forged_heartbeat_no_more_signatures_are_checked(
+    team: SignedTeam, liar: Liar, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check takes a tenth of a millisecond, and a message may come every hundredth of a second."""
+    lie, proofs = unwrap(liar.says(beats=(2**39,) * 5), 5)
+    payload = wrap(lie, msgspec.structs.replace(proofs, beats=(liar.keys.sign(b"another"),) * 5))
+    checks = count_checks(monkeypatch)
+    assert team.tell(1, payload, team.liar) == ["uncertified"]
+    assert checks.total() <= 2, "the origin of the plan, and one heartbeat"
+
+
+def test_a_message_with_many_forged_words_costs_one_check(
+    team: SignedTeam, liar: Liar, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forged = liar.keys.sign(b"another")
+    table = team.agents[0].claim.table
+    assert table is not None
+    words = [
+        WitnessStatement(witness, slot, table[slot][0] + 1, owner, forged)
+        for slot in range(5)
+        for witness in range(4)
+        for owner in (NO_OWNER, BLOCKED)
+    ]
+    team.tell(0, liar.says(words=words), team.liar)
+    checks = count_checks(monkeypatch)
+    team.agents[0].handle(CommRoundEnded())
+    assert checks[forged] == 1
+    assert team.agents[0].rejected["uncertified"] == 1
+
+
+def count_checks(monkeypatch: pytest.MonkeyPatch) -> Counter[bytes]:
+    """How often each signature is checked from now on."""
+    checks, check = Counter[bytes](), ToyKeys.check
+
+    def counted(self: ToyKeys, member: int, statement: bytes, signature: bytes) -> bool:
+        checks[signature] += 1
+        return check(self, member, statement, signature)
+
+    monkeypatch.setattr(ToyKeys, "check", counted)
+    return checks
 
 
 def test_a_signed_heartbeat_is_passed_on_by_others(team: SignedTeam, liar: Liar) -> None:
@@ -243,6 +288,23 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
     team.fly(8)
     assert {agent.mission.center for agent in team.agents} == {(52.0, 50.0)}
     assert team.settled()
+
+
+def test_a_mission_is_not_read_before_its_signature_is_checked(team: SignedTeam, liar: Liar) -> None:
+    """To read one takes up to a hundred times as long."""
+    stamp = MissionStamp(10**9, "0" * 16)
+    lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text="no mission"))
+    assert team.tell(0, wrap(lie, Proofs(mission=liar.keys.sign(mission_statement(stamp)))), team.liar) == ["no_order"]
+
+
+def test_an_order_whose_mission_is_refused_is_not_passed_on(team: SignedTeam, liar: Liar) -> None:
+    """The operator's signature is good, but the text is not that mission's."""
+    stamp = MissionStamp(10**9, MISSION.change(center=(52.0, 50.0)).digest)
+    proofs = Proofs(mission=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
+    for text, reason in (("{}", "other_mission"), ("[", "malformed")):
+        lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text=text))
+        assert team.tell(0, wrap(lie, proofs), team.liar) == [reason]
+    assert team.agents[0].authorization == b"" and team.agents[0].mission == MISSION
 
 
 def signed(mission: Mission, time: int) -> MissionGiven:

@@ -12,19 +12,29 @@ from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, BidEntry, Message, Offer
+from llm_flock.protocol.agreement.auction import AuctionAssignment
+from llm_flock.protocol.events import CommRoundEnded
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, Message, Offer
+from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Context,
     ExchangeGrant,
+    LastClaim,
     Proofs,
     ReleaseGrant,
     WitnessStatement,
+    claim_statement,
+    claims_of,
+    drawn_bid,
     most_claims,
+    most_exchanges,
     offer_statement,
+    plausible,
     unwrap,
     wrap,
 )
+from llm_flock.protocol.signed.evidence import SPARE, Evidence
 
 MISSION = Mission(shape="circle", n_robots=5)
 
@@ -122,6 +132,84 @@ def test_a_claim_is_made_again_after_an_offer_of_which_nothing_came(team: Signed
     assert evidence.precedence(slot, claim.table[slot])[0] > offered[0]
     team.fly(2)
     assert {evidence_of(other)._last[0] for other in team.agents} == {evidence.precedence(slot, claim.table[slot])}
+
+
+def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: Liar) -> None:
+    """Its first claims count for nothing, as its former life has made later ones: it would claim in vain for long."""
+    slot = free_slot(team)
+    team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=-1.0, number=41)}, slot=slot)])
+    other, table = evidence_of(team.agents[1]), team.agents[1].claim.table or ()
+    message = Message(sender=1, sequence=0, neighbors=0, plan=team.agents[1].plan, table=table)
+    assert other.prove(message).last == ()
+    first = (slot + 1) % 5
+    team.begin()
+    team.tell(1, liar.says({first: liar.claim(first, number=1)}, slot=first), 4)
+    team.agents[1].handle(CommRoundEnded())
+    proofs = other.prove(message)
+    assert [(last.owner, last.number, last.slot) for last in proofs.last] == [(4, 41, slot)]
+    assert other.prove(message).last == (), "once"
+
+    fresh = Evidence(4, ToyKeys(4))
+    fresh.turn_to(team.context)
+    fresh.admit(Message(sender=1, sequence=0, neighbors=0, plan=message.plan), proofs, (UNSAID,) * 5)
+    assert fresh._number == 42
+
+
+def test_a_robot_without_a_place_takes_the_one_that_others_give_it_though_it_claimed_another_later() -> None:
+    team = SignedTeam(MISSION, line_up(5))
+    team.fly(1)
+    evidence, plan = Evidence(0, ToyKeys(0)), team.agents[0].plan
+    evidence.turn_to(team.context)
+    for slot, number in ((1, 7), (2, 3)):
+        entry = (0, -1.0, 0)
+        signature = ToyKeys(0).sign(claim_statement(team.context, slot, entry, number))
+        claims, grants = claims_of({slot: Certificate(number=number, signature=signature)})
+        said = tuple(entry if a == slot else UNSAID for a in range(5))
+        message = Message(sender=1, sequence=0, neighbors=0, plan=plan, table=said)
+        assert evidence.admit(message, Proofs(claims=claims, grants=grants), (UNSAID,) * 5).table == said
+        assert evidence._last[0] == (7, 1)
+    assert evidence._number == 7
+
+
+def test_nobody_is_told_a_number_by_another(team: SignedTeam, liar: Liar) -> None:
+    evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table or ()
+    before, entry = evidence._number, (0, -1.0, 0)
+    forged = LastClaim(1, *entry, 50, liar.keys.sign(claim_statement(team.context, 1, entry, 50)), None)
+    own = ToyKeys(0).sign(claim_statement(team.context, 1, entry, 10**6))
+    for last in (forged, msgspec.structs.replace(forged, owner=4), LastClaim(1, *entry, 10**6, own, None)):
+        message = Message(sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan)
+        evidence.admit(message, Proofs(last=(last,)), table)
+        assert evidence._number == before
+    true = LastClaim(1, *entry, 50, ToyKeys(0).sign(claim_statement(team.context, 1, entry, 50)), None)
+    evidence.admit(message, Proofs(last=(true,)), table)
+    assert evidence._number == 51
+    evidence.admit(message, Proofs(last=(true,)), table)
+    assert evidence._number == 51
+
+
+def test_whoever_has_used_up_its_numbers_offers_and_accepts_nothing(team: SignedTeam) -> None:
+    """Others would not hear it, and take it for a liar."""
+    evidence = evidence_of(team.agents[0])
+    evidence._number = most_exchanges(5) - SPARE
+    assert evidence.may_exchange(5)
+    evidence._number += 1
+    assert not evidence.may_exchange(5)
+    now = SignedAssignment(AuctionAssignment(), evidence)._admitted(
+        team.agents[0]._agreement._assignment_input(team.agents[0].plan, adopted=True, heard=[]),  # type: ignore[arg-type]
+        team.agents[0].claim.table or (),
+    )
+    assert not now.exchanges
+
+
+def test_the_bid_for_a_freed_place_is_drawn(team: SignedTeam, liar: Liar) -> None:
+    """So nobody outbids another wherever it goes."""
+    context = team.context
+    draws = [drawn_bid(context, slot, version, robot) for slot in range(5) for version in (1, 2) for robot in range(5)]
+    assert len(set(draws)) == len(draws) and all(-(2**20) <= bid <= -1.0 for bid in draws)
+    entry = (1, drawn_bid(context, 0, 1, 4), 4)
+    assert plausible(context, 0, entry, 1) and not plausible(context, 0, entry, 0)
+    assert not plausible(context, 1, entry, 1) and not plausible(context, 0, (1, 0.0, 4), 1)
+    assert plausible(context, 0, (0, -3.0, 4), 1) and not plausible(context, 0, (0, 1.0, 4), 1)
 
 
 def test_of_two_places_none_is_claimed_again(team: SignedTeam, liar: Liar) -> None:
@@ -281,7 +369,7 @@ def test_one_place_offered_to_two_is_one_exchange(team: SignedTeam, liar: Liar) 
             take=theirs,
             give_version=table[slot][0],
             take_version=table[theirs][0],
-            bid=-1.0,
+            bid=drawn_bid(team.context, theirs, table[theirs][0] + 1, team.liar),
         )
         # For this communication round the victim believes to be where the exchange pays.
         assert team.agents[0].plan is not None
@@ -301,7 +389,9 @@ def test_one_place_offered_to_two_is_one_exchange(team: SignedTeam, liar: Liar) 
 
 
 def test_offers_without_a_signature_are_not_heard(team: SignedTeam, liar: Liar) -> None:
-    offer = Offer(to=1, give=0, take=team.slots[1] or 0, give_version=0, take_version=0, bid=-1.0)
+    take = team.slots[1] or 0
+    bid = drawn_bid(team.context, take, 1, team.liar)
+    offer = Offer(to=1, give=0, take=take, give_version=0, take_version=0, bid=bid)
     good = unwrap(liar.says(offer=offer), 5)
     table = team.agents[0].claim.table
     assert table is not None

@@ -57,6 +57,8 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
         positions: where every robot is; None where that is not known, or not new (all-to-all assignment).
         granted: entries that enough robots have signed together; None in a team without keys.
         precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
+        draw: the robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
+        exchanges: whether the robot may exchange slots.
     """
 
     robot: int
@@ -73,6 +75,8 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     positions: TeamPositions | None = None
     granted: BidTable | None = None
     precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
+    draw: Callable[[int, int], float] | None = None
+    exchanges: bool = True
 
 
 class AssignmentRule(Protocol):

@@ -28,12 +28,17 @@ from llm_flock.protocol.path_length import path_lengths, ways, ways_to
 BID_DECIMALS = 9
 
 Precedence: TypeAlias = Callable[[int, BidEntry], tuple[int, int]]
+Draw: TypeAlias = Callable[[int, int], float]
 
 SWAP_GAIN = 0.01
 """An exchange must lower the sum of the squared path lengths by at least this share of the squared spacing."""
 
 BOUND_ROUNDS = 4
 """Communication rounds for which an offer binds its maker; an answer takes two where nothing is lost."""
+
+
+LAST_EXCHANGED = 2**32
+"""A slot of this version or a higher one is not exchanged: two that lie could else raise it above every number."""
 
 
 def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
@@ -126,9 +131,9 @@ class AuctionAssignment:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = keep_one(now.robot, table, among, now.precedence)
             if slot is None and offer is None:
-                table, slot = best_won(now.robot, bids, table, before=claim.slot)
+                table, slot = best_won(now.robot, bids, table, before=claim.slot, draw=now.draw)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
-        if slot is None or not self.swaps:
+        if slot is None or not (self.swaps and now.exchanges):
             return claim
         claim = _accepted(claim, now) or claim
         return claim if claim.offer is not None else _offered(claim, now)
@@ -179,21 +184,32 @@ def keep_one(
 
 
 def best_won(
-    robot: int, bids: tuple[float, ...], table: BidTable, *, before: int | None = None
+    robot: int,
+    bids: tuple[float, ...],
+    table: BidTable,
+    *,
+    before: int | None = None,
+    draw: Draw | None = None,
 ) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
 
     Witnesses who have not heard of a robot for too long free its slot. It stays there, instead of taking another that
-    its owner may return to.
+    its owner may return to. The bid for a slot of a version above 0 is `draw`'s, if given.
     """
     if before is not None and table[before][2] == NO_OWNER:
-        return changed(table, {before: (table[before][0], bids[before], robot)}), before
+        version = table[before][0]
+        return changed(table, {before: (version, _bid(bids, before, version, draw), robot)}), before
     for a in _preferred(bids):
         version, bid, owner = table[a]
         # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
         if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
-            return changed(table, {a: (version, bids[a], robot)}), a
+            return changed(table, {a: (version, _bid(bids, a, version, draw), robot)}), a
     return table, None
+
+
+def _bid(bids: tuple[float, ...], slot: int, version: int, draw: Draw | None) -> float:
+    """A robot's bid for a version of a slot."""
+    return bids[slot] if draw is None or version == 0 else draw(slot, version)
 
 
 @lru_cache(maxsize=1024)
@@ -239,6 +255,8 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
             continue
         if table[offer.give][::2] != (offer.give_version, message.sender) or table[offer.take][0] != offer.take_version:
             continue
+        if max(offer.give_version, offer.take_version) >= LAST_EXCHANGED:
+            continue
         worth = _worth(claim, now, message.sender, offer.give)
         if worth >= SWAP_GAIN * now.spacing**2:
             good.append((worth, -message.sender, offer))
@@ -246,8 +264,9 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
         return None
     _, minus_sender, offer = max(good, key=lambda item: item[:2])
     assert claim.bids is not None
+    bid = _bid(claim.bids, offer.give, offer.give_version + 1, now.draw)
     exchanged: dict[int, BidEntry] = {
-        offer.give: (offer.give_version + 1, claim.bids[offer.give], now.robot),
+        offer.give: (offer.give_version + 1, bid, now.robot),
         offer.take: (offer.take_version + 1, offer.bid, -minus_sender),
     }
     return Claim(slot=offer.give, table=changed(table, exchanged), bids=claim.bids)
@@ -263,6 +282,8 @@ def _offered(claim: Claim, now: AssignmentInput) -> Claim:
         theirs = message.slot
         if theirs is None or theirs == slot or message.offer is not None or table[theirs][2] != message.sender:
             continue
+        if max(table[theirs][0], table[slot][0]) >= LAST_EXCHANGED:
+            continue
         worth = _worth(claim, now, message.sender, theirs)
         if worth >= SWAP_GAIN * now.spacing**2 and (best is None or (worth, -message.sender) > best):
             best, chosen = (worth, -message.sender), message
@@ -274,6 +295,6 @@ def _offered(claim: Claim, now: AssignmentInput) -> Claim:
         take=chosen.slot,
         give_version=table[slot][0],
         take_version=table[chosen.slot][0],
-        bid=claim.bids[chosen.slot],
+        bid=_bid(claim.bids, chosen.slot, table[chosen.slot][0] + 1, now.draw),
     )
     return replace(claim, offer=offer, bound=BOUND_ROUNDS)

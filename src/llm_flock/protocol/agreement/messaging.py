@@ -136,8 +136,10 @@ class Messaging:
         message, agreement = inbound.message, self._agreement
         if message.mission <= agreement.stamp or message.mission_text is None:
             return []
-        mission = received_mission(message, agreement.mission)
+        # The signature first: to read a mission takes many times as long.
         self._channel.check_mission(message.mission, inbound.authorization)
+        mission = received_mission(message, agreement.mission)
+        self._channel.keep_order(inbound.authorization)
         return [self._begin_mission(mission, message.mission)]
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
@@ -190,6 +192,7 @@ class Messaging:
             self._channel.check_mission(stamp, signed)
         except MessageError as error:
             return self._reject(error)
+        self._channel.keep_order(signed)
         return self._begin_mission(order.mission, stamp)
 
     def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:

@@ -80,6 +80,9 @@ class Channel:
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
         """Check that a mission was given by the operator; without keys any robot may pass one on."""
 
+    def keep_order(self, authorization: Authorization | None) -> None:
+        """Take note of the order for the mission that is in force now."""
+
     def seal(self, payload: bytes) -> bytes:
         """The encoded message with everything that receivers need to verify it."""
         return payload

@@ -44,4 +44,11 @@ class SignedAssignment:
         heard = [evidence.admit(m, cast("Proofs | None", m.proofs) or NO_PROOFS, table) for m in now.heard]
         if now.occupancy is not None:
             evidence.witness(table, now.occupancy)
-        return replace(now, heard=heard, granted=evidence.granted(table), precedence=evidence.precedence)
+        return replace(
+            now,
+            heard=heard,
+            granted=evidence.granted(table),
+            precedence=evidence.precedence,
+            draw=evidence.draw,
+            exchanges=evidence.may_exchange(len(now.plan)),
+        )

@@ -11,7 +11,9 @@ Pure: keys are behind the `Authenticator`.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Protocol, TypeAlias
 
 import msgspec
@@ -35,7 +37,7 @@ from llm_flock.protocol.messages.message import (
 OPERATOR = -2
 """Member id of the operator, who gives missions."""
 
-WIRE_SIGNED = 4
+WIRE_SIGNED = 5
 """First byte of a message with certificates."""
 
 LIARS = 1
@@ -47,9 +49,18 @@ def witnesses(liars: int) -> int:
     return liars + 1
 
 
+def most_exchanges(places: int) -> int:
+    """Highest number of an offer, or of the acceptance of one, on a plan: later, an honest robot makes none."""
+    return places + 20
+
+
 def most_claims(places: int) -> int:
-    """Highest number of a claim on a plan that counts: honest bids lose at most once a slot, and exchanges are few."""
-    return 4 * places + 64
+    """Highest number of a claim on a plan that counts.
+
+    Far above what liars can drive an honest robot to: fewer than a third of a team take a place `most_exchanges` times
+    each by exchanges, and by bids once a slot, or until its owner has drawn higher (`drawn_bid`).
+    """
+    return (places + 4) * most_exchanges(places)
 
 
 class Verifier(Protocol):
@@ -74,6 +85,13 @@ class Context:
 
     mission: MissionStamp
     plan: str
+
+
+@lru_cache(maxsize=2**14)
+def drawn_bid(context: Context, slot: int, version: int, owner: int) -> float:
+    """The bid for a slot of a version above 0: drawn by lot, so that no robot outbids another wherever it goes."""
+    lot = hashlib.blake2b(_statement("lot", context, slot, version, owner), digest_size=4).digest()
+    return -1.0 - (int.from_bytes(lot) >> 12)
 
 
 Signature = Annotated[bytes, msgspec.Meta(max_length=64)]
@@ -157,6 +175,18 @@ class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=Tr
     signature: Signature
 
 
+class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """A robot's last claim, shown to a robot that claims under a lower number: it has restarted, and does not know."""
+
+    slot: Id
+    version: Count
+    bid: float
+    owner: Id
+    number: Number
+    signature: Signature
+    grant: Grant | None
+
+
 class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """The certificates of a message."""
 
@@ -167,6 +197,7 @@ class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
     origin: Signature | None = None
     mission: Signature | None = None
     beats: tuple[Signature, ...] | None = None
+    last: tuple[LastClaim, ...] = ()
 
     def certificates(self) -> dict[int, Certificate]:
         """By slot; an index of a grant that is missing gives a certificate without grant."""
@@ -272,11 +303,12 @@ def _statement(kind: str, context: Context, *values: float) -> bytes:
     return _ENCODER.encode((kind, context.mission.counter, context.mission.digest, context.plan, *values))
 
 
-def plausible(entry: BidEntry, number: int) -> bool:
+def plausible(context: Context, slot: int, entry: BidEntry, number: int) -> bool:
     """Whether an honest robot could ever write such an entry."""
     version, bid, owner = entry
     if owner == NO_OWNER:
         return 0.0 <= bid <= MOST_LOOKS
     if owner == BLOCKED:
         return bid == 0.0 and version > 0
-    return -MAX_BID <= bid <= 0.0 and number > 0
+    in_range = -MAX_BID <= bid <= 0.0 if version == 0 else bid == drawn_bid(context, slot, version, owner)
+    return in_range and number > 0

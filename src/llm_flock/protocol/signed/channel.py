@@ -61,7 +61,8 @@ class SignedChannel(Channel):
         """Unwrap, decode and verify.
 
         Raises:
-            MessageError: as `unwrap` and `Channel.open`, and with reason `impostor`, `forged_origin` or `many_plans`.
+            MessageError: as `unwrap` and `Channel.open`, and with reason `impostor`, `forged_origin`, `many_plans` or
+                `uncertified`.
         """
         content, proofs = unwrap(payload, self._n_robots, self._evidence.liars)
         message = decode(content, self._n_robots, self._dim)
@@ -125,10 +126,17 @@ class SignedChannel(Channel):
         statement = mission_statement(stamp)
         if authorization is None or not self._authenticator.check(OPERATOR, statement, authorization.signature):
             raise MessageError("no_order", f"the operator has not signed mission {stamp.counter}")
+
+    def keep_order(self, authorization: Authorization | None) -> None:
+        """Pass on the order for the mission that is in force now."""
         self._authorization = authorization
 
     def _verified_beats(self, message: Message, proofs: Proofs) -> tuple[int, ...] | None:
-        """Heartbeats that are news and signed by the robot whose they are; 0 in place of all others."""
+        """Heartbeats that are news and signed by the robot whose they are; 0 in place of those without signature.
+
+        Raises:
+            MessageError: with reason `uncertified` for the first that is signed by nobody.
+        """
         if message.beats is None:
             return None
         signatures = dict(enumerate(proofs.beats or ()))
@@ -138,10 +146,12 @@ class SignedChannel(Channel):
         )
 
     def _is_signed(self, robot: int, count: int, signature: bytes) -> bool:
-        good = self._evidence.signed_by(robot, beat_statement(robot, count), signature)
-        if good:
-            self._beats.setdefault(robot, {})[count] = signature
-        return good
+        if not signature:
+            return False
+        if not self._evidence.signed_by(robot, beat_statement(robot, count), signature):
+            raise MessageError("uncertified", f"robot {robot} has not signed this heartbeat")
+        self._beats.setdefault(robot, {})[count] = signature
+        return True
 
     def seal(self, payload: bytes) -> bytes:
         """The message together with the certificates of everything in it; signs what is this robot's own."""

@@ -11,7 +11,7 @@ from collections import Counter
 import msgspec.structs
 
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.agreement.auction import LAST_EXCHANGED, rank
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
@@ -21,13 +21,16 @@ from llm_flock.protocol.signed.certificates import (
     Context,
     ExchangeGrant,
     Grant,
+    LastClaim,
     Proofs,
     ReleaseGrant,
     WitnessStatement,
     acceptance_statement,
     claim_statement,
     claims_of,
+    drawn_bid,
     most_claims,
+    most_exchanges,
     offer_statement,
     plausible,
     witnesses,
@@ -40,6 +43,13 @@ REMEMBERED = 4096
 
 MOST_PASSED_ON = 32
 """Most statements of other witnesses in one message; they take turns."""
+
+SPARE = 4
+"""Numbers that a robot may use up between the decision to exchange and the exchange."""
+
+
+class _Uncertified(Exception):
+    """A statement that nobody signed, or that no honest robot makes."""
 
 
 class Evidence:
@@ -60,6 +70,8 @@ class Evidence:
         self._held: dict[tuple[int, BidEntry], Certificate] = {}
         self._freed: dict[tuple[int, int, int], ReleaseGrant] = {}
         self._last: dict[int, tuple[int, int]] = {}
+        self._last_claims: dict[int, LastClaim] = {}
+        self._behind: set[int] = set()
         self._offers: dict[Offer, tuple[int, bytes]] = {}
         self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
         self._words: dict[tuple[int, int, int], dict[int, bytes]] = {}
@@ -98,25 +110,39 @@ class Evidence:
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
-        It must be on the plan in question; `table` has the entries held now, of the same number of slots.
+        It must be on the plan in question; `table` has the entries held now, of the same number of slots. No honest
+        robot sends a statement that nobody signed, so after the first such one nothing more of a message is looked at:
+        whoever signs nothing takes no more than one signature's time.
         """
-        certificates, entries = proofs.certificates(), list(message.table or ())
-        # The latest claims first: of all that one message gives to a robot, only its last is taken.
-        for slot in sorted(range(len(entries)), key=lambda a: -certificates[a].number if a in certificates else 0):
-            entry = entries[slot]
-            if entry is UNSAID:
-                continue
-            if entry == table[slot]:
-                self._renew(slot, table, certificates.get(slot))
-            if rank(entry) <= rank(table[slot]) or not self._fit(slot, entry, certificates.get(slot), table):
-                entries[slot] = UNSAID
-        for word in proofs.words:
-            self._hear_word(word, table)
-        return msgspec.structs.replace(
-            message,
-            table=None if message.table is None else tuple(entries),
-            offer=self._hear_offer(message, proofs, most_claims(len(table))),
-        )
+        certificates, entries = proofs.certificates(), [UNSAID] * len(message.table or ())
+        offer = None
+        try:
+            # The latest claims first: of all that one message gives to a robot, only its last is taken.
+            for slot in sorted(range(len(entries)), key=lambda a: -certificates[a].number if a in certificates else 0):
+                entry = (message.table or ())[slot]
+                if entry is UNSAID:
+                    continue
+                if entry == table[slot]:
+                    self._renew(slot, table, certificates.get(slot))
+                if rank(entry) > rank(table[slot]) and self._fit(message, slot, certificates.get(slot), table):
+                    entries[slot] = entry
+            for word in proofs.words:
+                self._hear_word(word, table)
+            offer = self._hear_offer(message, proofs, len(table))
+        except _Uncertified:
+            self.refused["uncertified"] += 1
+        self._hear_last(proofs, len(table))
+        return msgspec.structs.replace(message, table=None if message.table is None else tuple(entries), offer=offer)
+
+    def _hear_last(self, proofs: Proofs, places: int) -> None:
+        """Go on from the last claim of a former life of this robot, if a neighbour shows one."""
+        last = next((last for last in proofs.last if last.owner == self._robot), None)
+        if last is None or not self._number <= last.number < most_claims(places):
+            return
+        entry = (last.version, last.bid, last.owner)
+        certificate = Certificate(number=last.number, signature=last.signature, grant=last.grant)
+        if (last.slot, entry) not in self._held and self._holds(last.slot, entry, certificate, places):
+            self._number = last.number + 1
 
     def _renew(self, slot: int, table: BidTable, certificate: Certificate | None) -> None:
         """Its owner has claimed a slot again that it has and no other: the higher number counts."""
@@ -124,17 +150,19 @@ class Evidence:
         held = self._held.get((slot, entry))
         if certificate is None or held is None or not held.number < certificate.number <= most_claims(len(table)):
             return
-        if sum(other[2] == entry[2] for other in table) == 1 and self._holds(slot, entry, certificate):
+        if sum(other[2] == entry[2] for other in table) == 1 and self._holds(slot, entry, certificate, len(table)):
             self._keep(slot, entry, certificate)
 
-    def _fit(self, slot: int, entry: BidEntry, certificate: Certificate | None, table: BidTable) -> bool:
+    def _fit(self, message: Message, slot: int, certificate: Certificate | None, table: BidTable) -> bool:
+        entry = (message.table or ())[slot]
         version, _, owner = entry
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
             certificate = self._held[slot, entry]
-        elif not (plausible(entry, certificate.number) and self._holds(slot, entry, certificate)):
-            self.refused["uncertified"] += 1
-            return False
+        elif not (
+            plausible(self._page, slot, entry, certificate.number) and self._holds(slot, entry, certificate, len(table))
+        ):
+            raise _Uncertified
         elif certificate.number > most_claims(len(table)):
             # Its owner may be honest, and have been driven from place to place by liars.
             self.refused["many_claims"] += 1
@@ -148,6 +176,8 @@ class Evidence:
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
         if place < self._last.get(owner, place) and not welcome:
             self._outdated.add((slot, entry))
+            if owner == message.sender:
+                self._behind.add(owner)
             return False
         self._keep(slot, entry, certificate)
         return True
@@ -155,19 +185,22 @@ class Evidence:
     def _keep(self, slot: int, entry: BidEntry, certificate: Certificate) -> None:
         self._held[slot, entry] = certificate
         owner, place = entry[2], (certificate.number, slot)
-        self._last[owner] = max(place, self._last.get(owner, place))
+        if place >= self._last.get(owner, place):
+            self._last[owner] = place
+            claim = (slot, *entry, certificate.number, certificate.signature, certificate.grant)
+            self._last_claims[owner] = LastClaim(*claim)
         if owner == self._robot:
             self._number = max(self._number, certificate.number)
         if isinstance(certificate.grant, ReleaseGrant):
             self._freed[slot, entry[0], NO_OWNER] = certificate.grant
 
-    def _holds(self, slot: int, entry: BidEntry, certificate: Certificate) -> bool:
+    def _holds(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> bool:
         """Whether the certificate proves the entry."""
         version, _, owner = entry
         grant = certificate.grant
         if isinstance(grant, ExchangeGrant):
             made, number = grant.entries().get(slot, (UNSAID, 0))
-            if made != entry or not self._exchanged(grant):
+            if made != entry or not self._exchanged(grant, most_exchanges(places)):
                 return False
             if certificate.number <= number:
                 return certificate.number == number
@@ -185,11 +218,13 @@ class Evidence:
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
         )
 
-    def _exchanged(self, done: ExchangeGrant) -> bool:
+    def _exchanged(self, done: ExchangeGrant, most: int) -> bool:
         offer = offer_statement(self._page, done.maker, done.offer(), done.number)
         return (
             done.maker != done.to
             and done.give != done.take
+            and max(done.give_version, done.take_version) < LAST_EXCHANGED
+            and max(done.number, done.accepted_number) <= most
             and self.signed_by(done.maker, offer, done.signature)
             and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)
         )
@@ -202,20 +237,27 @@ class Evidence:
         if self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
             self._words.setdefault(what, {})[word.witness] = word.signature
         else:
-            self.refused["uncertified"] += 1
+            raise _Uncertified
 
-    def _hear_offer(self, message: Message, proofs: Proofs, most: int) -> Offer | None:
+    def draw(self, slot: int, version: int) -> float:
+        """This robot's bid for a slot of a version above 0."""
+        return drawn_bid(self._page, slot, version, self._robot)
+
+    def may_exchange(self, places: int) -> bool:
+        """Whether this robot has not used up its numbers for exchanges."""
+        return self._number + SPARE <= most_exchanges(places)
+
+    def _hear_offer(self, message: Message, proofs: Proofs, places: int) -> Offer | None:
         offer = message.offer
         if offer is None:
             return None
         number, signature = proofs.offer or (0, b"")
         if not (
-            0 < number <= most
-            and offer.bid <= 0.0
+            0 < number <= most_exchanges(places)
+            and offer.bid == drawn_bid(self._page, offer.take, offer.take_version + 1, message.sender)
             and self.signed_by(message.sender, offer_statement(self._page, message.sender, offer, number), signature)
         ):
-            self.refused["uncertified"] += 1
-            return None
+            raise _Uncertified
         self._heard_offers[message.sender] = (offer, number, signature)
         return offer
 
@@ -321,7 +363,14 @@ class Evidence:
             for what in self._own
             if what in self._words
         )
-        return Proofs(claims=claims, grants=grants, words=words + self._passed_on(), offer=self._offer(message.offer))
+        last, self._behind = tuple(self._last_claims[j] for j in sorted(self._behind)), set()
+        return Proofs(
+            claims=claims,
+            grants=grants,
+            words=words + self._passed_on(),
+            offer=self._offer(message.offer),
+            last=last,
+        )
 
     def _passed_on(self) -> tuple[WitnessStatement, ...]:
         """Statements of others, where neighbours may not hear enough witnesses themselves; a few in each message."""

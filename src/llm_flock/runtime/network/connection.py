@@ -92,7 +92,7 @@ def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
     keys = load_keyring(Path(folder), member)
     if keys.robots != config.mission.n_robots:
         raise InputError("keys", folder, f"keys of {config.mission.n_robots} robots, not of {keys.robots}")
-    return keys
+    return keys.of_flight(config.network.swarm)
 
 
 def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> ZenohLink:
