@@ -12,7 +12,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
-from matplotlib.colors import same_color
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from sample_records import FakeRun, make_record
@@ -241,7 +241,7 @@ def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
     red = [
         c
         for c in figure.axes[0].collections
-        if isinstance(c, PathCollection) and same_color(c.get_edgecolor()[0], DANGER)
+        if isinstance(c, PathCollection) and to_hex(np.asarray(c.get_edgecolor())[0]) == DANGER.lower()
     ]
     assert [len(np.asarray(c.get_offsets())) for c in red] == [3]
     assert "nearer than the safe distance" not in words(figures.snapshots(replace(record, metrics=apart), [2, 10]))

@@ -127,7 +127,7 @@ def test_a_run_without_a_round_is_nobodys_fault(tmp_path: Path) -> None:
 def test_a_formation_with_empty_places_and_one_of_geometry_alone_say_so(tmp_path: Path) -> None:
     found = outcome(flown(tmp_path / "gap", model="simulated:ideal", kill="1@3"))
     assert found["headline"].endswith(", with 1 place empty") and found["by"].startswith(
-        "Robot 1 died · plan by robot "
+        "Robot 1 died in round 3 · plan by robot "
     )
     run = flown(tmp_path / "geometry", model="geometry", places=4)
     found = outcome(run)

@@ -346,6 +346,7 @@ export class Arena {
 
   /** Letters of plans, influence and what else is said beside a disk; left out where there is no room. */
   labels(frame, crowds) {
+    if (this.at.length > MANY && !this.selected.length) return;
     const { width, height } = this.surface;
     const bent = new Set(frame.h);
     const opened = new Set(frame.b);
