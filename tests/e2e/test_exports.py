@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shutil
 import signal
@@ -10,7 +11,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from command_line import ENV, flock_process
 from foxglove_client import FoxgloveClient
@@ -96,12 +99,28 @@ def test_a_record_opens_in_rerun(tmp_path: Path) -> None:
     rerun = shutil.which("rerun", path=str(Path(sys.executable).parent))
     if rerun is None:
         pytest.skip("rerun-sdk is not installed")
-    make_record(tmp_path / "run.mcap", n=4, rounds=5, dim=3)
+    record = read_record(make_record(tmp_path / "run.mcap", n=4, rounds=5, dim=3))
     flock_process("export", "run.mcap", "--rerun", cwd=tmp_path)
     check = subprocess.run(
         [rerun, "rrd", "verify", "run.rrd"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
     )
     assert check.returncode == 0, check.stderr
+    chunk: Any = importlib.import_module("rerun.chunk")
+    batches = [
+        one.to_record_batch()
+        for one in chunk.RrdReader(str(tmp_path / "run.rrd")).stream().to_chunks()
+        if str(one.entity_path).strip("/") == "world/robots"
+    ]
+    seen = {
+        number: places
+        for batch in batches
+        for number, places in zip(
+            batch.column("round").cast("int64").to_pylist(), batch.column("Points3D:positions").to_pylist(), strict=True
+        )
+    }
+    assert sorted(seen) == list(range(record.rounds + 1))
+    for number, places in seen.items():
+        assert np.array(places) == pytest.approx(record.positions[number], abs=1e-4)
 
 
 @contextmanager

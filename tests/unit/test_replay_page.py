@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 import zlib
 from base64 import b64decode, b64encode
@@ -11,14 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 from sample_records import make_record, run_info
 
 from llm_flock.errors import InputError, RecordError
+from llm_flock.record.reader import read_record
 from llm_flock.viewer import replay_page
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.page import ALL, PLAYER, STATIC, bundle
 from llm_flock.viewer.recording import Recording
 from llm_flock.viewer.replay_page import page, write_page
+from llm_flock.viz import figures
+from llm_flock.viz.animation import animate
 
 HOSTILE = """</script><script>alert(1)</script>"><img src=x onerror=alert(2)>$run ${policy} \u202e"""
 
@@ -80,3 +86,28 @@ def test_large_runs_and_files_that_are_no_records_are_refused(tmp_path: Path, mo
         with pytest.raises(RecordError):
             write_page(tmp_path / name, tmp_path / "replay.html")
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+@pytest.mark.parametrize("name", ["replay.html", "a.gif", "a.png"])
+def test_a_full_disk_leaves_no_half_file(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = make_record(tmp_path / "run.mcap", n=3, rounds=2)
+    target = tmp_path / "to" / name
+    target.parent.mkdir()
+    target.write_bytes(b"older")
+
+    def full(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[:10])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Figure, "savefig", lambda _, path, **options: full(path, bytes(20)))
+    found = read_record(record)
+    write = {
+        "replay.html": lambda: write_page(record, target),
+        "a.gif": lambda: animate(found, target),
+        "a.png": lambda: figures.save(figures.snapshots(found), target),
+    }
+    with pytest.raises(InputError, match="No space left"):
+        write[name]()
+    assert [path.name for path in target.parent.iterdir()] == [name] and target.read_bytes() == b"older"

@@ -24,6 +24,7 @@ from llm_flock.viewer.data import MOST_FRAMES, about, event_lines, frames, news
 from llm_flock.viewer.page import PAGE, PLAYER, as_data, bundle, css
 from llm_flock.viewer.paths import FIRST_KEY, title_of
 from llm_flock.viewer.recording import Recording
+from llm_flock.viz.style import whole_file
 
 MOST_ROBOT_ROUNDS = 200_000
 """Most robots times rounds of a page."""
@@ -46,11 +47,10 @@ def write_page(record: Path, target: Path) -> int:
     if not run.ready:
         raise RecordError(f"{record}: the run ended before its start was recorded; there is nothing to show")
     text = page(run).encode()
-    part = target.with_name(target.name + ".part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(text)
-        part.replace(target)
+        with whole_file(target) as part:
+            part.write_bytes(text)
     except OSError as error:
         raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
     return len(text)

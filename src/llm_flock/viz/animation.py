@@ -27,7 +27,7 @@ from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.labels import size_of
 from llm_flock.viz.panel import Panel, columns_of
-from llm_flock.viz.style import DANGER, MOST_TITLE, heading, house_style, line_colour
+from llm_flock.viz.style import DANGER, MOST_TITLE, heading, house_style, line_colour, whole_file
 
 STEPS_A_ROUND = 4
 """Most frames of a round; robots fly straight between rounds, from rest to rest."""
@@ -82,10 +82,11 @@ def animate(record: RunRecord, path: Path, *, fps: int = FPS) -> None:
         raise InputError("out", str(path), f"a .gif file, or a {kind} file once ffmpeg is installed")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if ffmpeg is None:
-            path.write_bytes(gif(record, fps))
-        else:
-            _write_video(record, path, fps, ffmpeg)
+        with whole_file(path) as part:
+            if ffmpeg is None:
+                part.write_bytes(gif(record, fps))
+            else:
+                _write_video(record, path, part, fps, ffmpeg)
     except OSError as error:
         raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
 
@@ -192,13 +193,13 @@ def _shades() -> NDArray[np.float64]:
     return np.round(np.concatenate([greys, *paler, *darker]))
 
 
-def _write_video(record: RunRecord, path: Path, fps: int, ffmpeg: str) -> None:
+def _write_video(record: RunRecord, path: Path, part: Path, fps: int, ffmpeg: str) -> None:
     shown = frames(record)
     first = next(shown)
     size = f"{first.width}x{first.height}"
     coder, *settings = CODECS[path.suffix.lower()]
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"]
-    target = ["-an", "-c:v", coder, "-pix_fmt", "yuv420p", *settings, str(path)]
+    target = ["-an", "-c:v", coder, "-pix_fmt", "yuv420p", *settings, str(part)]
     command = [ffmpeg, "-y", "-loglevel", "error", *source, *target]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         pipe = process.stdin

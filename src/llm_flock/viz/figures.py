@@ -25,7 +25,19 @@ from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.viz.charts import DPI, new_figure
 from llm_flock.viz.panel import Box, Panel, close_up, columns_of, key_of, view
-from llm_flock.viz.style import GRID, INK, LINES, MARKERS, RC, fitted, heading, house_style, model_names, shapes
+from llm_flock.viz.style import (
+    GRID,
+    INK,
+    LINES,
+    MARKERS,
+    RC,
+    fitted,
+    heading,
+    house_style,
+    model_names,
+    shapes,
+    whole_file,
+)
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
@@ -162,8 +174,8 @@ def save(figure: Figure, path: Path) -> None:
         raise InputError("out", str(path), f"a file that ends in one of: {', '.join(sorted(formats))}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with house_style():
-            figure.savefig(path, dpi=DPI, metadata=UNDATED.get(path.suffix.lower()))
+        with house_style(), whole_file(path) as part:
+            figure.savefig(part, dpi=DPI, metadata=UNDATED.get(path.suffix.lower()))
     except OSError as error:
         raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.printable import one_line
@@ -182,3 +183,17 @@ def model_names(records: Sequence[RunRecord]) -> str:
     shown = ", ".join(name for name in names if name)
     simulated = "simulated language models" if any(record.run.simulated for record in records) else ""
     return " · ".join(part for part in (shown, simulated) if part)
+
+
+@contextmanager
+def whole_file(path: Path) -> Generator[Path]:
+    """A file beside `path`, with its ending, to write to: it takes the other's place at the end.
+
+    Where it cannot be written whole, nothing of it is left behind, and an older file stays as it was.
+    """
+    part = path.with_name(f"{path.stem}.part{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
