@@ -40,9 +40,9 @@ PositionReport: TypeAlias = tuple[int, Point, Point]
 """A robot's report for the all-to-all assignment: round of the mission, 0 for its start; position at that time; and
 position for the second collection, empty before that [units; frame of the mission]."""
 
-TeamPositions: TypeAlias = tuple[int, tuple[Point, ...]]
-"""A complete collection: version of the claims that follow from it, and position of each robot, by id [units; frame
-of the mission]."""
+TeamPositions: TypeAlias = tuple[int, tuple[int, ...], tuple[Point, ...]]
+"""A collection: version of the claims that follow from it, ids of the robots, and the position of each of them [units;
+frame of the mission]."""
 
 LAST_ROUND = 1023
 """Largest round number in a position report."""
