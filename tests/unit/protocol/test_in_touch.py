@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
@@ -111,23 +112,25 @@ def test_who_has_not_been_heard_for_some_rounds_has_flown_on_towards_its_place()
     assert in_touch.positions(MISSION, ROW, EMPTY, ()) != found, "without a place nobody knows where it flies"
 
 
+def written(*places: Point) -> BidTable:
+    """The table of a robot that knows these positions."""
+    found = knowing(*places).positions(MISSION, ROW, EMPTY, ())
+    assert found is not None
+    return optimal_assignment(ROW, found)
+
+
 def test_of_two_tables_the_one_that_places_more_wins_as_a_whole() -> None:
-    three = optimal_assignment(
-        ROW, knowing((0.0, 0.0), (9.0, 0.0), (19.0, 0.0)).positions(MISSION, ROW, EMPTY, ()) or ()
-    )
-    four = optimal_assignment(
-        ROW, knowing((30.0, 0.0), (19.0, 0.0), (9.0, 0.0), (1.0, 0.0)).positions(MISSION, ROW, EMPTY, ()) or ()
-    )
-    assert merge(three, four) == merge(four, three) == four and owners(four) == [3, 2, 1, 0]
-    moved = optimal_assignment(
-        ROW, knowing((9.0, 0.0), (0.0, 0.0), (19.0, 0.0)).positions(MISSION, ROW, EMPTY, ()) or ()
-    )
-    assert merge(three, moved) == merge(moved, three) and merge(three, moved) in (three, moved)
-    assert all(rank(entry) > rank((VERSION - 1, 0.0, 0)) for entry in three), "above all that bids and exchanges write"
+    fewer = [written((float(k), 0.0), (9.0, 0.0), (19.0, 0.0)) for k in range(9)]
+    every = written((30.0, 0.0), (19.0, 0.0), (9.0, 0.0), (1.0, 0.0))
+    assert owners(every) == [3, 2, 1, 0]
+    for three in fewer:
+        assert merge(three, every) == merge(every, three) == every, "whatever their digests are"
+        assert merge(three, fewer[0]) == merge(fewer[0], three) and merge(three, fewer[0]) in (three, fewer[0])
+        assert all(rank(entry) > rank((VERSION - 1, 0.0, 0)) for entry in three), "above bids and exchanges"
 
 
-def now(robot: int, **changes: object) -> AssignmentInput:
-    given: dict[str, object] = {
+def now(robot: int, **changes: Any) -> AssignmentInput:
+    given: dict[str, Any] = {
         "robot": robot,
         "position": (0.0, 0.0),
         "plan": ROW,
@@ -138,7 +141,7 @@ def now(robot: int, **changes: object) -> AssignmentInput:
         "sensed": {},
         **changes,
     }
-    return AssignmentInput(**given)  # pyright: ignore[reportArgumentType]
+    return AssignmentInput(**given)
 
 
 def test_a_robot_moves_to_its_new_place_though_its_old_one_has_come_free() -> None:
@@ -157,7 +160,7 @@ def test_a_robot_moves_to_its_new_place_though_its_old_one_has_come_free() -> No
 
 
 def test_a_robot_that_no_joint_table_places_takes_what_it_leaves_free() -> None:
-    table = optimal_assignment(ROW, knowing((0.0, 0.0), (9.0, 0.0)).positions(MISSION, ROW, EMPTY, ()) or ())
+    table = written((0.0, 0.0), (9.0, 0.0))
     claim = AuctionAssignment().update(Claim(slot=None, table=table, bids=(0.0, -10.0, -20.0, -30.0)), now(3))
     assert claim.slot == 2 and claim.table is not None and owners(claim.table) == [0, 1, 3, NO_OWNER]
     assert math.isclose(claim.table[2][1], -20.0) and placed(claim.table) == 2

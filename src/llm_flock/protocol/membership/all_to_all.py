@@ -183,5 +183,10 @@ def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | 
 
 
 def given_all_to_all(table: BidTable | None, slot: int | None) -> bool:
-    """Whether a slot was given by a joint assignment, or exchanged since."""
+    """Whether a slot was given by an all-to-all assignment, or exchanged since."""
+    return given_jointly(table, slot) and table is not None and slot is not None and table[slot][0] < 3 * VERSION
+
+
+def given_jointly(table: BidTable | None, slot: int | None) -> bool:
+    """Whether a slot was given by any joint assignment, or exchanged since."""
     return table is not None and slot is not None and table[slot][0] >= VERSION
