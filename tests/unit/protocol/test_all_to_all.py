@@ -26,8 +26,10 @@ from llm_flock.protocol.membership.all_to_all import (
     VERSION,
     AllToAll,
     given_all_to_all,
+    given_jointly,
     optimal_assignment,
 )
+from llm_flock.protocol.membership.in_touch import DIGESTS
 from llm_flock.protocol.membership.rendezvous import WITHIN
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.codec import encode
@@ -274,6 +276,12 @@ def test_a_jointly_assigned_place_is_not_handed_on_along_the_formation(version: 
 
 def test_an_entry_left_out_is_not_jointly_assigned() -> None:
     assert not given_all_to_all((UNSAID,), 0) and not given_all_to_all(((VERSION, 0.0, 3),), None)
+
+
+def test_places_given_to_robots_in_touch_are_exchanged_along_the_formation() -> None:
+    assert given_all_to_all(((2 * VERSION + 7, 0.0, 3),), 0)
+    in_touch = ((2 * DIGESTS * VERSION, 0.0, 3),)
+    assert given_jointly(in_touch, 0) and not given_all_to_all(in_touch, 0)
 
 
 def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:
