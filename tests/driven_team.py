@@ -40,11 +40,16 @@ class DrivenTeam:
         preset: `paper` or `flock`, as on the command line.
         plans: what each robot's model proposes.
         swaps: whether places are exchanged (`flock` only).
+        joint: whether robots in touch are assigned together (`flock` only).
     """
 
-    def __init__(self, mission: Mission, preset: str, plans: Sequence[Plan], *, swaps: bool = True) -> None:
+    def __init__(
+        self, mission: Mission, preset: str, plans: Sequence[Plan], *, swaps: bool = True, joint: bool = True
+    ) -> None:
         rules = PRESETS[preset]
-        assignment = assignment_rule(rules["assignment"]) if swaps else AuctionAssignment(swaps=False)
+        assignment = assignment_rule(rules["assignment"])
+        if isinstance(assignment, AuctionAssignment):
+            assignment = AuctionAssignment(swaps=swaps, joint=joint)
         self.mission = mission
         self.proposals = list(plans)
         self.links: Links = ()

@@ -4,10 +4,13 @@ import math
 from itertools import permutations
 
 import numpy as np
+import pytest
 from driven_team import DrivenTeam, Links, turned
 from effort import cases
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 
 from llm_flock import graph
 from llm_flock.arrays import Mask, Point
@@ -141,12 +144,12 @@ def greedy(bids: list[tuple[float, ...]]) -> list[int]:
 @cases(20)
 @given(seed=SEEDS, n=st.integers(1, 8))
 def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(seed: int, n: int) -> None:
-    """Theorem 3: all follow one plan from the beginning, nobody exchanges."""
+    """Theorem 5: all follow one plan from the beginning, nobody exchanges, and none are assigned together."""
     rng = np.random.default_rng(seed)
     links, adjacent = random_links(n, rng)
     diameter = graph.diameter(adjacent)
     assert diameter is not None
-    team = DrivenTeam(circle(n), "flock", turned(circle(n), 1) * n, swaps=False)
+    team = DrivenTeam(circle(n), "flock", turned(circle(n), 1) * n, swaps=False, joint=False)
     team.begin(places(n, rng), links)
     for _ in range(n * diameter):
         team.comm_round()
@@ -162,7 +165,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     rng = np.random.default_rng(seed)
     links, _ = random_links(n, rng)
     mission = circle(n)
-    team = DrivenTeam(mission, "flock", turned(mission, 1) * n)
+    team = DrivenTeam(mission, "flock", turned(mission, 1) * n, joint=False)
     where = places(n, rng)
     team.begin(where, links)
     plan = team.plans[0]
@@ -188,6 +191,30 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     for _ in range(20):
         team.comm_round()
     assert team.slots == settled
+
+
+@cases(20)
+@given(seed=SEEDS, n=st.integers(2, 8))
+def test_robots_in_touch_are_assigned_together_within_the_diameter(seed: int, n: int) -> None:
+    """Theorem 6a: all have the same table, and it is the assignment of the smallest sum of squares."""
+    rng = np.random.default_rng(seed)
+    links, adjacent = random_links(n, rng)
+    diameter = graph.diameter(adjacent)
+    assert diameter is not None
+    team = DrivenTeam(circle(n), "flock", turned(circle(n), 1) * n, swaps=False)
+    where = places(n, rng)
+    team.begin(where, links)
+    for _ in range(diameter):
+        team.comm_round()
+    plan, slots = team.plans[0], team.slots
+    assert plan is not None and len({agent.claim.table for agent in team.agents}) == 1
+    squares = cdist(np.round(where, 2), plan.array) ** 2
+    assert sorted(slots, key=str) == sorted(range(n), key=str)
+    best = squares[linear_sum_assignment(squares)].sum()
+    assert sum(squares[i, slot] for i, slot in enumerate(slots) if slot is not None) == pytest.approx(best)
+    for _ in range(n):
+        team.comm_round()
+    assert team.slots == slots, "it is at rest"
 
 
 @given(SEEDS)

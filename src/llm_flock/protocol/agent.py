@@ -42,6 +42,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.all_to_all import AllToAll
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
+from llm_flock.protocol.membership.in_touch import InTouch
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
 from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.membership.seeking import Seeking
@@ -107,6 +108,7 @@ class Agent:
         self._replanning = Replanning(robot, liveness, gaps)
         validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
         all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
+        in_touch = InTouch(robot, mission.n_robots, enabled=authenticator is None)
         channel = Channel(robot, mission)
         if authenticator is not None:
             evidence = Evidence(robot, authenticator, liars)
@@ -121,6 +123,7 @@ class Agent:
             liveness=liveness,
             replanning=self._replanning,
             all_to_all=all_to_all,
+            in_touch=in_touch,
         )
         self._messaging = Messaging(robot, self._agreement, channel)
         self._pilot = Pilot(

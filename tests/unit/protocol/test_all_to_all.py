@@ -26,8 +26,10 @@ from llm_flock.protocol.membership.all_to_all import (
     VERSION,
     AllToAll,
     given_all_to_all,
+    given_jointly,
     optimal_assignment,
 )
+from llm_flock.protocol.membership.in_touch import DIGESTS
 from llm_flock.protocol.membership.rendezvous import WITHIN
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.codec import encode
@@ -44,6 +46,7 @@ from llm_flock.protocol.messages.message import (
 from llm_flock.protocol.plan import Plan
 
 N = MANY + 1
+EVERYBODY = tuple(range(N))
 ROW = Plan.of([[10.0 * k, 0.0] for k in range(N)])
 SPACING = 10.0
 RADIUS = 50.0
@@ -93,7 +96,7 @@ def test_news_travel_one_robot_a_communication_round_and_everything_is_repeated_
                 if 0 <= neighbor < N:
                     all_to_all.hear(sent[neighbor] or {})
         assert comm_round == N - 2 or team[0].complete(ROW) is None
-    assert [all_to_all.complete(ROW) for all_to_all in team] == [(VERSION, tuple(starts(N)))] * N
+    assert [all_to_all.complete(ROW) for all_to_all in team] == [(VERSION, EVERYBODY, tuple(starts(N)))] * N
     assert report(team[0], (5.0, 5.0), greeting=False) == {N - 1: (0, starts(N)[-1], ())}, "the newest report"
     assert report(team[0], (5.0, 5.0), greeting=False) is None, "nothing is sent twice"
     assert report(team[0], (5.0, 5.0)) is None, "the table follows from it, and is sent instead"
@@ -156,7 +159,7 @@ def test_the_second_collection_marks_waiting_positions_in_a_certain_round() -> N
     report(all_to_all, on_circle(9.0), plan=CIRCLE)
     assert all_to_all.known[0] == (16, on_circle(9.0), on_circle(9.0)) and all_to_all.complete(ROW) is None
     all_to_all.hear({robot: (20, where, where) for robot, where in enumerate(starts(n)) if robot})
-    assert all_to_all.complete(ROW) == (2 * VERSION, (on_circle(9.0), *starts(n)[1:]))
+    assert all_to_all.complete(ROW) == (2 * VERSION, tuple(range(n)), (on_circle(9.0), *starts(n)[1:]))
 
 
 def test_the_newest_report_counts_and_a_restarted_robot_continues_its_own_numbers() -> None:
@@ -194,26 +197,21 @@ def test_the_largest_teams_have_the_first_collection_only() -> None:
     assert report(later(LARGEST + 1, ROUNDS), (0.0, 1.0)) == {0: (0, (0.0, 1.0), ())}
 
 
-def test_a_robot_at_its_place_bids_zero_without_a_sign() -> None:
-    table = optimal_assignment(ROW, (VERSION, tuple((10.0 * k, 0.0) for k in range(N))))
-    assert [math.copysign(1.0, bid) for _, bid, _ in table] == [1.0] * N
-
-
 @given(st.permutations(range(N)))
 def test_each_of_robots_above_the_places_of_a_row_gets_the_place_below_it(order: list[int]) -> None:
     places = tuple((10.0 * k, 3.0) for k in order)
-    table = optimal_assignment(ROW, (VERSION, places))
+    table = optimal_assignment(ROW, (VERSION, EVERYBODY, places))
     assert [owner for _, _, owner in table] == [order.index(k) for k in range(N)]
-    assert {version for version, _, _ in table} == {VERSION} and {bid for _, bid, _ in table} == {-3.0}
+    assert {version for version, _, _ in table} == {VERSION} and {bid for _, bid, _ in table} == {0.0}
 
 
 def test_surplus_places_stay_free_and_surplus_robots_get_no_slot() -> None:
-    table = optimal_assignment(ROW, (2 * VERSION, ((1.0, 0.0), (12.0, 0.0))))
+    table = optimal_assignment(ROW, (2 * VERSION, (0, 1), ((1.0, 0.0), (12.0, 0.0))))
     assert [owner for _, _, owner in table[:3]] == [0, 1, NO_OWNER]
     assert {version for version, _, _ in table} == {2 * VERSION}
     few = Plan.of([[0.0, 0.0], [10.0, 0.0]])
-    table = optimal_assignment(few, (VERSION, ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0))))
-    assert [owner for _, _, owner in table] == [1, 2]
+    table = optimal_assignment(few, (VERSION, (3, 5, 8), ((50.0, 0.0), (0.0, 0.0), (9.0, 0.0))))
+    assert [owner for _, _, owner in table] == [5, 8]
 
 
 def moment(positions: TeamPositions | None) -> AssignmentInput:
@@ -235,7 +233,7 @@ def test_a_joint_assignment_replaces_bids_and_exchanges_continue_from_it() -> No
     claim = rule.take(moment(None))
     assert claim.slot == 0 and not given_all_to_all(claim.table, 0)
     # Robot 0 is nearer to the first place: the joint assignment gives it to robot 0 although robot 1 had bid for it.
-    positions = (VERSION, ((-5.0, 0.0), (0.0, 0.0), *((10.0 * k, 0.0) for k in range(2, N))))
+    positions = (VERSION, EVERYBODY, ((-5.0, 0.0), (0.0, 0.0), *((10.0 * k, 0.0) for k in range(2, N))))
     claim = rule.update(claim, moment(positions))
     assert claim.slot == 1 and claim.table is not None and given_all_to_all(claim.table, 1)
     assert sorted(owner for _, _, owner in claim.table) == list(range(N))
@@ -278,6 +276,12 @@ def test_a_jointly_assigned_place_is_not_handed_on_along_the_formation(version: 
 
 def test_an_entry_left_out_is_not_jointly_assigned() -> None:
     assert not given_all_to_all((UNSAID,), 0) and not given_all_to_all(((VERSION, 0.0, 3),), None)
+
+
+def test_places_given_to_robots_in_touch_are_exchanged_along_the_formation() -> None:
+    assert given_all_to_all(((2 * VERSION + 7, 0.0, 3),), 0)
+    in_touch = ((2 * DIGESTS * VERSION, 0.0, 3),)
+    assert given_jointly(in_touch, 0) and not given_all_to_all(in_touch, 0)
 
 
 def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:

@@ -19,6 +19,7 @@ from llm_flock.protocol.agreement.auction import changed
 from llm_flock.protocol.agreement.consensus import ConsensusRule, Standing
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
+from llm_flock.protocol.membership.in_touch import InTouch
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.occupancy import observe, still_bodies
 from llm_flock.protocol.membership.replanning import Replanning
@@ -50,6 +51,7 @@ class Agreement:
         liveness: Liveness,
         replanning: Replanning,
         all_to_all: AllToAll,
+        in_touch: InTouch,
     ) -> None:
         self.mission = mission
         self.stamp = MissionStamp(0, mission.digest)
@@ -59,7 +61,8 @@ class Agreement:
         self.neighbors = 0
         self.position: Point = ()
         self._robot = robot
-        self.validator, self.liveness, self.all_to_all = validator, liveness, all_to_all
+        self.validator, self.liveness = validator, liveness
+        self.all_to_all, self.in_touch = all_to_all, in_touch
         self._consensus, self._assignment, self._replanning = consensus, assignment, replanning
         self._unplaced: set[int] = set()
         self._refused_answer: NoAnswer | None = None
@@ -80,6 +83,7 @@ class Agreement:
         self._occupancy_due = True
         self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
         self.all_to_all.begin_round()
+        self.in_touch.begin_round()
         self._unplaced.clear()
 
     @property
@@ -110,6 +114,7 @@ class Agreement:
         self._proposals = 0
         self._replanning.reset()
         self.all_to_all.begin()
+        self.in_touch.begin()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
     def lack_plan(self, failure: NoAnswer) -> Note:
@@ -158,7 +163,7 @@ class Agreement:
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _follow(self, plan: Plan, origin: Provenance, *, adopted: bool, heard: list[Message]) -> None:
-        self.plan, self.provenance = plan, origin
+        self.plan, self.provenance, self.claim = plan, origin, Claim(slot=None)
         self._replanning.reset()
         self.claim = self._assignment.take(self._assignment_input(plan, adopted=adopted, heard=heard))
 
@@ -174,6 +179,8 @@ class Agreement:
                 hears_others=bool(heard),
                 knows_blocked=self._knows_blocked,
             )
+        silent = self.liveness.silent
+        joint = None if silent else self.all_to_all.complete(plan)
         return AssignmentInput(
             robot=self._robot,
             position=self.position,
@@ -186,7 +193,7 @@ class Agreement:
             mission=self.stamp,
             roadmap=self.mission.roadmap if self.mission.velocity is None else None,
             occupancy=occupancy,
-            positions=None if self.liveness.silent else self.all_to_all.complete(plan),
+            positions=joint or self.in_touch.positions(self.mission, plan, self.claim.table, silent),
         )
 
     def settle(self, heard: list[Message]) -> list[Note]:
@@ -195,7 +202,8 @@ class Agreement:
         `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved. Rules are pure
         functions, so they are not asked twice in a row with the same arguments.
         """
-        arguments = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed, *heard)
+        standing = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed)
+        arguments = (*standing, self.in_touch.known, *heard)
         due = self._occupancy_due or self.all_to_all.collecting
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []

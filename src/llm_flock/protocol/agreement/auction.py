@@ -98,10 +98,13 @@ class AuctionAssignment:
     claims nor exchanges. Acceptance is written into the table, both versions raised, and travels by merging; an entry
     with a raised version cannot be outbid by a robot that has not heard of it. A robot that finds itself on several
     slots, after a late acceptance for instance, keeps one by a fixed order and releases the rest.
+
+    Positions of robots in touch, where they are known, are assigned together (`joint`), and replace bids.
     """
 
     name: str = "auction"
     swaps: bool = True
+    joint: bool = True
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
@@ -115,7 +118,7 @@ class AuctionAssignment:
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
-        if now.positions is not None:
+        if now.positions is not None and self.joint:
             table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap), None)])
             touched |= more
         if now.granted is None:
@@ -144,6 +147,8 @@ def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
     slot = claim.slot
     if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
         return table
+    if any(owner == robot for _, _, owner in table):
+        return table  # a joint assignment has given it another one
     return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
 
 

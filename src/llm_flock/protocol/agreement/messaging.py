@@ -81,6 +81,8 @@ class Messaging:
                 settled=given_all_to_all(claim.table, claim.slot),
                 greeting=self._dissemination.greets,
             )
+        elif agreement.in_touch.collecting:
+            positions = agreement.in_touch.report(agreement.position, claim.table, greeting=self._dissemination.greets)
         standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim, course
         payload = self._dissemination.unchanged(*standing)
         if payload is None or positions is not None:
@@ -125,6 +127,7 @@ class Messaging:
             return notes
         if message.positions is not None:
             self._agreement.all_to_all.hear(message.positions)
+            self._agreement.in_touch.hear(message.positions)
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:

@@ -130,9 +130,10 @@ class AllToAll:
             return None
         self._taken = plan.digest
         reports = [known[robot] for robot in range(self._n)]
+        ids = tuple(range(self._n))
         if second:
-            return 2 * VERSION, tuple(mark for _, _, mark in reports)
-        return VERSION, tuple(where for _, where, _ in reports)
+            return 2 * VERSION, ids, tuple(mark for _, _, mark in reports)
+        return VERSION, ids, tuple(where for _, where, _ in reports)
 
     def report(
         self, mission: Mission, plan: Plan | None, position: Point, *, settled: bool, greeting: bool
@@ -173,14 +174,19 @@ def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | 
 
     With more robots than places some robots get no slot; with fewer, some slots stay free.
     """
-    version, places = positions
+    version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)
-    for robot, slot in zip(*scipy.optimize.linear_sum_assignment(distances**2), strict=True):
-        table[slot] = (version, float(0.0 - distances[robot, slot].round(DECIMALS)), int(robot))
+    for row, slot in zip(*scipy.optimize.linear_sum_assignment(distances**2), strict=True):
+        table[slot] = (version, 0.0, ids[row])
     return tuple(table)
 
 
 def given_all_to_all(table: BidTable | None, slot: int | None) -> bool:
-    """Whether a slot was given by a joint assignment, or exchanged since."""
+    """Whether a slot was given by an all-to-all assignment, or exchanged since."""
+    return given_jointly(table, slot) and table is not None and slot is not None and table[slot][0] < 3 * VERSION
+
+
+def given_jointly(table: BidTable | None, slot: int | None) -> bool:
+    """Whether a slot was given by any joint assignment, or exchanged since."""
     return table is not None and slot is not None and table[slot][0] >= VERSION

@@ -9,7 +9,7 @@ from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
+from llm_flock.protocol.membership.all_to_all import AllToAll, given_jointly
 from llm_flock.protocol.membership.gathering import Gathering
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
@@ -67,7 +67,7 @@ class ConnectivityRecovery:
         notes = [] if table is None else self._look_for_others(mission, places, slot, table, here, bodies)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
-        if target is None and not given_all_to_all(table, slot) and (live.strangers or live.silent or lonely):
+        if target is None and not given_jointly(table, slot) and (live.strangers or live.silent or lonely):
             roadmap = mission.roadmap if mission.velocity is None else None
             target = next_stop(here, places, slot, mission.center, mission.spacing, roadmap)
         if target is None and places is not plan:

@@ -111,7 +111,13 @@ def _claims(message: Message) -> tuple[tuple[int, int, float, int], ...] | None:
     if table is None:
         return None
     slots = range(len(table)) if message.said is None else message.said
-    return tuple([(a, *table[a]) for a in slots if table[a] != UNSAID])
+    return tuple([_claim(a, table[a]) for a in slots if table[a] != UNSAID])
+
+
+def _claim(slot: int, entry: BidEntry) -> tuple[int, int, float, int]:
+    """An entry on the wire. A bid of 0, as in joint assignments, takes one byte as an integer, and nine as a float."""
+    version, bid, owner = entry
+    return slot, version, bid or 0, owner
 
 
 def decode(payload: bytes, n_robots: int, dim: int) -> Message:

@@ -2,7 +2,8 @@
 
 A message carries everything public about its sender: mission, influence, plan with its provenance, claimed slot and,
 for the auction, its bid table. Long parts are named by a digest, and spelled out only where a neighbour may lack them
-(`llm_flock.protocol.messages.dissemination`). Positions of a small team are not in it: robots sense them.
+(`llm_flock.protocol.messages.dissemination`). Positions of neighbours are sensed; reports of positions are for
+joint assignments.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ slot."""
 BidTable: TypeAlias = tuple[BidEntry, ...]
 
 PositionReport: TypeAlias = tuple[int, Point, Point]
-"""A robot's report for the all-to-all assignment: round of the mission, 0 for its start; position at that time; and
-position for the second collection, empty before that [units; frame of the mission]."""
+"""A robot's report for a joint assignment: round of the mission, 0 for its start; position at that time; and position
+for the second collection of a large team, empty before that [units; frame of the mission]."""
 
-TeamPositions: TypeAlias = tuple[int, tuple[Point, ...]]
-"""A complete collection: version of the claims that follow from it, and position of each robot, by id [units; frame
-of the mission]."""
+TeamPositions: TypeAlias = tuple[int, tuple[int, ...], tuple[Point, ...]]
+"""A collection: version of the claims that follow from it, ids of the robots, and the position of each of them [units;
+frame of the mission]."""
 
 LAST_ROUND = 1023
 """Largest round number in a position report."""
