@@ -25,6 +25,9 @@ from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, BidTable, PositionReport, TeamPositions
 from llm_flock.protocol.plan import Plan
 
+FEW = 10
+"""Teams of up to this many robots do without: bids and exchanges settle them as quickly."""
+
 DIGESTS = 2**16
 """Number of digests; two joint assignments of as many robots share one by chance, and are then sorted out by bids."""
 
