@@ -193,7 +193,12 @@ async def fly_through_a_pause(name: str, **fields: Any) -> dict[str, Any]:
         watch, victim = Watch(stand_ins), stand_ins[1]
         looking = asyncio.create_task(watch.look())
         flying = asyncio.Event()
-        flight = Flight(config, build_fleet(config), on_stage=lambda stage: stage == "flying" and flying.set())
+
+        def on_stage(stage: str) -> None:
+            if stage == "flying":
+                flying.set()
+
+        flight = Flight(config, build_fleet(config), on_stage=on_stage)
         task = asyncio.create_task(flight.run(yes))
         await flying.wait()
         await asyncio.sleep(1.0)
