@@ -197,6 +197,7 @@ if __name__ == "__main__":
         "same": same.main,
         "flight": flight.main,
         "flight-cases": flight_cases.main,
+        "physics": physics.main,
         "scale": scale.main,
         "arrivals": arrivals.main,
         "containment": containment.main,

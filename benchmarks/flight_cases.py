@@ -12,6 +12,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import math
 import os
 import signal
 import socket
@@ -42,6 +43,9 @@ def case_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightCon
     """The flight in which something happens."""
     return flight_config(shape, n, seed, **{**FAST, "deadman": True, "reach_s": 8.0, "think_s": 2.0, **fields})
 
+
+HOVER_S = 10.0
+"""Time for which drones are watched that nobody will land [s]."""
 
 DEADMAN_S = 3.0
 """Time for the deadman to hear that the stand-ins are down [s]."""
@@ -127,7 +131,7 @@ CASES: dict[str, Callable[[Scene], Awaitable[float]]] = {
 """Each causes a failure, and returns the moment from which its time counts."""
 
 
-ALL = (*CASES, "model_silent", "controller_unknown", "killed", "hangs")
+ALL = (*CASES, "model_silent", "controller_unknown", "radio_second", "power_lost", "killed", "hangs")
 
 CONTROLLER = "stabilizer.controller"
 OTHER, UNKNOWN = 2, 9
@@ -179,6 +183,41 @@ def _cameras(config: FlightConfig, stand_ins: StandIns) -> PoseStream:
     """A motion capture that sees all stand-ins."""
     places = {drone.name: (lambda k=k: stand_ins[k].position) for k, drone in enumerate(config.fleet.drones)}
     return PoseStream(("127.0.0.1", config.positions.pose_port), places, noise_m=NOISE_M)
+
+
+async def fly_through_a_pause(name: str, **fields: Any) -> dict[str, Any]:
+    """A second without radio in mid-motion: the drone arrives, and the mission goes on to its end."""
+    config, homes = case_config("square", 4, 3, deadman=False, **{"stall_s": 1.5, **fields})
+    with StandIns(homes) as stand_ins:
+        config = addressed(config, homes, stand_ins.uris)
+        watch, victim = Watch(stand_ins), stand_ins[1]
+        looking = asyncio.create_task(watch.look())
+        flying = asyncio.Event()
+
+        def on_stage(stage: str) -> None:
+            if stage == "flying":
+                flying.set()
+
+        flight = Flight(config, build_fleet(config), on_stage=on_stage)
+        task = asyncio.create_task(flight.run(yes))
+        await flying.wait()
+        await asyncio.sleep(1.0)
+        began, sent = time.monotonic(), len(victim.firmware.commands)
+        moved, (target, _, _) = victim.position, victim.firmware.body.set_point(began + 60.0)
+        await _pause(Scene(flight, stand_ins, config), 1.0)
+        assert len(victim.firmware.commands) == sent, "nothing reached it meanwhile"
+        way_m, left_m = math.dist(moved, target), math.dist(victim.position, target)
+        assert way_m > 2 * config.safety.tracking_m > 0.0 and left_m < way_m, "it was on its way, and flew on"
+        for _ in range(1000):
+            if math.dist(victim.position, target) <= config.safety.tracking_m:
+                break
+            await asyncio.sleep(0.01)
+        took_s = time.monotonic() - began
+        result = await task
+        looking.cancel()
+        row = _row(name, config, result, took_s, watch.nearest_m)
+        assert row["ended"] == "mission", row
+        return row
 
 
 async def stay_on_the_floor(name: str) -> dict[str, Any]:
@@ -255,9 +294,12 @@ async def fly_and_lose_the_process(name: str, **fields: Any) -> dict[str, Any]:
         await asyncio.sleep(1.5)
         watch.all_off.clear()
         began = time.monotonic()
-        os.kill(process.pid, signal.SIGKILL if name == "killed" else signal.SIGSTOP)
+        if name == "power_lost":
+            for child in _children(process.pid):
+                os.kill(child, signal.SIGKILL)
+        os.kill(process.pid, signal.SIGSTOP if name == "hangs" else signal.SIGKILL)
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(watch.all_off.wait(), 30.0)
+            await asyncio.wait_for(watch.all_off.wait(), HOVER_S if name == "power_lost" else 30.0)
         with contextlib.suppress(ProcessLookupError):
             process.kill()
         await process.wait()
@@ -266,8 +308,15 @@ async def fly_and_lose_the_process(name: str, **fields: Any) -> dict[str, Any]:
         places = [stand_ins[k].position for k in range(len(stand_ins))]
         landed = sum(z < 0.01 for _, _, z in places)
         took_s = (watch.all_off_s or float("inf")) - began
-        row = {"case": name, "ended": name, "ends": f"{landed} landed", "took_s": took_s, "nearest_m": watch.nearest_m}
+        motors = sum(stand_ins[k].flying for k in range(len(stand_ins)))
+        ends = f"{landed} fell, {motors} hover" if name == "power_lost" else f"{landed} landed"
+        row = {"case": name, "ended": name, "ends": ends, "took_s": took_s, "nearest_m": watch.nearest_m}
         return row | _stated(name, config)
+
+
+def _children(pid: int) -> list[int]:
+    """Processes that a process has started, as Linux tells: the deadman."""
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
 
 
 def show_cases(rows: Sequence[dict[str, Any]]) -> None:
@@ -286,6 +335,10 @@ def case(name: str, **fields: Any) -> dict[str, Any]:
     """One case."""
     if name in ("killed", "hangs"):
         return asyncio.run(fly_and_lose_the_process(name, **fields))
+    if name == "power_lost":
+        return asyncio.run(fly_and_lose_the_process(name, **{"stop_watchdog": True, **fields}))
+    if name == "radio_second":
+        return asyncio.run(fly_through_a_pause(name, **fields))
     if name == "controller_unknown":
         return asyncio.run(stay_on_the_floor(name))
     return asyncio.run(fly_case(name, **fields))

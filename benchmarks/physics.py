@@ -1,27 +1,31 @@
 """Flights of drones with real dynamics in simulated time: as fast as the processor allows.
 
 SCIPY_ARRAY_API=1 python -m benchmarks physics         the paper's flights and a circle of ten
+... physics --runs 3 --controller pid                  seeds 1 to 3, with the stock controller
 SCIPY_ARRAY_API=1 python -m benchmarks physics-speed   how much faster than real time 5, 10 and 50 drones are
 """
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import logging
 import selectors
 import time
 import warnings
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
 from unittest import mock
 
 import numpy as np
 from benchmarks.flight import ROOM
 
-from llm_flock.robots.base import MotionLimits
+from llm_flock.robots.base import Equipment, MotionLimits
 from llm_flock.robots.physics import STEP_S, PhysicsWorld
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight
+from llm_flock.runtime.flight.lag import STOCK_LAG_S
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
 FIELDS: dict[str, Any] = {
@@ -94,16 +98,18 @@ async def yes(_: object) -> bool:
     return True
 
 
-def fly(shape: str, n: int, **fields: Any) -> str:
+def fly(shape: str, n: int, controller: Literal["mellinger", "pid"] = "mellinger", **fields: Any) -> str:
     """One flight; a row of the table."""
     mission = {"shape": shape, "n_robots": n, **ROOM}
     config = with_drones(FlightConfig.build({"mission": mission}, **{**FIELDS, **fields}))
     homes = [start_of(config, drone) for drone in config.fleet.drones]
     clock = OwnTime()
     began = time.perf_counter()
-    world = clock.world = Watched(homes, clock=clock)
+    world = clock.world = Watched(homes, clock=clock, controller=controller)
     limits: MotionLimits = config.driver_limits
-    robots = [world.robot(k, f"cf{k}", limits) for k in range(n)]
+    stock = Equipment(controller="PID", lag_s=STOCK_LAG_S, max_speed_m_s=1.0)
+    kind = stock if controller == "pid" else None
+    robots = [world.robot(k, f"cf{k}", limits, kind) for k in range(n)]
     with mock.patch("time.monotonic", clock):
         loop = asyncio.SelectorEventLoop(_Selector(clock))
         try:
@@ -126,11 +132,21 @@ def fly(shape: str, n: int, **fields: Any) -> str:
 
 def flights() -> None:
     """Bar 3: formed, tracking error under 5 cm rms, true separation never below the physical minimum of 0.2 m."""
+    main(())
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Read the options, fly, and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks physics")
+    parser.add_argument("--runs", type=int, default=1, help="random starts of each flight, seeds from 1 on")
+    parser.add_argument("--controller", choices=("mellinger", "pid"), default="mellinger", help="of the position")
+    given = parser.parse_args(arguments)
     _quiet()
     print("| Flight | Formed | Landed | Off, rms [cm] | Plane [cm] | Most [cm] | Nearest [m] | Air [s] | Took [s] |")
     print("|---|---|---|---|---|---|---|---|---|")
     for shape, n in FLIGHTS:
-        print(fly(shape, n), flush=True)
+        for seed in range(1, given.runs + 1):
+            print(fly(shape, n, given.controller, seed=seed), flush=True)
 
 
 def speed() -> None:

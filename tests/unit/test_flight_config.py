@@ -232,3 +232,11 @@ def test_a_missing_library_is_named_when_a_vehicle_is_called(monkeypatch: pytest
     robot = build_fleet(mavlink_config())[0]
     with pytest.raises(InputError, match="needs the extra mavlink"):
         asyncio.run(robot.connect(1.0))
+
+
+@pytest.mark.parametrize(("stall_s", "link_timeout_s"), [(0.5, 1.0), (1.5, 1.5)])
+def test_a_link_is_not_given_up_before_the_flight_gives_it_up(stall_s: float, link_timeout_s: float) -> None:
+    pytest.importorskip("cflib")
+    drones = [{"name": f"d{k}", "uri": f"udp://127.0.0.1:{19850 + k}", "start": [k, k]} for k in range(4)]
+    robots = build_fleet(flight_config(robot="crazyflie", stall_s=stall_s, drones=drones))
+    assert {robot._link_timeout_s for robot in robots} == {link_timeout_s}

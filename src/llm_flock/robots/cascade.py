@@ -42,7 +42,8 @@ class _Axis:
     pull: float = 0.0
     sums: tuple[float, float] = (0.0, 0.0)
 
-    def step(self, target: float, gain: float) -> None:
+    def ask(self, target: float, gain: float) -> float:
+        """The acceleration that the controller asks for, one step on [m/s^2]."""
         _, position_i, velocity_p, velocity_i = self.gains
         off = target - self.place
         first = self.sums[0] + off * STEP_S
@@ -55,6 +56,11 @@ class _Axis:
         else:
             pull = GRAVITY * math.tan(math.radians(max(-MOST_TILT_DEG, min(MOST_TILT_DEG, asked))))
         self.sums = (first, second)
+        return pull
+
+    def step(self, target: float, gain: float) -> None:
+        """One step of controller and body."""
+        pull = self.ask(target, gain)
         self.pull += (pull - self.pull) * STEP_S / TILT_DELAY_S
         self.speed += self.pull * STEP_S
         self.place += self.speed * STEP_S
@@ -91,6 +97,15 @@ class Cascade:
             up.place, up.speed = floor_m, max(0.0, up.speed)
         self.now += STEP_S
         self._settle()
+
+    def ask(self, set_point: Position, place: Position, velocity: Position) -> Position:
+        """What the controller asks of a body that something else moves, 100 times a second: acceleration [m/s^2]."""
+        asked: list[float] = []
+        for axis, target, here, speed in zip(self._axes, set_point, place, velocity, strict=True):
+            axis.place, axis.speed = here, speed
+            asked.append(axis.ask(target, self.gain))
+        x, y, z = asked
+        return (x, y, z)
 
     def shift(self, offset: Position) -> None:
         """Move what the body believes its place to be [m]."""

@@ -1,4 +1,4 @@
-"""Drones with the dynamics of real Crazyflies: crazyflow's identified models and Mellinger's controller.
+"""Drones with the dynamics of real Crazyflies: crazyflow's identified models, Mellinger's controller or the stock one.
 
 The high-level commander, arming and faults are the point mass's; only the position comes from the physics, so the body
 lags behind its set-point as a real one does. Batteries, estimators and downwash are not modelled. crazyflow is an extra
@@ -8,19 +8,21 @@ in the environment from the start of the process.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.extras import require
-from llm_flock.robots.base import MotionLimits, Position
+from llm_flock.robots.base import Equipment, MotionLimits, Position
+from llm_flock.robots.cascade import GRAVITY, Cascade
 from llm_flock.robots.point_mass import FALL_HEIGHT, Mode, PointMass
 from llm_flock.robots.segment import Segment
 from llm_flock.robots.simulated_robot import SimulatedRobot
@@ -75,6 +77,8 @@ class PhysicsWorld:
         homes: position of each before take-off [m]; the ground is at z = 0.
         drone: crazyflow's name of the kind of drone.
         clock: returns the time [s].
+        controller: of the position: crazyflow's Mellinger, or the firmware's PID (`llm_flock.robots.cascade`) above
+            crazyflow's control of the attitude.
 
     Attributes:
         positions: true positions at the last step, shape (n, 3) [m].
@@ -85,7 +89,12 @@ class PhysicsWorld:
     """
 
     def __init__(
-        self, homes: Sequence[Position], *, drone: str = DRONE, clock: Callable[[], float] = time.monotonic
+        self,
+        homes: Sequence[Position],
+        *,
+        drone: str = DRONE,
+        clock: Callable[[], float] = time.monotonic,
+        controller: Literal["mellinger", "pid"] = "mellinger",
     ) -> None:
         require("physics", "simulated physics")
         try:
@@ -97,11 +106,16 @@ class PhysicsWorld:
         freq = round(SUBSTEPS / STEP_S)
         try:
             self._sim: Any = simulation.Sim(
-                n_drones=len(homes), drone=drone, control=control.Control.state, freq=freq, state_freq=freq // SUBSTEPS
+                n_drones=len(homes),
+                drone=drone,
+                control=control.Control.attitude if controller == "pid" else control.Control.state,
+                freq=freq,
+                state_freq=freq // SUBSTEPS,
             )
         except (ValueError, AssertionError, FileNotFoundError, KeyError) as error:
             raise InputError("drone", drone, f"a kind of drone that crazyflow knows ({error})") from None
         self.clock = clock
+        self._pid: dict[int, Cascade] | None = {} if controller == "pid" else None
         self.bodies = [PhysicalBody(home=home, world=self, index=k) for k, home in enumerate(homes)]
         self.positions: Points = np.array(homes, dtype=np.float64)
         self.targets: Points = self.positions.copy()
@@ -113,10 +127,12 @@ class PhysicsWorld:
         self._warm_up()
         self.time_s = clock()
 
-    def robot(self, index: int, name: str, limits: MotionLimits | None = None) -> SimulatedRobot:
+    def robot(
+        self, index: int, name: str, limits: MotionLimits | None = None, equipment: Equipment | None = None
+    ) -> SimulatedRobot:
         """A driver of one of the drones."""
         body = self.bodies[index]
-        return SimulatedRobot(name, body.home, limits=limits, clock=self.clock, body=body)
+        return SimulatedRobot(name, body.home, limits=limits, clock=self.clock, body=body, equipment=equipment)
 
     def run_until(self, time_s: float) -> None:
         """Let time pass until then, in steps of `STEP_S`."""
@@ -157,11 +173,36 @@ class PhysicsWorld:
             # On the ground it holds its position, so that its controller has nothing to correct at take-off.
             rows = body.set_point(now) if body.flying else (body.position(now), (0.0,) * 3, (0.0,) * 3)
             commands[0, k, :9] = np.concatenate(rows)
-        self._sim.state_control(commands)
+        if self._pid is None:
+            self._sim.state_control(commands)
+        else:
+            self._sim.attitude_control(self._attitudes(self._pid, commands[0, :, :3]))
         self._sim.step(SUBSTEPS)
         self.positions = np.array(self._sim.data.states.pos[0], dtype=np.float64)
         self.targets = commands[0, :, :3].astype(np.float64)
         self.time_s = now + STEP_S
+
+    def _attitudes(self, controllers: dict[int, Cascade], targets: Any) -> Any:
+        """Roll, pitch, yaw [rad] and thrust [N] that the stock controllers ask for, shape (1, n, 4)."""
+        rows = np.zeros((1, len(self.bodies), 4), dtype=np.float32)
+        velocities = np.array(self._sim.data.states.vel[0], dtype=np.float64)
+        mass = float(np.ravel(np.array(self._sim.data.params.mass))[0])
+        for k, body in enumerate(self.bodies):
+            if not body.flying:
+                controllers.pop(k, None)
+                rows[0, k, 3] = mass * GRAVITY
+                continue
+            if k not in controllers:
+                controllers[k] = Cascade(place=self._place_of(k), now=self.time_s)
+            x, y, z = targets[k].tolist()
+            u, v, w = velocities[k].tolist()
+            ax, ay, az = controllers[k].ask((x, y, z), self._place_of(k), (u, v, w))
+            rows[0, k] = (-math.atan2(ay, GRAVITY), math.atan2(ax, GRAVITY), 0.0, mass * (GRAVITY + az))
+        return rows
+
+    def _place_of(self, index: int) -> Position:
+        x, y, z = self.positions[index].tolist()
+        return (x, y, z)
 
     def _write(self, chosen: int | slice) -> None:
         """Set positions in the simulation, at rest."""

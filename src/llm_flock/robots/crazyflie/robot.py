@@ -63,6 +63,9 @@ WATCHDOG_S = 0.2
 UNPREPARED = "it was flying, or had landed less than 2 s ago, as it was connected: try again"
 """Why a drone is not ready whose parameters were left alone."""
 
+LINK_TIMEOUT_S = 1.0
+"""A link is lost after this silence, unless a flight puts up with more [s]."""
+
 PREPARE_S = 5.0
 """Longest time from an open link to the first position and the parameters, before the link is opened again [s]."""
 
@@ -91,7 +94,7 @@ class CrazyflieRobot:
         uri: str,
         *,
         limits: MotionLimits | None = None,
-        link_timeout_s: float = 1.0,
+        link_timeout_s: float = LINK_TIMEOUT_S,
         parameters: Mapping[str, float] | None = None,
         cache: Path | None = None,
         stop_watchdog: bool = False,

@@ -97,6 +97,7 @@ def _simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[
 def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
     from llm_flock.robots.crazyflie import CrazyflieRobot
     from llm_flock.robots.crazyflie import controllers as known
+    from llm_flock.robots.crazyflie.robot import LINK_TIMEOUT_S
 
     cache = None if config.fleet.cache is None else Path(config.fleet.cache)
     chosen: dict[str, float] = {}
@@ -113,6 +114,7 @@ def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[
                 drone.name,
                 drone.uri,
                 limits=config.driver_limits,
+                link_timeout_s=max(LINK_TIMEOUT_S, config.safety.stall_s),
                 parameters={**chosen, **drone.parameters},
                 cache=cache,
                 stop_watchdog=config.fleet.stop_watchdog,

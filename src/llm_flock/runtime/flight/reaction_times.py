@@ -23,6 +23,10 @@ ROUTER_S = 3.0
 """Longest wait of the deadman for ROS's router, which may be gone too [s]."""
 
 
+WATCHDOG_S = 1.0
+"""Silence after which the firmware's emergency stop watchdog stops the motors [s]."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReactionTime:
     """A failure, what the flight does, and the time until every drone is safe, for drones side by side."""
@@ -54,6 +58,11 @@ def reaction_times(config: FlightConfig) -> dict[str, ReactionTime]:
             "The radio to one drone pauses for 2 s",
             "it flies its segment to the end by itself; the others land, and it does when it is heard (from then on)",
             reached + down,
+        ),
+        "radio_second": (
+            "The radio to one drone pauses for 1 s in mid-motion, with `stall_s` 1.5",
+            "it flies its segment to the end by itself, and the flight goes on (until it is at its way-point)",
+            safety.round_s + lag_s,
         ),
         "link_gone": (
             "The link to one drone is lost for good",
@@ -89,6 +98,11 @@ def reaction_times(config: FlightConfig) -> dict[str, ReactionTime]:
         "too_near": ("Two drones come too near each other", all_land, look + down),
         "abort": ("The operator's abort key", all_land, down),
         "emergency": ("The operator's emergency stop", "all motors are cut, and each drone confirms it", CUT_TRY_S),
+        "power_lost": (
+            "Flight and deadman die together, as when the power fails, with `stop_watchdog`",
+            "the firmware stops all motors; the drones fall",
+            WATCHDOG_S + look,
+        ),
         "killed": (
             "The flight process is killed",
             "the deadman calls the drones in the air, and lands them",
