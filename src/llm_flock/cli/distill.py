@@ -19,6 +19,7 @@ from llm_flock.errors import InputError
 from llm_flock.flags import PlainHelp
 
 if TYPE_CHECKING:
+    from llm_flock.distill.choices import ChoiceFigures
     from llm_flock.distill.evaluation import MotionFigures, PlanFigures
 
 MOST = 10_000_000
@@ -42,9 +43,11 @@ def data(
         list[Path] | None,
         typer.Option(help="Add the accepted answers of a recording of --record-llm; may be repeated"),
     ] = None,
+    choices: Annotated[int, typer.Option(min=0, max=MOST, help="Examples of questions for one letter")] = 0,
     held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, centres and spacings")] = False,
 ) -> None:
     """Write examples from our own planner over random missions, and from recorded runs."""
+    from llm_flock.distill.choices import choice_examples
     from llm_flock.distill.examples import Split, motion_examples, plan_examples, recorded_examples, write_examples
     from llm_flock.distill.taught import distinct_prompts
 
@@ -52,9 +55,10 @@ def data(
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
     parts += [recorded_examples(file) for file in cassette or []]
+    parts.append(choice_examples(seed, choices, split))
     examples = list(chain(*parts))
     said = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
-    for kind in ("plan", "step", "path"):
+    for kind in ("plan", "step", "path", "choice"):
         found = [example for example in examples if example.kind == kind]
         if found:
             said.append(f"{len(distinct_prompts(found))} of {len(found)} for a {kind}")
@@ -114,12 +118,14 @@ def evaluate(
         int, typer.Option(min=0, help="Questions for a step to goals 14, 20 and 25 step limits away and more, each")
     ] = 0,
     blocked: Annotated[int, typer.Option(min=0, help="Questions for a step with another robot in the way")] = 0,
+    choices: Annotated[int, typer.Option(min=0, help="Questions for one letter, by a wish in words")] = 0,
     prompts: Annotated[str | None, typer.Option(help="full, brief or a folder [the model's]")] = None,
     frame: Annotated[str | None, typer.Option(help="world or own [the model's]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the questions")] = 0,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
 ) -> None:
     """Ask a model questions and measure its answers, raw and as they would be flown; count those that were taught."""
+    from llm_flock.distill.choices import measure_choices
     from llm_flock.distill.evaluation import OTHER_TEAMS, Evaluator
     from llm_flock.llm.frame import FrameName
 
@@ -135,12 +141,14 @@ def evaluate(
         motion["blocked"] = evaluator.blocked_steps(blocked)
     formations = evaluator.plans(plans) if plans else []
     others = evaluator.plans(other_plans, OTHER_TEAMS) if other_plans else []
+    chosen = measure_choices(model, choices, seed) if choices else {}
     if json_output:
         plain = {
             "model": model,
             **{name: asdict(m) for name, m in motion.items()},
             "plans": [asdict(p) for p in formations],
             "other_plans": [asdict(p) for p in others],
+            "choices": {name: asdict(c) for name, c in chosen.items()},
         }
         sys.stdout.write(json.dumps(plain) + "\n")
         return
@@ -148,6 +156,8 @@ def evaluate(
     screen.show(_motion_table(motion))
     if formations or others:
         screen.show(_plan_table([*formations, *others]))
+    if chosen:
+        screen.show(_choice_table(chosen))
 
 
 _MOTIONS = {"goal_repeated": "a program that repeats the goal", "blocked": "step with a robot ahead"}
@@ -169,6 +179,25 @@ def _plan_table(plans: Sequence[PlanFigures]) -> Table:
     table = Table("plan of", "asked", "different prompts", "of these taught", "pass at first ask")
     for p in plans:
         table.add_row(p.team, str(p.asked), str(p.distinct), str(p.taught), f"{round(p.passed * p.asked)} of {p.asked}")
+    return table
+
+
+_CHOOSERS = {
+    "choice": "the model",
+    "first_letter": "always the first letter",
+    "random_letter": "a random letter",
+    "farthest_safe": "the farthest safe way",
+}
+"""Rows of the table of choices."""
+
+
+def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
+    wishes = tuple(chosen["choice"].by_wish)
+    columns = ("asked", "different prompts", "of these taught", "parsed", "right", "safe")
+    table = Table("choice by", *columns, *(f"wish: {wish}" for wish in wishes))
+    for name, c in chosen.items():
+        shares = (f"{share:.1%}" for share in (c.parsed, c.right, c.safe, *(c.by_wish[wish] for wish in wishes)))
+        table.add_row(_CHOOSERS[name], str(c.asked), str(c.distinct), str(c.taught), *shares)
     return table
 
 

@@ -65,7 +65,7 @@ RECORDED = "recorded"
 class Example:
     """One question as the model sees it (two messages), and the answer to learn; `team` is as in `circle 5`."""
 
-    kind: Literal["plan", "step", "path"]
+    kind: Literal["plan", "step", "path", "choice"]
     system: str
     user: str
     answer: str
