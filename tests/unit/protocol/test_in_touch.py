@@ -6,13 +6,14 @@ import math
 from typing import Any
 
 import pytest
+from driven_team import DrivenTeam
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.agreement.auction import AuctionAssignment, merge, rank, reclaimed
 from llm_flock.protocol.membership.all_to_all import PATIENCE, VERSION, optimal_assignment
-from llm_flock.protocol.membership.in_touch import DIGESTS, InTouch, placed
+from llm_flock.protocol.membership.in_touch import DIGESTS, FEW, InTouch, placed
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, NO_OWNER, UNSAID, BidTable, PositionReport
 from llm_flock.protocol.plan import Plan
@@ -164,3 +165,15 @@ def test_a_robot_that_no_joint_table_places_takes_what_it_leaves_free() -> None:
     claim = AuctionAssignment().update(Claim(slot=None, table=table, bids=(0.0, -10.0, -20.0, -30.0)), now(3))
     assert claim.slot == 2 and claim.table is not None and owners(claim.table) == [0, 1, 3, NO_OWNER]
     assert math.isclose(claim.table[2][1], -20.0) and placed(claim.table) == 2
+
+
+@pytest.mark.parametrize(("n", "jointly"), [(FEW, 0), (FEW + 1, FEW + 1)])
+def test_teams_of_more_than_ten_are_placed_together(n: int, jointly: int) -> None:
+    middle = 5.0 * (n - 1), 0.0
+    mission = Mission(shape="line", n_robots=n, center=middle, arena=((-200, -100), (200, 100)), comm_range=400.0)
+    row = Plan.of([[10.0 * k, 0.0] for k in range(n)])
+    team = DrivenTeam(mission, "flock", [row] * n)
+    team.begin([(10.0 * (n - k), 20.0) for k in range(n)])
+    for _ in range(2):
+        team.comm_round()
+    assert team.plans == [row] * n and {placed(agent.claim.table) for agent in team.agents} == {jointly}
