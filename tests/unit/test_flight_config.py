@@ -239,4 +239,4 @@ def test_a_link_is_not_given_up_before_the_flight_gives_it_up(stall_s: float, li
     pytest.importorskip("cflib")
     drones = [{"name": f"d{k}", "uri": f"udp://127.0.0.1:{19850 + k}", "start": [k, k]} for k in range(4)]
     robots = build_fleet(flight_config(robot="crazyflie", stall_s=stall_s, drones=drones))
-    assert {robot._link_timeout_s for robot in robots} == {link_timeout_s}
+    assert {vars(robot)["_link_timeout_s"] for robot in robots} == {link_timeout_s}
