@@ -41,7 +41,7 @@ class InTouch:
         self.begin()
 
     def begin(self) -> None:
-        """Start anew. Call for each mission."""
+        """Forget all reports. Call at the start of each mission."""
         self.known: dict[int, PositionReport] = {}
         """The newest report of each robot, by id; another object whenever it has changed."""
         self._heard_in: dict[int, int] = {}
