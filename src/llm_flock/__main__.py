@@ -40,7 +40,7 @@ def _run() -> None:
     except OSError as error:
         if error.errno not in FULL:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the exit would try to write the rest of the output, and fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # at the exit, the rest of the output would fail again
         print(printable(f"error: nothing more can be written ({error.strerror})"), file=sys.stderr, flush=True)
         sys.exit(EXIT_FAILED)
 
