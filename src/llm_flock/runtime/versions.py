@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from importlib import metadata
 from pathlib import Path
@@ -18,6 +19,9 @@ PACKAGES = (
     "mcap",
     "xllamacpp",
 )
+
+GIT_S = 60.0
+"""Longest time for one question to git [s]."""
 
 
 def versions() -> dict[str, str]:
@@ -43,5 +47,13 @@ def git_revision() -> str | None:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=5, check=True)
+    # Asked by many workers at once: none of them may lock the index, and on a full machine this takes seconds.
+    done = subprocess.run(
+        ["git", "-C", str(folder), *arguments],
+        env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+        capture_output=True,
+        text=True,
+        timeout=GIT_S,
+        check=True,
+    )
     return done.stdout.strip()
