@@ -65,6 +65,7 @@ def test_field_names_are_unique_and_described() -> None:
         ({"kill": "1@2"}, "kill", "cannot be used in a flight"),
         ({"noise": 0.1}, "noise", "cannot be used in a flight"),
         ({"drones": [{"name": "a"}]}, "drones", "one for each"),
+        ({"drones": []}, "drones", "or no list"),
         ({"drones": [{"name": "a"}] * 4}, "drones", "two drones have this name"),
         ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "two drones have this uri"),
         ({"drones": [{"name": f"d{k}", "start": [k / 5, 0]} for k in range(4)]}, "drones", "at least 0.3 m apart"),
