@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from importlib.util import find_spec
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -29,9 +30,12 @@ class Hand:
         return self.time_s
 
 
-def test_a_flight_follows_its_set_points_within_centimetres_and_lands():
+@pytest.mark.parametrize(("controller", "least", "most"), [("mellinger", 0.0, 0.05), ("pid", 0.05, 0.15)])
+def test_a_flight_follows_its_set_points_and_lands(
+    controller: Literal["mellinger", "pid"], least: float, most: float
+) -> None:
     clock = Hand()
-    world = PhysicsWorld(HOMES, clock=clock)
+    world = PhysicsWorld(HOMES, clock=clock, controller=controller)
     errors: list[float] = []
 
     def until(time_s: float) -> None:
@@ -47,10 +51,11 @@ def test_a_flight_follows_its_set_points_within_centimetres_and_lands():
     for body in world.bodies:
         assert body.go_to((body.home[0], 0.6, 0.5), 2.0, clock()) == 0
     until(4.0)
-    assert 0.1 < world.positions[0, 1] < 0.5, "it takes time"
+    assert 0.02 < world.positions[0, 1] < 0.5, "it takes time"
     until(6.0)
     assert world.positions[:, 1] == pytest.approx(0.6, abs=0.03)
-    assert 0.0 < float(np.sqrt(np.mean(np.square(errors)))) < 0.05
+    rms = float(np.sqrt(np.mean(np.square(errors))))
+    assert least < rms < most, "the stock controller lags behind moving set-points"
     for body in world.bodies:
         assert body.land(0.0, 2.0, clock()) == 0
     until(8.5)
