@@ -63,8 +63,35 @@ def test_no_robot_is_kept_from_a_place_for_ever(lie: str) -> None:
     assert all(version < LAST_EXCHANGED + 2**20 for version, _ in team.owners(0))
 
 
+@pytest.mark.parametrize("tolerated", [1, TWO])
+def test_exchanges_count_only_where_one_partner_is_surely_honest(tolerated: int) -> None:
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=tolerated)
+    gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
+    team.begin()
+    for _ in range(3):
+        for payload in team.comm_round():
+            gang.hear(payload)
+    team.comm_round(said_by=[gang.message(5, gang.exchange(5, 6, 0, 1))])
+    counts = tolerated == 1
+    assert (team.owners(0)[:2] == ((1, 6), (1, 5))) is counts
+    assert all(evidence_of(agent).refused["uncertified"] == (not counts) for agent in team.agents)
+    team.end()
+
+
+@pytest.mark.parametrize("tolerated", [1, TWO])
+def test_robots_offer_exchanges_only_where_these_count(tolerated: int) -> None:
+    team = SignedTeam(MISSION, line_up(N), liars=0, tolerated=tolerated)
+    offered = False
+    for _ in range(12):
+        team.fly(1)
+        offered |= any(agent.claim.offer is not None for agent in team.agents)
+        offered |= any(version > 0 for version, _ in team.owners(0))
+    assert offered is (tolerated == 1)
+
+
 def test_two_cannot_raise_a_version_above_every_number() -> None:
-    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+    """Not even where only one was reckoned with."""
+    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=1)
     gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
     team.begin()
     for _ in range(3):
@@ -153,7 +180,7 @@ def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> No
     """In a row, the neighbours of a dead robot are too few; with passed-on words all others agree that it is gone."""
     row = Mission(shape="line", n_robots=N, comm_range=15)
     team = SignedTeam(row, [(20.0 + 10.0 * k, 50.0) for k in range(N)], liars=TWO, tolerated=TWO)
-    team.fly(60)
+    team.fly(80)
     freed = {team.owners(robot) for robot in range(5)}
     assert len(freed) == 1
     assert all(owner not in (5, 6) for _, owner in team.owners(0))

@@ -1,10 +1,10 @@
 """Certificates: signatures under bid entries, offers, plan origins, heartbeats and missions, and how they are encoded.
 
-No robot raises the version of a slot alone. An exchange is signed by both robots; a slot is freed, or found blocked, by
-the statements of witnesses, one more than may lie; a claim on a free slot is signed by its owner and carries the
-statements that freed it. As long as no more robots lie than that, at least one witness is honest, and honest robots
-sign only what they hold true, so no history has to be shown. A robot's claims on one plan are numbered, and the last
-one counts.
+No robot raises the version of a slot alone. A slot is freed, or found blocked, by the statements of witnesses, one more
+than may lie; a claim on a free slot is signed by its owner and carries the statements that freed it. An exchange is
+signed by both robots, and counts only where no two robots may lie together. So at least one who signs is honest, and
+honest robots sign only what they hold true: no history has to be shown. A robot's claims on one plan are numbered, and
+the last one counts.
 
 Pure: keys are behind the `Authenticator`.
 """
@@ -57,8 +57,8 @@ def most_exchanges(places: int) -> int:
 def most_claims(places: int) -> int:
     """Highest number of a claim on a plan that counts.
 
-    Far above what liars can drive an honest robot to: fewer than a third of a team take a place `most_exchanges` times
-    each by exchanges, and by bids once a slot, or until its owner has drawn higher (`drawn_bid`).
+    Far above what liars can drive an honest robot to: one takes a place by `most_exchanges` exchanges at most, and each
+    by bids once a slot, or until its owner has drawn higher (`drawn_bid`).
     """
     return (places + 4) * most_exchanges(places)
 

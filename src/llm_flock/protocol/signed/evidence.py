@@ -58,6 +58,8 @@ class Evidence:
     def __init__(self, robot: int, authenticator: Authenticator, liars: int = LIARS) -> None:
         self.refused: Counter[str] = Counter()
         self._witnesses = witnesses(liars)
+        # Both signatures under an exchange may be liars', if there may be two.
+        self._exchanges = liars < 2
         self._turn = 0
         self._robot = robot
         self._authenticator = authenticator
@@ -221,7 +223,8 @@ class Evidence:
     def _exchanged(self, done: ExchangeGrant, most: int) -> bool:
         offer = offer_statement(self._page, done.maker, done.offer(), done.number)
         return (
-            done.maker != done.to
+            self._exchanges
+            and done.maker != done.to
             and done.give != done.take
             and max(done.give_version, done.take_version) < LAST_EXCHANGED
             and max(done.number, done.accepted_number) <= most
@@ -244,8 +247,8 @@ class Evidence:
         return drawn_bid(self._page, slot, version, self._robot)
 
     def may_exchange(self, places: int) -> bool:
-        """Whether this robot has not used up its numbers for exchanges."""
-        return self._number + SPARE <= most_exchanges(places)
+        """Whether exchanges count in this team, and this robot has not used up its numbers for them."""
+        return self._exchanges and self._number + SPARE <= most_exchanges(places)
 
     def _hear_offer(self, message: Message, proofs: Proofs, places: int) -> Offer | None:
         offer = message.offer
