@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -274,7 +275,7 @@ def _draw_teams(figure: Figure, panels: Sequence[tuple[Panel, Axes, int]]) -> No
         axes.apply_aspect()
         for inset in axes.child_axes:
             locator = inset.get_axes_locator()
-            inset.apply_aspect(None if locator is None else locator(inset, None))
+            inset.apply_aspect(None if locator is None else locator(inset, RendererBase()))
     for panel, axes, k in panels:
         panel.draw_team(axes, k)
 
