@@ -101,7 +101,7 @@ fuzz: $(STAMP) ## Ten thousand hostile messages, records, files and answers of e
 
 e2e: WORKERS := 5
 e2e: $(STAMP) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope
+	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
 
 check: $(STAMP) ## Lint, types, layers and docs at the same time, as in CI
 	@$(TOGETHER) lint types layers docs

@@ -10,6 +10,41 @@ from playwright.sync_api import Browser, expect, sync_playwright
 
 expect.set_options(timeout=20_000)
 
+LONG = (
+    "swarm_faults",
+    "large_rehearsal",
+    "ros2",
+    "cli",
+    "viewer",
+    "power_lost",
+    "sweep_ray",
+    "swarm_cli",
+    "sweep",
+    "notebooks",
+    "report",
+    "sweep_stopped",
+    "exam",
+    "viewer_access",
+    "fly_cli",
+    "http_run",
+    "swarm_orders",
+    "swarm_keys",
+    "ways",
+    "exports",
+    "extending",
+    "local_engine",
+    "viewer_arena",
+    "swarm_liar",
+    "viewer_swarm",
+    "local_runs",
+)
+"""Modules that take the most time, the longest first: none of them is left when the others have ended."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    turns = {f"test_{name}": turn for turn, name in enumerate(LONG)}
+    items.sort(key=lambda item: turns.get(item.path.stem, len(LONG)))
+
 
 @pytest.fixture(scope="session")
 def chromium() -> str:

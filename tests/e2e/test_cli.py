@@ -18,7 +18,7 @@ from llm_flock.runtime.result import Summary
 
 
 def test_run_figure_animate_inspect(tmp_path: Path) -> None:
-    run = ("run", "--shape", "circle", "--robots", "10", "--seed", "7", "--out", "demo")
+    run = ("run", "--shape", "circle", "--robots", "5", "--seed", "7", "--out", "demo")
     done = flock_process(*run, cwd=tmp_path)
     assert "simulated" in done.stdout and "yes, in round" in done.stdout
     assert flock("figure", "demo", cwd=tmp_path).stdout.strip() == "demo/snapshots.png"
@@ -160,12 +160,13 @@ def test_a_comparison_of_three_protocols(tmp_path: Path) -> None:
 
 
 def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> None:
-    arguments = ("--cells", "triangle/3,circle/60", "--protocols", "flock,baseline", "--trials", "2", "--fit-arena")
-    done = flock("compare", *arguments, "--rounds", "3", "--jobs", "2", "--out", "a.csv", "--markdown", cwd=tmp_path)
+    arguments = ("--cells", "triangle/3,circle/60", "--protocols", "flock,baseline", "--fit-arena", "--rounds", "2")
+    shown = ("--trials", "2", "--jobs", "2", "--out", "a.csv", "--markdown")
+    done = flock("compare", *arguments, *shown, cwd=tmp_path)
     assert re.search(r"\| flock +\| circle +\| 60 +\| 0.0 \[", done.stdout)
     assert "simulated" in done.stdout and "baseline circle 60: 0 of 2 formed" in done.stderr
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 8
-    again = flock("compare", *arguments, "--rounds", "3", "--jobs", "1", "--json", "--quiet", cwd=tmp_path)
+    again = flock("compare", *arguments, "--trials", "1", "--jobs", "1", "--json", "--quiet", cwd=tmp_path)
     rows = json.loads(again.stdout)
     assert again.stderr == "" and [(r["protocol"], r["n_robots"]) for r in rows][:2] == [("flock", 3), ("baseline", 3)]
     assert list(tmp_path.iterdir()) == [tmp_path / "a.csv"]

@@ -63,7 +63,8 @@ def test_the_reason_of_ffmpeg_is_passed_on(record: RunRecord, tmp_path: Path, mo
 
 
 @pytest.mark.skipif(FFMPEG is None, reason="ffmpeg is not installed")
-def test_with_ffmpeg_itself(record: RunRecord, tmp_path: Path) -> None:
+def test_with_ffmpeg_itself(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "short.mcap", n=2, rounds=1))
     animate(record, tmp_path / "a.mp4")
     assert (tmp_path / "a.mp4").read_bytes()[4:8] == b"ftyp"
     animate(record, tmp_path / "a.webm")

@@ -19,16 +19,27 @@ from llm_flock.viz import animation
 from llm_flock.viz.animation import HOLD_S, KEY_INCHES, STEPS_A_ROUND, animate, eased, frames, gif
 
 
-@pytest.fixture
-def record(tmp_path: Path) -> RunRecord:
-    return read_record(make_record(tmp_path / "run.mcap", n=5, rounds=4))
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return read_record(make_record(tmp_path_factory.mktemp("record") / "run.mcap", n=5, rounds=4))
 
 
-def test_a_gif_shows_every_round_for_its_time(record: RunRecord, tmp_path: Path) -> None:
-    path = tmp_path / "new" / "a.gif"
+@pytest.fixture(scope="module")
+def pictures(record: RunRecord) -> list[Image.Image]:
+    return [picture.copy() for picture in frames(record)]
+
+
+@pytest.fixture(scope="module")
+def animated(record: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record as a GIF, ten frames a second."""
+    path = tmp_path_factory.mktemp("gif") / "new" / "a.gif"
     animate(record, path, fps=10)
+    return path
+
+
+def test_a_gif_shows_every_round_for_its_time(animated: Path) -> None:
     shown: list[int] = []
-    with Image.open(path) as picture:
+    with Image.open(animated) as picture:
         assert picture.info["loop"] == 0
         for k in range(getattr(picture, "n_frames", 0)):
             picture.seek(k)
@@ -38,26 +49,24 @@ def test_a_gif_shows_every_round_for_its_time(record: RunRecord, tmp_path: Path)
     assert shown[-1] >= 1000 * HOLD_S
 
 
-def test_frames_are_of_one_size_and_move(record: RunRecord) -> None:
-    pictures = list(frames(record))
+def test_frames_are_of_one_size_and_move(pictures: list[Image.Image]) -> None:
     assert len(pictures) == 1 + STEPS_A_ROUND * 4
     assert len({picture.size for picture in pictures}) == 1
     for one, two in itertools.pairwise(pictures[:7]):
         assert one.tobytes() != two.tobytes()
 
 
-def test_no_frame_keeps_what_the_last_one_drew(record: RunRecord) -> None:
+def test_no_frame_keeps_what_the_last_one_drew(pictures: list[Image.Image]) -> None:
     """The start holds white robots only; colours of plans above the key would be left over; later ones have them."""
-    pictures = [np.asarray(picture) for picture in frames(record)]
-    first, last = (picture[: -int(100 * KEY_INCHES)].reshape(-1, 3) for picture in (pictures[0], pictures[-1]))
+    drawn = [np.asarray(picture) for picture in (pictures[0], pictures[-1])]
+    first, last = (picture[: -int(100 * KEY_INCHES)].reshape(-1, 3) for picture in drawn)
     blue = [int(PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)]
     assert not (first == blue).all(axis=1).any()
     assert (last == blue).all(axis=1).sum() > 500
 
 
-def test_colours_of_plans_survive_in_the_gif(record: RunRecord, tmp_path: Path) -> None:
-    animate(record, tmp_path / "a.gif")
-    with Image.open(tmp_path / "a.gif") as picture:
+def test_colours_of_plans_survive_in_the_gif(animated: Path) -> None:
+    with Image.open(animated) as picture:
         picture.seek(getattr(picture, "n_frames", 1) - 1)
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
     blue = [int(PALETTE[0][i : i + 2], 16) for i in (1, 3, 5)]
@@ -65,10 +74,9 @@ def test_colours_of_plans_survive_in_the_gif(record: RunRecord, tmp_path: Path) 
     assert (pixels == 255).all(axis=1).mean() > 0.5
 
 
-def test_same_record_same_file(record: RunRecord, tmp_path: Path) -> None:
-    for name in ("a.gif", "b.gif"):
-        animate(record, tmp_path / name)
-    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+def test_same_record_same_file(record: RunRecord, animated: Path, tmp_path: Path) -> None:
+    animate(record, tmp_path / "b.gif", fps=10)
+    assert animated.read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
 def test_robots_fly_from_rest_to_rest() -> None:
@@ -77,10 +85,12 @@ def test_robots_fly_from_rest_to_rest() -> None:
     assert shares[1] < 0.01 * 0.1 and 1.0 - shares[99] < 0.01 * 0.1
 
 
-def test_a_gif_that_would_be_too_large_has_fewer_frames(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = gif(record)
+def test_a_gif_that_would_be_too_large_has_fewer_frames(
+    record: RunRecord, animated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = animated.read_bytes()
     monkeypatch.setattr(animation, "LARGEST_GIF", len(whole) - 1)
-    with Image.open(io.BytesIO(gif(record))) as fewer, Image.open(io.BytesIO(whole)) as all_of_them:
+    with Image.open(io.BytesIO(gif(record, 10))) as fewer, Image.open(io.BytesIO(whole)) as all_of_them:
         assert fewer.n_frames < all_of_them.n_frames  # pyright: ignore
         shown = [picture.info["duration"] for picture in (fewer, all_of_them)]
     assert shown[0] == 2 * shown[1], "as fast as before"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PathCollection
-from matplotlib.colors import to_hex
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 from sample_records import FakeRun, make_record
 from scipy import stats
 
@@ -23,14 +19,13 @@ from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.record.scene import PALETTE
 from llm_flock.viz import figures
 from llm_flock.viz.animation import frames
-from llm_flock.viz.crowd import spread
-from llm_flock.viz.panel import Panel, short, view
-from llm_flock.viz.style import DANGER, heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
+from llm_flock.viz.panel import Panel, short
+from llm_flock.viz.style import heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
 
 
-@pytest.fixture
-def record(tmp_path: Path) -> RunRecord:
-    return read_record(make_record(tmp_path / "run.mcap", n=5, rounds=10))
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return read_record(make_record(tmp_path_factory.mktemp("record") / "run.mcap", n=5, rounds=10))
 
 
 def words(figure: Figure) -> str:
@@ -83,22 +78,6 @@ def test_without_calls_the_configured_model_is_named(record: RunRecord) -> None:
 def test_rounds_that_the_record_lacks_are_refused(record: RunRecord, rounds: list[int]) -> None:
     with pytest.raises(InputError, match="0 to 10"):
         figures.snapshots(record, rounds)
-
-
-@pytest.mark.parametrize(("rounds", "shown"), [(10, [0, 1, 5, 10]), (1, [0, 1]), (0, [0])])
-def test_rounds_chosen_by_default(tmp_path: Path, rounds: int, shown: list[int]) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=rounds))
-    titles = [axes.get_title().split(" · ")[0] for axes in figures.snapshots(record).axes]
-    assert titles == ["start", *(f"round {k}" for k in shown[1:])]
-
-
-def test_many_panels_go_into_rows(record: RunRecord) -> None:
-    figure = figures.snapshots(record, list(range(6)))
-    places = [axes.get_position() for axes in figure.axes]
-    assert len(places) == 6 and len({round(place.y0, 3) for place in places}) == 2, "two rows of three"
-    five = [axes.get_position() for axes in figures.snapshots(record, list(range(5))).axes]
-    middle = (min(place.x0 for place in five[:3]) + max(place.x1 for place in five[:3])) / 2
-    assert (five[3].x0 + five[4].x1) / 2 == pytest.approx(middle, abs=0.01), "no blank cell: the last row is centred"
 
 
 def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -> None:
@@ -181,129 +160,11 @@ def drawn_on(axes: Axes, record: RunRecord, round_number: int, part: float) -> N
     panel.draw_team(axes, round_number, part)
 
 
-def boxes(axes: Axes) -> tuple[list[Bbox], list[Bbox]]:
-    """Where the words beside discs are, and the discs, as drawn [pixels]."""
-    figure = axes.figure
-    assert isinstance(figure, Figure)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
-    words = [text.get_window_extent(renderer) for text in axes.texts if not text.get_text().isdecimal()]
-    discs = [
-        Bbox.from_bounds(x - half, y - half, 2 * half, 2 * half)
-        for c in axes.collections
-        if isinstance(c, PathCollection) and np.asarray(c.get_offsets()).shape == (1, 2)
-        for x, y in axes.transData.transform(np.asarray(c.get_offsets()))
-        for half in [np.sqrt(c.get_sizes()[0]) * figure.dpi / 72 / 2 / np.sqrt(2)]  # the square in the disc
-    ]
-    return words, discs
-
-
-@pytest.mark.parametrize(("n", "wide"), [(5, 100.0), (5, 12.0), (10, 100.0), (10, 40.0), (10, 12.0), (15, 12.0)])
-def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, wide: float) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=n, rounds=2))
-    rng = np.random.default_rng(n)
-    record = replace(record, positions=rng.uniform(50.0 - wide / 2, 50.0 + wide / 2, record.positions.shape))
-    for axes in figures.snapshots(record, [1, 2]).axes:
-        words, discs = boxes(axes)
-        assert len(discs) == n and len(words) > 0.5 * n
-        assert not [(a, b) for a, b in itertools.combinations(words, 2) if a.overlaps(b)]
-        assert not [(word, disc) for word in words for disc in discs if word.overlaps(disc)]
-        inside = axes.get_window_extent()
-        assert all(inside.x0 <= word.x0 and word.x1 <= inside.x1 for word in words)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_every_disc_of_a_crowd_is_seen(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    discs = np.concatenate([np.full((3, 2), 50.0), [[90.0, 50.0], [90.5, 50.0]], rng.uniform(0.0, 100.0, (6, 2))])
-    at, crowds = spread(discs, 5.0)
-    assert [list(one.members[:3]) for one in crowds][:1] == [[0, 1, 2]], "robots in one place are a crowd"
-    apart = np.linalg.norm(at[:, None] - at[None], axis=2) + np.diag(np.full(len(at), np.inf))
-    assert apart.min() > 5.0, "no disc hides the middle of another"
-    for crowd in crowds:
-        if crowd.middle is not None:
-            assert np.linalg.norm(at - crowd.middle, axis=1).min() > 5.0 + 5.0
-    alone = np.linalg.norm(discs[:, None] - discs[None], axis=2) + np.diag(np.full(len(at), np.inf))
-    far = alone.min(axis=1) > 40.0
-    np.testing.assert_array_equal(at[far], discs[far])
-
-
-def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
-    apart = tuple(row.model_copy(update={"min_separation": 9.0}) for row in record.metrics)
-    stacked = record.positions.copy()
-    stacked[2, :2] = stacked[2, 2]
-    metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
-    figure = figures.snapshots(replace(record, positions=stacked, metrics=metrics), [2, 10])
-    assert "3\u00d7" in [text.get_text() for text in figure.axes[0].texts]
-    assert not [text for text in figure.axes[1].texts if "\u00d7" in text.get_text()]
-    assert "nearer than the safe distance" in words(figure) and "obstacle" not in words(figure)
-    red = [
-        c
-        for c in figure.axes[0].collections
-        if isinstance(c, PathCollection) and to_hex(np.asarray(c.get_edgecolor())[0]) == DANGER.lower()
-    ]
-    assert [len(np.asarray(c.get_offsets())) for c in red] == [3]
-    assert "nearer than the safe distance" not in words(figures.snapshots(replace(record, metrics=apart), [2, 10]))
-    both = figures.comparison(
-        [replace(record, metrics=apart), replace(record, positions=stacked, metrics=metrics)], ["one", "other"]
-    )
-    assert "nearer than the safe distance" in words(both), "the legend is for all panels"
-
-
-@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10]])
-def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
-    mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
-    states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)
-    metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
-    full = replace(
-        record, states=states, metrics=metrics, missions=(record.mission.model_copy(update={"mission": mission}),)
-    )
-    for one in (record, full):
-        figure = figures.snapshots(one, rounds)
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        renderer = canvas.get_renderer()
-        (legend,) = figure.legends
-        heading_of = figure._suptitle  # pyright: ignore[reportAttributeAccessIssue]
-        parts = [heading_of, legend, *(text for axes in figure.axes for text in (axes.title, axes.xaxis.label))]
-        boxes_of = [part.get_window_extent(renderer) for part in parts]
-        whole = figure.bbox
-        assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in boxes_of)
-        assert not [(a, b) for a, b in itertools.combinations(boxes_of, 2) if a.overlaps(b)]
-
-
 def test_the_dead_keep_their_numbers(record: RunRecord) -> None:
     states = tuple(state.model_copy(update={"phases": ["idle", "dead", *["idle"] * 3]}) for state in record.states)
     (axes,) = figures.snapshots(replace(record, states=states), [10]).axes
     assert [text.get_text() for text in axes.texts].count("1") == 1
     assert "dead robot" in words(axes.figure)  # type: ignore[arg-type]
-
-
-def test_a_formation_fills_its_panel_and_an_inset_shows_where_it_is(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=6, rounds=4))
-    close = record.positions.copy()
-    close[4] = 50.0 + 0.1 * (close[4] - 50.0)
-    states = [*record.states[:4], record.states[4].model_copy(update={"goals": [None] * 6})]
-    wide, near = figures.snapshots(replace(record, positions=close, states=tuple(states)), [0, 4]).axes
-    assert not wide.child_axes and near.get_xlim()[1] - near.get_xlim()[0] < 61.0
-    (inset,) = near.child_axes
-    assert inset.get_xlim() == (0.0, 100.0)
-    left, right = near.get_xlim()
-    assert left < close[4, :, 0].min() and close[4, :, 0].max() < right
-
-
-def test_an_inset_hides_no_robot(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=25, rounds=1))
-    grid = np.stack(np.meshgrid(np.linspace(30.0, 70.0, 5), np.linspace(30.0, 70.0, 5)), axis=-1).reshape(25, 2)
-    spacing = record.mission.model_copy(update={"mission": {**record.mission.mission, "spacing": 5.0}})
-    states = tuple(state.model_copy(update={"goals": [None] * 25}) for state in record.states)
-    (axes,) = figures.snapshots(
-        replace(record, positions=np.stack([grid, grid]), states=states, missions=(spacing,)), [1]
-    ).axes
-    (inset,) = axes.child_axes
-    places = axes.transData.transform(grid)
-    assert not [place for place in places if inset.get_window_extent().contains(*place)]
 
 
 def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> None:
@@ -360,14 +221,6 @@ def test_runs_without_a_known_ideal_are_compared_without_errors(record: RunRecor
         figures.error_over_time([free], ["one"])
 
 
-def test_the_window_holds_arena_robots_and_goals(record: RunRecord) -> None:
-    assert view(record) == pytest.approx((-8.0, 108.0, -8.0, 108.0))
-    far = record.positions.copy()
-    far[3, 2] = (150.0, 50.0)
-    left, right, *_ = view(replace(record, positions=far), margin=0.0)
-    assert (left, right) == (0.0, 150.0)
-
-
 def test_plans_look_different_even_without_colour(tmp_path: Path) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=20, rounds=1, llm=False))
     looks = plan_looks(record)
@@ -417,16 +270,3 @@ def test_walls_and_obstacles_are_drawn(record: RunRecord) -> None:
     without = {key: value for key, value in mission.mission.items() if key != "obstacles"}
     older = record.mission.model_copy(update={"mission": without})
     assert len(figures.snapshots(replace(record, missions=(older,)), [0]).axes[0].patches) == 1
-
-
-@pytest.mark.filterwarnings("error")
-def test_names_from_anywhere_are_shown_in_a_figure(tmp_path: Path) -> None:
-    """Letters that a font lacks are warned of by their raw form; a name of a megabyte takes minutes to set."""
-    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=1))
-    name = "$x_{$\x1b[2J\u202e\nerror: forged" + "x" * 1_000_000
-    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": name}})
-    config = {**record.run.config, "protocol": {"consensus": name, "assignment": name}, "model": {"model": name}}
-    hostile = replace(record, missions=(mission,), run=record.run.model_copy(update={"config": config}), llm=())
-    for number, drawn in enumerate([figures.snapshots(hostile), figures.error_over_time([hostile], [name])]):
-        figures.save(drawn, tmp_path / f"{number}.svg")
-        assert "\x1b" not in (tmp_path / f"{number}.svg").read_text(encoding="utf-8")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -94,6 +95,16 @@ def check_new(path: Path) -> None:
         raise InputError("out", str(path), "a place that can be written to (Permission denied)")
 
 
+@cache
+def _schemas() -> tuple[tuple[str, str, bytes], ...]:
+    """Topic, name and JSON schema of every channel: the same in each record of a process."""
+    ours = [(topic, "llm_flock.", channel_schema(model)) for topic, model in CHANNELS.items()]
+    return tuple(
+        (topic, package + schema["title"], json.dumps(schema, separators=(",", ":")).encode())
+        for topic, package, schema in (*ours, (SCENE_TOPIC, "", scene_schema()))
+    )
+
+
 class RecordWriter:
     """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
 
@@ -118,10 +129,7 @@ class RecordWriter:
         self._mcap.start(library=LIBRARY)
         self._sequence: Counter[str] = Counter()
         self._channels: dict[str, int] = {}
-        schemas = {topic: channel_schema(model) for topic, model in CHANNELS.items()}
-        for topic, schema in {**schemas, SCENE_TOPIC: scene_schema()}.items():
-            name = schema["title"] if topic == SCENE_TOPIC else f"llm_flock.{schema['title']}"
-            text = json.dumps(schema, separators=(",", ":")).encode()
+        for topic, name, text in _schemas():
             number = self._mcap.register_schema(name, "jsonschema", text)
             self._channels[topic] = self._mcap.register_channel(topic, "json", number)
         self._scene: SceneDrawer | None = None

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -266,8 +267,15 @@ def _groups(records: Sequence[RunRecord], labels: Sequence[str]) -> dict[str, li
 
 def _draw_teams(figure: Figure, panels: Sequence[tuple[Panel, Axes, int]]) -> None:
     """Draw the teams once all else is in its place: words are placed by what is where on the page."""
-    figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
     figure.set_layout_engine("none")
+    for axes in figure.axes:
+        axes.apply_aspect()
+        for inset in axes.child_axes:
+            locator = inset.get_axes_locator()
+            inset.apply_aspect(None if locator is None else locator(inset, RendererBase()))
     for panel, axes, k in panels:
         panel.draw_team(axes, k)
 

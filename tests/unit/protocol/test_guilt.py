@@ -64,7 +64,13 @@ def found(payload: bytes, sender: int) -> str | None:
     return guilt(payload, sender, [MISSION, LATER], VALIDATOR, Public())
 
 
-@pytest.mark.parametrize("lie", LIES)
+TRACED = ("another mission", "speaks for others", "a plan in one place", "heartbeats of others")
+"""Lies whose flights are measured for coverage: a message is found guilty in each of the ways that there are."""
+
+
+@pytest.mark.parametrize(
+    "lie", [pytest.param(lie, marks=() if lie in TRACED else pytest.mark.no_cover) for lie in LIES]
+)
 def test_lies_are_shown_and_nothing_is_shown_about_the_honest(lie: str) -> None:
     """Messages are lost, and the mission changes in flight."""
     team = SignedTeam(MISSION, line_up(N), loss=0.2)

@@ -288,8 +288,10 @@ def test_a_robot_beside_a_corner_asks_although_the_corner_shortens_its_step() ->
     assert team.smallest >= SAFE - 1e-6 and team.clearance >= SAFE / 2 - 1e-6
 
 
-@pytest.mark.no_cover
-@pytest.mark.parametrize(("obstacles", "most"), [(BAY, 90), (NARROW, 150)], ids=["bay", "no bay"])
+@pytest.mark.parametrize(
+    ("obstacles", "most"),
+    [pytest.param(BAY, 90, id="bay"), pytest.param(NARROW, 150, id="no bay", marks=pytest.mark.no_cover)],
+)
 def test_head_on_in_a_corridor_one_robot_wide(obstacles: tuple[Obstacle, ...], most: int) -> None:
     """With fixed goals one of them has to go back, into the bay or all the way."""
     ends = [[20.0, 50.0], [80.0, 50.0]]
@@ -307,6 +309,7 @@ class Lossy(SafeTeam):
         return bool(self.rng.random() < 0.7)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("kind", [SafeTeam, Lossy])
 @pytest.mark.parametrize(("spacing", "most"), [(6.0, 150), (8.0, 100)])
 def test_a_full_grid_changes_all_its_places(kind: type[SafeTeam], spacing: float, most: int) -> None:
@@ -316,6 +319,7 @@ def test_a_full_grid_changes_all_its_places(kind: type[SafeTeam], spacing: float
     assert team.smallest >= SAFE - 1e-6
 
 
+@pytest.mark.no_cover
 def test_two_layers_change_places() -> None:
     layer = [[44.0 + 6 * i, 44.0 + 6 * j] for i in range(3) for j in range(3)]
     low, high = [[*x, 40.0] for x in layer], [[*x, 46.0] for x in layer]
