@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, expect
 from sample_records import make_record
-from viewer_pages import page_at, ready, shown_round, until, viewer
+from viewer_pages import page_at, ready, shown_round, until, viewer, violations
 
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 FOCUS = """() => {
     const at = document.activeElement;
     const shown = getComputedStyle(at);
@@ -27,17 +25,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         make_record(folder / name / "run.mcap", n=5, rounds=6, agree=agree)
     with viewer(folder, "one", "other") as url:
         yield url
-
-
-def violations(page: Page) -> list[str]:
-    """What axe-core finds wrong, in a line each."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
-    options = {"resultTypes": ["violations"], "runOnly": {"type": "tag", "values": RULES}}
-    found: dict[str, Any] = axe.Axe().run(page, options=options).response
-    return [
-        f"{one['id']}: {one['help']}: {[node['html'][:160] for node in one['nodes'][:4]]}"
-        for one in found["violations"]
-    ]
 
 
 @pytest.mark.parametrize("dark", [False, True])
