@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Page, expect
 from sample_records import make_record
 from viewer_pages import page_at, ready, shown_round, until, viewer, violations
 
@@ -95,3 +96,27 @@ def test_the_question_mark_lists_the_keys_and_they_work(served: str, browser: Br
             page.keyboard.press(key)
             page.wait_for_timeout(60)
         assert page.evaluate(scale) != before
+
+
+def test_a_run_is_started_and_steered_by_keyboard_alone(tmp_path: Path, browser: Browser) -> None:
+    def go_to(page: Page, name: str) -> None:
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            if page.evaluate("document.activeElement.textContent") == name:
+                return
+        pytest.fail(f"Tab never reached {name}")
+
+    with viewer(tmp_path) as url, page_at(browser, f"{url}cockpit") as page:
+        page.locator(".flock-shape").first.wait_for()
+        go_to(page, "Start")
+        page.keyboard.press("Enter")
+        page.wait_for_url("**/run/**")
+        ready(page)
+        assert violations(page) == [], "the tab Steer"
+        go_to(page, "Kill")
+        page.keyboard.press("Enter")
+        expect(page.locator(".flock-steered")).to_contain_text("Robot 0 dies")
+        expect(page.get_by_role("button", name="Kill")).to_be_disabled()
+        assert violations(page) == [], "with a button that is off"
+        page.keyboard.press("Shift+Tab")
+        assert page.evaluate("document.activeElement.tagName") == "SELECT", "the place is kept"
