@@ -25,6 +25,7 @@ from llm_flock.report.gallery import gallery, worst
 from llm_flock.report.page import inline_svg, write_report
 from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import facts, interval, success_sheet
+from llm_flock.viz.charts import folded, shortened
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +134,12 @@ def test_every_axis_of_every_figure_has_its_name_and_its_numbers(tmp_path: Path)
         assert drawing.title != "Error over time, by model", "there is one model"
         shown = [text.get_text() for legend in drawing.figure.legends for text in legend.get_texts()]
         assert "95 % interval of the mean" not in shown, "one trial a cell has no interval"
+
+
+def test_long_names_keep_what_tells_them_apart() -> None:
+    one, other = (folded(f"openai:{'very-long-' * 9}{end} · loss 0.1", 26) for end in ("one", "two"))
+    assert one != other and max(map(len, one.split("\n"))) <= 26 and one.endswith("e · loss 0.1")
+    assert len(shortened("x" * 99, 44)) == 44 and shortened("x" * 44, 44) == "x" * 44
 
 
 def test_a_team_without_a_plan_is_the_worst_of_no_other_end(tmp_path: Path) -> None:

@@ -347,9 +347,10 @@ def folded(text: str, width: int) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A text, cut to at most this many letters."""
+    """A text of at most this many letters, cut in its middle: names of models, and conditions, differ at their end."""
     text = one_line(text)
-    return text if len(text) <= most else text[: most - 1] + "…"
+    end = (most - 1) // 2
+    return text if len(text) <= most else f"{text[: most - 1 - end]}…{text[-end:]}"
 
 
 def new_figure(width: float, height: float) -> Figure:
