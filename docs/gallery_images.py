@@ -1,7 +1,8 @@
 """Flies the runs of docs/gallery.md and takes their pictures: `python docs/gallery_images.py [NAME]...`.
 
 So it does with the figures of the README and of the first comparison. The commands are read from the pages, so that
-each of them is tried. Prints the rows of the gallery's table.
+each of them is tried. Prints the rows of the gallery's table. `demo` is the animation of `make demo`, and `report` are
+the figures of a report of 120 trials, which takes some minutes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import io
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -54,9 +56,33 @@ def draw(folder: Path, name: str, page: str) -> str:
         command = [sys.executable, "-m", "llm_flock", *shlex.split(line)[1:]]
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     drawn = folder / shlex.split(block.strip().splitlines()[-1])[-1]
+    reduced(drawn, name)
+    return name
+
+
+def reduced(drawn: Path, name: str) -> None:
     picture = Image.open(drawn).convert("RGB").quantize(FINER, dither=Image.Dither.NONE)
     picture.save(DOCS / "images" / f"{name}.png", optimize=True)
-    return name
+
+
+def demo(folder: Path) -> None:
+    """The animation of the first lines of the README."""
+    recipe = (DOCS.parent / "Makefile").read_text(encoding="utf-8").partition("\ndemo:")[2].partition("\n\n")[0]
+    for line in re.findall(r"llm-flock ((?:run|animate) .*)", recipe):
+        subprocess.run([sys.executable, "-m", "llm_flock", *shlex.split(line)], cwd=folder, check=True)
+    shutil.copy(folder / "runs" / "demo" / "animation.gif", DOCS / "images" / "circle.gif")
+
+
+def report(folder: Path) -> None:
+    """The figures of docs/how-to/report.md."""
+    sweep = DOCS.parent / "experiments" / "simulated.toml"
+    for command in (["sweep", str(sweep), "--seeds", "10"], ["report", "runs/simulated", "--formats", "png"]):
+        subprocess.run([sys.executable, "-m", "llm_flock", *command, "--quiet"], cwd=folder, check=True)
+    for name, figure in (("error", "error-by-protocol"), ("success", "success"), ("paired", "paired-error")):
+        reduced(folder / "runs" / "simulated" / "report" / "figures" / f"{figure}.png", f"report-{name}")
+
+
+OTHERS = {"demo": demo, "report": report}
 
 
 def main() -> None:
@@ -68,6 +94,9 @@ def main() -> None:
         for name, page in PAGES.items():
             if not sys.argv[1:] or name in sys.argv[1:]:
                 print(draw(Path(folder), name, page), flush=True)
+        for name, take in OTHERS.items():
+            if not sys.argv[1:] or name in sys.argv[1:]:
+                take(Path(folder))
 
 
 if __name__ == "__main__":

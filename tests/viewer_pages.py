@@ -9,8 +9,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import pytest
 from playwright.sync_api import Browser, Page, Request, expect
+
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 
 
 @contextmanager
@@ -85,3 +89,14 @@ def ready(page: Page) -> None:
 def choose(page: Page, robot: int) -> None:
     page.get_by_label("Robot", exact=True).select_option(f"0:{robot}")
     expect(page.locator(".flock-mind").first).to_contain_text(f"Robot {robot} ·")
+
+
+def violations(page: Page) -> list[str]:
+    """What axe-core finds wrong, in a line each."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    options = {"resultTypes": ["violations"], "runOnly": {"type": "tag", "values": RULES}}
+    found: dict[str, Any] = axe.Axe().run(page, options=options).response
+    return [
+        f"{one['id']}: {one['help']}: {[node['html'][:160] for node in one['nodes'][:4]]}"
+        for one in found["violations"]
+    ]

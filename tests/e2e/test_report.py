@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser
+from viewer_pages import violations
 
 SWEEP = """
 [sweep]
@@ -75,4 +76,20 @@ def test_every_figure_is_drawn_in_colours_of_the_page(report: Path, browser: Bro
     for figure in page.locator("figure svg").all():
         picture = np.asarray(Image.open(io.BytesIO(figure.screenshot())).convert("L"))
         assert np.median(picture) < 60 and picture.max() > 150
+    page.close()
+
+
+def test_the_report_keeps_the_rules_of_wcag_and_prints_whole_on_white(report: Path, browser: Browser) -> None:
+    page = browser.new_page(color_scheme="dark", viewport={"width": 400, "height": 860})
+    page.goto(report.as_uri())
+    assert violations(page) == [], "dark, on a phone"
+    page.set_viewport_size({"width": 1280, "height": 900})
+    page.locator("#theme").click()
+    assert violations(page) == [], "light"
+    page.locator("#theme").click()
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 700, "height": 900})  # a sheet of paper
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    cut = "[...document.querySelectorAll('table, svg')].filter(one => one.getBoundingClientRect().right > 700).length"
+    assert page.evaluate(cut) == 0
     page.close()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from sample_records import make_record
-from viewer_pages import page_at, ready, shown_round, until, viewer
+from viewer_pages import page_at, ready, shown_round, until, viewer, violations
 
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 FOCUS = """() => {
     const at = document.activeElement;
     const shown = getComputedStyle(at);
@@ -27,17 +26,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         make_record(folder / name / "run.mcap", n=5, rounds=6, agree=agree)
     with viewer(folder, "one", "other") as url:
         yield url
-
-
-def violations(page: Page) -> list[str]:
-    """What axe-core finds wrong, in a line each."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
-    options = {"resultTypes": ["violations"], "runOnly": {"type": "tag", "values": RULES}}
-    found: dict[str, Any] = axe.Axe().run(page, options=options).response
-    return [
-        f"{one['id']}: {one['help']}: {[node['html'][:160] for node in one['nodes'][:4]]}"
-        for one in found["violations"]
-    ]
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -108,3 +96,27 @@ def test_the_question_mark_lists_the_keys_and_they_work(served: str, browser: Br
             page.keyboard.press(key)
             page.wait_for_timeout(60)
         assert page.evaluate(scale) != before
+
+
+def test_a_run_is_started_and_steered_by_keyboard_alone(tmp_path: Path, browser: Browser) -> None:
+    def go_to(page: Page, name: str) -> None:
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            if page.evaluate("document.activeElement.textContent") == name:
+                return
+        pytest.fail(f"Tab never reached {name}")
+
+    with viewer(tmp_path) as url, page_at(browser, f"{url}cockpit") as page:
+        page.locator(".flock-shape").first.wait_for()
+        go_to(page, "Start")
+        page.keyboard.press("Enter")
+        page.wait_for_url("**/run/**")
+        ready(page)
+        assert violations(page) == [], "the tab Steer"
+        go_to(page, "Kill")
+        page.keyboard.press("Enter")
+        expect(page.locator(".flock-steered")).to_contain_text("Robot 0 dies")
+        expect(page.get_by_role("button", name="Kill")).to_be_disabled()
+        assert violations(page) == [], "with a button that is off"
+        page.keyboard.press("Shift+Tab")
+        assert page.evaluate("document.activeElement.tagName") == "SELECT", "the place is kept"

@@ -25,6 +25,7 @@ from llm_flock.report.gallery import gallery, worst
 from llm_flock.report.page import inline_svg, write_report
 from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import facts, interval, success_sheet
+from llm_flock.viz.charts import folded, shortened
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,7 @@ def test_pairs_are_of_one_seed_and_a_broken_trial_is_a_pair_in_success(results: 
 
 def test_tables_say_how_trials_ended(results: Results) -> None:
     sheet = success_sheet(results, cell_lines(results))
-    assert sheet.header[:5] == ("shape", "N", "model", "protocol", "trials")
+    assert sheet.header[:4] == ("shape", "N", "protocol", "trials"), "one model flew everything"
     row = dict(zip(sheet.header, sheet.rows[2], strict=True))
     assert (row["protocol"], row["trials"], row["budget"], row["broke off"]) == ("baseline", "6", "1", "1")
     assert "no answers" not in sheet.header
@@ -118,6 +119,36 @@ def test_no_success_is_pooled_over_protocols_and_rows_of_dots_are_named(results:
     drawing = next(drawing for drawing in draw_all(results, "baseline") if drawing.name == "success")
     labels = [label.get_text() for label in drawing.figure.axes[0].get_yticklabels()]
     assert labels == list(results.protocols)
+
+
+def test_every_axis_of_every_figure_has_its_name_and_its_numbers(tmp_path: Path) -> None:
+    """Five teams stand in two rows of panels, the second of which is not full; one protocol makes one row of dots."""
+    for n in range(3, 8):
+        Store(tmp_path).save(trial("circle", n, "flock", 1))
+    for drawing in draw_all(Results.read(tmp_path), "flock"):
+        assert drawing.figure.get_supxlabel() and drawing.figure.get_supylabel(), drawing.name
+        drawing.figure.canvas.draw()
+        for number, axes in enumerate(panel for panel in drawing.figure.axes if panel.axison):
+            bottom = number in (1, 2, 3, 4) or len(drawing.figure.axes) < 4
+            assert any(label.get_visible() for label in axes.get_xticklabels()) is bottom, (drawing.name, number)
+        assert drawing.title != "Error over time, by model", "there is one model"
+        shown = [text.get_text() for legend in drawing.figure.legends for text in legend.get_texts()]
+        assert "95 % interval of the mean" not in shown, "one trial a cell has no interval"
+
+
+def test_long_names_keep_what_tells_them_apart() -> None:
+    one, other = (folded(f"openai:{'very-long-' * 9}{end} · loss 0.1", 26) for end in ("one", "two"))
+    assert one != other and max(map(len, one.split("\n"))) <= 26 and one.endswith("e · loss 0.1")
+    assert len(shortened("x" * 99, 44)) == 44 and shortened("x" * 44, 44) == "x" * 44
+
+
+def test_a_team_without_a_plan_is_the_worst_of_no_other_end(tmp_path: Path) -> None:
+    """Every outcome has its place in the gallery."""
+    for end in ("no_plan", "no_answers", "rounds", "interrupted", "budget"):
+        ended = trial("circle", 10, "paper", 1).summary or {}
+        Store(tmp_path).save(trial("circle", 10, "paper", 1, id=end, summary=ended | {"stopped": end}))
+    found = [one.outcome for one in worst(Results.read(tmp_path), 9)]
+    assert found == ["no answers", "no plan", "interrupted", "budget", "not formed"]
 
 
 @pytest.mark.parametrize(("values", "comm_rounds"), [(("0.1", "0.3"), False), (("none", "loss"), True)])

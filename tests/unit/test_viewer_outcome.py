@@ -187,3 +187,11 @@ def test_a_summary_that_is_not_as_it_should_be_breaks_nothing(tmp_path: Path) ->
     run.write(MissionInfo(version=1, round=3, mission=info.mission, ideal=info.ideal))
     run.write(RoundEnd(round=2))
     assert len(outcome(run)["missions"]) == 2
+
+
+def test_a_rule_that_lets_nobody_agree_is_to_blame_and_no_robot(tmp_path: Path) -> None:
+    found = outcome(flown(tmp_path / "alone", model="simulated:ideal", protocol="baseline", rounds=6))
+    assert found["why"] == (
+        "No robot: this protocol has no consensus, so each robot kept its own plan. 6 plans were in use at the end."
+    )
+    assert found["guilty"] == [] and found["interesting"] == {"robot": 0, "why": "nothing stands out"}

@@ -67,7 +67,7 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
     length = results.longest
     for by, title, series, series_of, row_of in (
         ("model", "Error over time, by model", results.models, model, protocol),
-        ("protocol", "With and without consensus", results.protocols, protocol, model),
+        ("protocol", "Error over time, by protocol", results.protocols, protocol, model),
     ):
         if len(series) == 1 and (by == "protocol" or len(results.protocols) > 1):
             continue
@@ -103,7 +103,7 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         yield Drawing(
             name=f"error-by-{by}",
             section="error",
-            title=title,
+            title=title if len(series) > 1 else "Error over time",
             caption=" ".join(filter(None, words)),
             figure=bands(grid, list(series), "round", "mean distance to the ideal shape [units]"),
         )
@@ -127,6 +127,7 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
             _dot_panels(results, [(line.cell, _percent(line.formed)) for line in lines]),
             results.protocols,
             "formed [% of all trials]",
+            _rows_are(results),
             (-3, 103),
         ),
     )
@@ -149,7 +150,13 @@ def compared(results: Results, reference: str, method: Method) -> Iterator[Drawi
                 section="paired",
                 title=f"{name.capitalize()}, difference from {reference}",
                 caption=f"This minus {reference} on the same seeds, with {how}; right of the dashed line is more.",
-                figure=dots(_dot_panels(results, found, edge=0.0), others, x, _limits([e for _, e in found])),
+                figure=dots(
+                    _dot_panels(results, found, edge=0.0),
+                    others,
+                    x,
+                    _rows_are(results),
+                    _limits([estimate for _, estimate in found]),
+                ),
             )
 
 
@@ -202,7 +209,13 @@ def ratios(results: Results) -> Drawing:
         caption="Rounds to the formation divided by the fewest in which anybody could have built the agreed plan, of "
         "the trials that formed (how many, at the right); 1 cannot be beaten by much, since the bound is rounded up. "
         "Box: quartiles, sign: median, line: smallest to largest, dots: trials.",
-        figure=boxes(panels, results.protocols, "rounds / lower bound", (least, least + (most - least) * 1.22)),
+        figure=boxes(
+            panels,
+            results.protocols,
+            "rounds / lower bound",
+            _rows_are(results),
+            (least, least + (most - least) * 1.22),
+        ),
     )
 
 
@@ -243,13 +256,14 @@ def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Ite
         if all(estimate is None or estimate.value == 0 for _, estimate in found):
             continue
         _, most = _limits([estimate for _, estimate in found])
+        estimated = " Tokens of simulated models are estimates." if name == "tokens" and results.simulated else ""
         yield Drawing(
             name=name,
             section="spending",
             title=title,
             caption=f"Mean over all trials and its {INTERVALS[method]}; retries of answers that could not be used are "
-            "counted." + (" Tokens of simulated models are estimates." if results.simulated else ""),
-            figure=dots(_dot_panels(results, found), results.protocols, x, (0.0, most)),
+            f"counted.{estimated}",
+            figure=dots(_dot_panels(results, found), results.protocols, x, _rows_are(results), (0.0, most)),
         )
 
 
@@ -271,6 +285,12 @@ def _row(results: Results, cell: ResultCell) -> str:
     """Name of a row: its condition, and its model where there are several."""
     model = cell.model if len(results.models) > 1 else ""
     return " · ".join(part for part in (model, cell.condition) if part)
+
+
+def _rows_are(results: Results) -> str:
+    """What the rows are called by; with neither models nor conditions to tell apart, a row has its protocol's name."""
+    parts = ("model" if len(results.models) > 1 else "", "condition" if results.conditions != ("",) else "")
+    return " · ".join(filter(None, parts)) or "protocol"
 
 
 def _consensus_words(results: Results) -> str:

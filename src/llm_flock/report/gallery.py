@@ -27,7 +27,8 @@ from llm_flock.viz.figures import snapshots
 MOST_FLOWN_AGAIN = 100
 """Largest team that is flown again for the gallery; more robots would take minutes."""
 
-SEVERITY = ("broke off", "no answers", "interrupted", "budget", "not formed", "formed")
+SEVERITY = ("broke off", "no answers", "no plan", "interrupted", "budget", "not formed", "formed")
+"""Outcomes, the worst first."""
 REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
 """Figures that are the same when the same code flies the same trial again."""
 

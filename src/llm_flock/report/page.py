@@ -171,8 +171,10 @@ def inline_svg(figure: Figure, name: str, label: str) -> Markup:
     box = re.search(r'viewBox="([^"]+)"', text)
     assert box is not None, "matplotlib writes a view box"
     width = float(box[1].split()[2])
+    # On a phone, words keep the size of a figure on paper, and what is wider is scrolled.
+    size = f"max-width:{width * 1.25:.0f}px;min-width:{width:.0f}px"
     head = (
-        f'<svg viewBox="{box[1]}" role="img" aria-label="{escape(label)}" style="max-width:{width * 1.25:.0f}px" '
+        f'<svg viewBox="{box[1]}" role="img" aria-label="{escape(label)}" style="{size}" '
         'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
     )
     return Markup(head + text[text.index(">", text.index("<svg")) + 1 :].strip())

@@ -115,28 +115,38 @@ def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str, met
 def _sheet(
     results: Results, title: str, columns: Mapping[str, Callable[[T], str]], rows: Mapping[ResultCell, T], note: str
 ) -> Sheet:
-    """A table with a row for each cell: the words that tell it from others, then its figures."""
-    conditions = results.conditions != ("",)
-    words = ("shape", "N", "model", *(("condition",) if conditions else ()), "protocol")
+    """A table with a row for each cell: the words that tell it from others, then its figures.
+
+    A model or a protocol that flew everything tells nothing apart; it stands below the title of the report.
+    """
+    told: dict[str, Callable[[ResultCell], str]] = {
+        "shape": lambda cell: cell.team.shape,
+        "N": lambda cell: str(cell.team.n_robots),
+        **({"model": lambda cell: cell.model} if len(results.models) > 1 else {}),
+        **({"condition": lambda cell: cell.condition} if results.conditions != ("",) else {}),
+        **({"protocol": lambda cell: cell.protocol} if len(results.protocols) > 1 else {}),
+    }
 
     def row(cell: ResultCell, found: T) -> tuple[str, ...]:
-        between = (cell.condition,) if conditions else ()
-        names = (cell.team.shape, str(cell.team.n_robots), cell.model, *between, cell.protocol)
-        return (*names, *(text(found) for text in columns.values()))
+        return (*(name(cell) for name in told.values()), *(text(found) for text in columns.values()))
 
     texts = tuple(row(cell, found) for cell, found in rows.items())
-    return Sheet(title=title, header=(*words, *columns), rows=texts, words=len(words), note=note)
+    return Sheet(title=title, header=(*told, *columns), rows=texts, words=len(told), note=note)
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
-    """The most important numbers, each with its name. No figure of success is pooled over protocols."""
+    """The most important numbers, each with its name. No figure of success is pooled over protocols.
+
+    Simulated models cost nothing: where no other flew, there is no cost.
+    """
+    free = all(trial.figures["simulated"] for trial in results.trials)
     costs = [trial.figures["cost_usd"] for trial in results.trials if trial.figures["model_calls"] is not None]
     return [
         (f"{len(results.trials):,}", "trials"),
         *_success(results, lines),
         (_compact(sum(known(trial.figures["model_calls"] for trial in results.trials))), "model calls"),
         (_compact(sum(known(trial.figures["tokens"] for trial in results.trials))), "tokens"),
-        (NOT_KNOWN if None in costs else f"{sum(known(costs)):,.2f} $", "cost"),
+        *(() if free else ((NOT_KNOWN if None in costs else f"{sum(known(costs)):,.2f} $", "cost"),)),
     ]
 
 

@@ -216,10 +216,15 @@ def blame(run: Recording) -> Blame:
         return Blame(f"{_begun(_deaths_text(run))}, and the others did not fill the formation.", tuple(dead))
     if without:
         return Blame(f"{_begun(robots_text(without))} got no plan.", tuple(without))
+    if len(groups) > 1 and _rule(run) == "none":
+        # Nobody is to blame but the rule.
+        own = "each robot kept its own plan" if len(groups) == len(awake) else "robots kept plans of their own"
+        plans = counted(len(groups), "plan")
+        return Blame(f"No robot: this protocol has no consensus, so {own}. {plans} were in use at the end.")
     if len(groups) > 1:
         told = [f"{robots_text(held)} had plan {name}" for name, held in groups[:MOST_GROUPS]]
         held = f"{robots_text(sorted(strays))} held another than most" if most else "; ".join(told)
-        told_all = "" if most or len(groups) <= MOST_GROUPS else "; …"
+        told_all = "" if most or len(groups) <= MOST_GROUPS else "; and so on"
         plans = f"The team did not agree: {len(groups)} plans were in use at the end; {held}{told_all}."
         return Blame(plans, tuple(sorted(strays)) if most else ())
     if shared:
@@ -227,6 +232,11 @@ def blame(run: Recording) -> Blame:
     if away:
         return Blame(f"{_begun(robots_text(away))} had not reached the claimed places.", tuple(away))
     return _plan_blame(run)
+
+
+def _rule(run: Recording) -> str:
+    """The rule by which the team agrees on a plan; empty where the record does not say."""
+    return "" if run.info is None else str(run.info.config.get("protocol", {}).get("consensus") or "")
 
 
 def _groups(run: Recording, awake: Sequence[int]) -> list[tuple[str, list[int]]]:
@@ -290,9 +300,10 @@ def interesting(run: Recording, found: Blame) -> dict[str, Any]:
     if worst is not None and run.tallies[worst].trouble:
         return {"robot": worst, "why": run.tallies[worst].words}
     proposer = (run.result or {}).get("plan_robot")
-    if not isinstance(proposer, int):
+    plans = {plan for plan in run.states[run.rounds].plan_ids if plan is not None}
+    if not isinstance(proposer, int) and len(plans) == 1:
         steps = run.provenance(0, run.rounds)
         proposer = steps[0].robot if steps else None
-    if proposer is not None and 0 <= proposer < run.n_robots:
+    if isinstance(proposer, int) and 0 <= proposer < run.n_robots:
         return {"robot": proposer, "why": "it proposed the plan in force"}
     return {"robot": 0, "why": "nothing stands out"}

@@ -98,14 +98,16 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
                 axes.set_title("" if repeated else folded(facet.title, 34))
                 axes.set_ylim(bottom=0)
                 axes.margins(x=0)
-            for axes in grid[number][len(panels) :]:
+            for axes, above_it in zip(grid[number][len(panels) :], grid[number - 1][len(panels) :], strict=True):
                 axes.set_axis_off()
+                above_it.tick_params(labelbottom=number > 0)  # nothing stands below it
             if name:
                 at_the_right: dict[str, Any] = {"xycoords": "axes fraction", "rotation": 270, "ha": "left", "size": 8}
                 grid[number][len(panels) - 1].annotate(folded(name, 30), (1.03, 0.5), va="center", **at_the_right)
         for axes in grid[-1]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
-        _finish(figure, series, columns, x, y, band=True)
+        shown = [curve for _, panels in rows for facet in panels for curve in facet.marks]
+        _finish(figure, series, columns, x, y, band=any(np.isfinite(curve.low).any() for curve in shown))
         return figure
 
 
@@ -129,7 +131,7 @@ def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks:
         return figure
 
 
-def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float, float]) -> Figure:
+def dots(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, limits: tuple[float, float]) -> Figure:
     """A line of dots with intervals for every row and series; panels stand side by side and share their rows."""
 
     def draw(axes: Axes, mark: Dot, at: float, look: Look) -> None:
@@ -140,10 +142,10 @@ def dots(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[f
         axes.plot([low, high], [at, at], color=look.colour, linewidth=1.6, solid_capstyle="butt")
         axes.plot([mark.value], [at], ls="", marker=look.marker, ms=5, color=look.colour, mec=INK, mew=0.4)
 
-    return _lined(panels, series, x, limits, draw)
+    return _lined(panels, series, x, y, limits, draw)
 
 
-def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[float, float]) -> Figure:
+def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, limits: tuple[float, float]) -> Figure:
     """Quartiles, a sign for the median, whiskers to the ends, and every value as a dot (up to 300 of them)."""
 
     def draw(axes: Axes, mark: Sample, at: float, look: Look) -> None:
@@ -162,7 +164,7 @@ def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, limits: tuple[
         axes.scatter(shown, at + scatter, s=3, color=look.colour, linewidths=0, alpha=0.6)
         axes.plot([middle], [at], ls="", marker=look.marker, ms=5, color=look.colour, mec=INK, mew=0.6)
 
-    return _lined(panels, series, x, limits, draw)
+    return _lined(panels, series, x, y, limits, draw)
 
 
 def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -> Figure:
@@ -203,6 +205,8 @@ def _panels(
         axes.set_axis_off()
     for axes, facet in zip(grid, panels, strict=False):
         axes.set_title(folded(facet.title, 34))
+    for above in grid[len(panels) - columns : columns * (lines - 1)]:
+        above.tick_params(labelbottom=True)  # nothing stands below these
     return figure, grid[: len(panels)]
 
 
@@ -211,7 +215,7 @@ def _finish(
     series: Sequence[str],
     columns: int,
     x: str,
-    y: str = "",
+    y: str,
     *,
     band: bool = False,
     line_only: bool = False,
@@ -219,8 +223,7 @@ def _finish(
 ) -> None:
     """Label the axes, and put a legend with the names of all series above the panels."""
     figure.supxlabel(x, size=8)
-    if y:
-        figure.supylabel(y, size=8)
+    figure.supylabel(y, size=8)
     handles: list[Line2D | Patch] = []
     for name in series:
         look = look_of(series, name)
@@ -265,6 +268,7 @@ def _lined(
     panels: Sequence[Facet],
     series: Sequence[str],
     x: str,
+    y: str,
     limits: tuple[float, float],
     draw: Callable[[Axes, Any, float, Look], None],
 ) -> Figure:
@@ -272,8 +276,8 @@ def _lined(
     with house_style():
         names = list(dict.fromkeys(mark.row for facet in panels for mark in facet.marks))
         labelled = names != [""]
-        shown = names if labelled else list(series) if len(series) > 1 else []
-        left = 0.3 + LETTER_INCHES * min(26, max(map(len, shown), default=0))
+        shown = names if labelled else list(series)
+        left = 0.5 + LETTER_INCHES * min(26, max(map(len, shown), default=0))
         # A gap of half a line between rows.
         step = len(series) + 0.8
         tall = max(0.95, 0.18 * step * len(names) + 0.15)
@@ -291,7 +295,7 @@ def _lined(
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)
-        _finish(figure, series, len(panels), x, solid=True)
+        _finish(figure, series, len(panels), x, y, solid=True)
         return figure
 
 
@@ -343,9 +347,10 @@ def folded(text: str, width: int) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A text, cut to at most this many letters."""
+    """A text of at most this many letters, cut in its middle: names of models, and conditions, differ at their end."""
     text = one_line(text)
-    return text if len(text) <= most else text[: most - 1] + "…"
+    end = (most - 1) // 2
+    return text if len(text) <= most else f"{text[: most - 1 - end]}…{text[-end:]}"
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -307,7 +307,9 @@ class Panel:
         return [
             Line2D([], [], marker="o", ls="", ms=7, mfc=look.fill, mec=INK, mew=0.8, label="robot" + what),
             Line2D([], [], marker="o", ls="", ms=9, mfc="none", mec=look.line, mew=1.1, label="goal"),
-            Line2D([], [], color=look.line, lw=1.2, label="flown path, from the dot"),
+            Line2D(
+                [], [], color=look.line, lw=1.2, marker=".", ms=4, mfc=INK, mec=INK, label="flown path, from the dot"
+            ),
             Line2D([], [], color=FAINT, lw=1.2, label="within radio range"),
             *silent,
             *self._warnings(),

@@ -117,6 +117,12 @@ export class Timeline {
     const bad = track.name === "faults" || track.mark === "pair";
     pen.fillStyle = pen.strokeStyle = pair ? side(r).ink : track.mark === "pair" ? colours.danger : bad ? colours.warn : colours.ink;
     pen.lineWidth = 1.5;
+    if (pair) {
+      // Whose half of the row this is, by the stroke of its side: colours alone do not tell it.
+      pen.setLineDash(side(r).stroke.length ? [3, 2] : []);
+      this.surface.line([LEFT - 16, at], [LEFT - 3, at]);
+      pen.setLineDash([]);
+    }
     let before = -Infinity;
     for (const [round, counts] of run.marks) {
       if (!counts[track.name]) continue;
