@@ -74,6 +74,9 @@ def train(
     rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
     rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
     tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
+    blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
+    half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
+    keep: Annotated[int, typer.Option(min=0, help="Keep the factors of every so many steps, to compare")] = 0,
     threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
@@ -89,7 +92,7 @@ def train(
     torch = need("torch")
     if threads is not None:
         torch.set_num_threads(threads)
-    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed)
+    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed, blocks=blocks, half=half)
     lessons = [student.lesson(example) for example in found]
     console = Screen(stderr=True)
     console.print(f"{len(lessons)} examples, on {student.device}")
@@ -102,7 +105,7 @@ def train(
             )
             console.print(line, end="\r" if console.is_terminal else "\n")
 
-    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed)
+    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed, keep_steps=keep)
     end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
     sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 
@@ -184,19 +187,32 @@ def _plan_table(plans: Sequence[PlanFigures]) -> Table:
 
 _CHOOSERS = {
     "choice": "the model",
-    "first_letter": "always the first letter",
-    "random_letter": "a random letter",
-    "farthest_safe": "the farthest safe way",
+    "first_way": "the first way",
+    "random_way": "a random way",
+    "wish_alone": "the way of the wish, open or not",
+    "keywords": "a reader of taught words",
 }
 """Rows of the table of choices."""
 
 
 def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
     wishes = tuple(chosen["choice"].by_wish)
-    columns = ("asked", "different prompts", "of these taught", "parsed", "right", "safe")
+    columns = (
+        "asked",
+        "different prompts",
+        "of these taught",
+        "parsed",
+        "right",
+        "open",
+        "where the wish decides",
+        "beside",
+    )
     table = Table("choice by", *columns, *(f"wish: {wish}" for wish in wishes))
     for name, c in chosen.items():
-        shares = (f"{share:.1%}" for share in (c.parsed, c.right, c.safe, *(c.by_wish[wish] for wish in wishes)))
+        shares = (
+            f"{share:.1%}"
+            for share in (c.parsed, c.right, c.open, c.turning, c.beside, *(c.by_wish[wish] for wish in wishes))
+        )
         table.add_row(_CHOOSERS[name], str(c.asked), str(c.distinct), str(c.taught), *shares)
     return table
 

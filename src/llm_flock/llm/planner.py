@@ -155,11 +155,18 @@ class LanguagePlanner:
         horizon: int,
         read: Callable[[str, AnswerForm], A],
         check: Callable[[Q, A], str | None] | None,
+        letters: str = "",
     ) -> A | NoAnswer:
         """Ask one question up to `1 + max_retries` times; a probe once."""
         mission, round_ = asked.question.mission, asked.question.round
-        json, reasons = self._prompts.json, self._prompts.reasons
-        form = AnswerForm(n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons)
+        form = AnswerForm(
+            n=mission.n_places,
+            dim=mission.dim,
+            horizon=horizon,
+            json=self._prompts.json,
+            reasons=self._prompts.reasons,
+            letters=letters,
+        )
         self._forget_other_missions(mission)
         system = ChatMessage("system", self._prompts.system(asked.framed.mission))
         question = ChatMessage("user", text)

@@ -133,8 +133,11 @@ class ModelConfig(ConfigSection):
     )
     prompts: str | None = Field(
         default=None,
-        description="Packaged prompts (full, brief), or a folder with templates that replace full ones "
+        description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
         "[the model's: brief for local:smollm2, full for others]",
+    )
+    wish: str = Field(
+        default="", description="What is wished of the steps, in words, for --prompts letters: Keep left."
     )
     frame: FrameName | None = Field(
         default=None,
