@@ -197,22 +197,12 @@ _CHOOSERS = {
 
 def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
     wishes = tuple(chosen["choice"].by_wish)
-    columns = (
-        "asked",
-        "different prompts",
-        "of these taught",
-        "parsed",
-        "right",
-        "open",
-        "where the wish decides",
-        "beside",
-    )
-    table = Table("choice by", *columns, *(f"wish: {wish}" for wish in wishes))
+    columns = ("asked", "different prompts", "of these taught", "parsed", "right", "open")
+    columns += ("wish decides", "sentence beside", *(f"wish: {wish}" for wish in wishes))
+    table = Table("choice by", *columns)
     for name, c in chosen.items():
-        shares = (
-            f"{share:.1%}"
-            for share in (c.parsed, c.right, c.open, c.turning, c.beside, *(c.by_wish[wish] for wish in wishes))
-        )
+        wished = (c.by_wish[wish] for wish in wishes)
+        shares = (f"{share:.1%}" for share in (c.parsed, c.right, c.open, c.turning, c.beside, *wished))
         table.add_row(_CHOOSERS[name], str(c.asked), str(c.distinct), str(c.taught), *shares)
     return table
 
@@ -221,13 +211,15 @@ def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
 def export(
     training: Annotated[Path, typer.Argument(help="Folder of a training")],
     out: Annotated[Path, typer.Argument(help="New GGUF file")],
+    step: Annotated[int | None, typer.Option(min=1, help="The factors kept at this step (--keep) [the last]")] = None,
 ) -> None:
     """Write the trained adapter for llama.cpp: --model local:smollm2+FILE."""
     from llm_flock.distill.adapter import MAX_BYTES, Adapter, write_gguf
-    from llm_flock.distill.training import FACTORS
+    from llm_flock.distill.training import FACTORS, factors_of
 
     _check_new(out)
-    size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
+    factors = training / (FACTORS if step is None else factors_of(step))
+    size = write_gguf(Adapter.load(factors), out, name=f"llm-flock {out.stem}")
     note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
     sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")
 

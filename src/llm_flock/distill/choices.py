@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from llm_flock.llm.letters import Letter, LetterWay, Room, read_letter, ways_of,
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, CallSettings, ChatMessage, LanguageModel
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.mission import build_mission
+from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.planning import StepQuestion
 
@@ -114,7 +114,8 @@ def right_letter(ways: Sequence[LetterWay], wish: Wish) -> Letter:
     if wish == "clear":
         moving = [way for way in ways if way.letter != "W"] or ways
         return max(moving, key=lambda way: get_args(Room).index(way.room)).letter
-    return next((way.letter for way in ways if way.letter == WAYS.get(wish)), ways[0].letter)
+    asked = [way.letter for way in ways if way.letter == WAYS.get(wish)]
+    return asked[0] if asked else ways[0].letter
 
 
 def draw_choices(seed: int, split: Split) -> Iterator[Choice]:
@@ -186,7 +187,7 @@ def measure_choices(model: str, count: int, seed: int = 0) -> dict[str, ChoiceFi
 
 
 def program_figures(choices: Sequence[Choice], seed: int = 0) -> dict[str, ChoiceFigures]:
-    """What programs get: the first way, a random one, the way of the wish itself though it may be blocked, and one that reads wishes by keywords."""
+    """What programs get: first way, random way, way of the known wish, open or not, and a reader of taught words."""
     rng, reader = np.random.default_rng([seed, 5]), keyword_reader()
     answers: dict[str, list[Letter]] = {
         "first_way": [choice.ways[0].letter for choice in choices],
@@ -237,13 +238,8 @@ def _draw_question(
     arena = ((-2000.0, -2000.0), (2000.0, 2000.0))
     obstacles = (_draw_obstacle(rng, split, here, course, mission.safe_distance),) if rng.random() < OBSTACLES else ()
     # Valid in all that ways look at; the whole mission, with a way round every obstacle, is not needed.
-    mission = type(mission).model_construct(
-        **{
-            **{name: getattr(mission, name) for name in type(mission).model_fields},
-            "obstacles": obstacles,
-            "arena": arena,
-        }
-    )
+    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
+    mission = Mission.model_construct(**{**fields, "obstacles": obstacles, "arena": arena})
     return replace(question, mission=mission, position=here, neighbors=tuple(others), horizon=1)
 
 

@@ -22,6 +22,11 @@ STATE, FACTORS = "state.pt", "factors.npz"
 """Files in the folder of a training: the checkpoint, and the factors for `export`."""
 
 
+def factors_of(step: int) -> str:
+    """File of the factors that were kept at a step (`TrainingOptions.keep_steps`)."""
+    return f"factors-{step}.npz"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingOptions:
     """How to train.
@@ -130,7 +135,7 @@ def train(
         )
         on_progress(progress)
         if options.keep_steps and step % options.keep_steps == 0:
-            student.adapter().save(folder / f"factors-{step}.npz")
+            student.adapter().save(folder / factors_of(step))
         if now - kept > options.keep_s or step == options.steps:
             _save_checkpoint(torch, student, optimizer, folder, step, examples)
             kept = now

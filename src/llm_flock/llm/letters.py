@@ -130,7 +130,7 @@ def _from(here: Point, course: Sequence[float], length: float, turn: float) -> P
 
 
 def _gap(question: StepQuestion, end: Point) -> float:
-    """The smallest of: distance to robots / safe distance, to obstacles / body radius, and 1 + to walls / safe distance.
+    """The least of: distance to robots / safe distance, to obstacles / body radius, and 1 + to walls / safe distance.
 
     A robot that is too near already is left behind by the step, or the checks refuse it: it counts as just far enough.
     """

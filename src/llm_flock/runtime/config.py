@@ -136,9 +136,7 @@ class ModelConfig(ConfigSection):
         description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
         "[the model's: brief for local:smollm2, full for others]",
     )
-    wish: str = Field(
-        default="", description="What is wished of the steps, in words, for --prompts letters: Keep left."
-    )
+    wish: str = Field(default="", description="What is wished of the steps, in words; with --prompts letters")
     frame: FrameName | None = Field(
         default=None,
         description="Coordinates in a model's prompts: world, or own (plans around the origin in spacings, steps "

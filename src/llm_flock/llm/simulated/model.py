@@ -114,7 +114,7 @@ class Responder:
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
 
     def _letter(self, ways: Sequence[str], failures: frozenset[str]) -> str:
-        """The first way, whatever the wish: a stand-in reads no words. By chance, or unreadable, with these failures."""
+        """The first way whatever the wish, for a stand-in reads no words; some failures change it."""
         if "malformed" in failures:
             return "I would rather not say."
         return ways[int(self._rng.integers(len(ways)))] if "random" in failures else ways[0]
