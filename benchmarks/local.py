@@ -168,7 +168,7 @@ async def _letters(taught: str, turns: int) -> None:
                     spent[name].append((time.process_time() - began) / max(1, len(seen)))
                     attempts[name] += seen
     print(
-        "| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time of an answer [s] |"
+        "| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time [s] |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name, (text, *_) in forms.items():

@@ -19,6 +19,8 @@ class LetterPlanner(LanguagePlanner):
     the straight one reaches the goal. Otherwise a robot that is to go slowly would halve its last step for ever.
     """
 
+    LETTERS = True
+
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
         """The shape in its reference orientation, by geometry."""
         answer = geometric_plan(question)

@@ -91,8 +91,12 @@ class LanguagePlanner:
         frame: coordinates of the prompts, see `frame`.
 
     Raises:
-        InputError: history is to be kept of questions in different frames.
+        InputError: history is to be kept of questions in different frames, or the prompts ask for something else than
+            this planner reads.
     """
+
+    LETTERS = False
+    """Whether it reads letters."""
 
     def __init__(
         self,
@@ -108,6 +112,8 @@ class LanguagePlanner:
         clips: ClipsStep | None = None,
         frame: FrameName = "world",
     ) -> None:
+        if prompts.letters != self.LETTERS:
+            raise InputError("prompts", "letters", "full, brief or a folder: nothing else than a run asks for a letter")
         if frame == "own" and history != 0:
             raise InputError(
                 "frame", frame, "world while history is kept, because with own each question has a different frame"
