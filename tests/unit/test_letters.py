@@ -13,6 +13,7 @@ from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm.answer_forms import LETTER_TOKENS, answer_grammar, longest_answer
 from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.letters import check_wish, read_letter, read_way, ways_of, ways_text
+from llm_flock.llm.local.weights import find_weights, is_packaged
 from llm_flock.llm.port import Attempt, Call, Reply
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import build_mission
@@ -173,3 +174,11 @@ def test_a_wish_that_cannot_be_asked_is_refused() -> None:
     assert check_wish("  Keep left. ") == "Keep left."
     with pytest.raises(InputError, match="200 characters"):
         check_wish("x" * 201)
+
+
+def test_the_packaged_adapter_for_letters_is_another_file() -> None:
+    pytest.importorskip("xllamacpp")
+    weights, first = find_weights("smollm2+letters"), find_weights("smollm2")
+    assert weights.adapter is not None and weights.adapter.name == "smollm2-letters.gguf" != first.adapter
+    assert weights.model == first.model and is_packaged("smollm2+letters")
+    assert weights.adapter.stat().st_size < 6e6

@@ -134,7 +134,7 @@ class ModelConfig(ConfigSection):
     prompts: str | None = Field(
         default=None,
         description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
-        "[the model's: brief for local:smollm2, full for others]",
+        "[the model's: brief for local:smollm2, letters for local:smollm2+letters, full for others]",
     )
     wish: str = Field(default="", description="What is wished of the steps, in words; with --prompts letters")
     frame: FrameName | None = Field(

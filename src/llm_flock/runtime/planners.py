@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from llm_flock.errors import InputError
-from llm_flock.llm.frame import trained_for
+from llm_flock.llm.frame import LETTERS_MODEL, trained_for
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.letters import check_wish
@@ -18,7 +18,7 @@ from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_se
 from llm_flock.llm.own import OwnModel
 from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
-from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.prompting import LETTERS, PromptSet
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane, Pools
@@ -84,7 +84,8 @@ class TeamPlanners:
         wish = check_wish(model.wish)
 
         def prompts_of(text: str) -> PromptSet:
-            words = model.prompts or ("brief" if trained_for(text) else "full")
+            trained = LETTERS if text == LETTERS_MODEL else "brief" if trained_for(text) else "full"
+            words = model.prompts or trained
             prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
             if wish and words in ("full", "brief"):
                 raise InputError(
