@@ -114,8 +114,9 @@ def right_letter(ways: Sequence[LetterWay], wish: Wish) -> Letter:
     if wish == "clear":
         moving = [way for way in ways if way.letter != "W"] or ways
         return max(moving, key=lambda way: get_args(Room).index(way.room)).letter
-    asked = [way.letter for way in ways if way.letter == WAYS.get(wish)]
-    return asked[0] if asked else ways[0].letter
+    asked = WAYS.get(wish)
+    open_to_it = [way for way in ways if way.letter == asked]
+    return open_to_it[0].letter if open_to_it else ways[0].letter
 
 
 def draw_choices(seed: int, split: Split) -> Iterator[Choice]:
@@ -239,7 +240,8 @@ def _draw_question(
     obstacles = (_draw_obstacle(rng, split, here, course, mission.safe_distance),) if rng.random() < OBSTACLES else ()
     # Valid in all that ways look at; the whole mission, with a way round every obstacle, is not needed.
     fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
-    mission = Mission.model_construct(**{**fields, "obstacles": obstacles, "arena": arena})
+    fields |= {"obstacles": obstacles, "arena": arena}
+    mission = Mission.model_construct(**fields)
     return replace(question, mission=mission, position=here, neighbors=tuple(others), horizon=1)
 
 
