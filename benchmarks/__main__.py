@@ -17,7 +17,8 @@
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`,
             `swarm-flood`: see benchmarks/swarm.py (only when named)
 `ros2`      50 robots shown in ROS 2: latency added and processor time; see benchmarks/ros2.py (only when named)
-`local`     missions with a model on board; `local-ten`, `local-table`: see benchmarks/local.py (only when named)
+`local`     missions with a model on board; `local-ten`, `local-table`, `local-letters`: see benchmarks/local.py
+            (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
@@ -205,6 +206,7 @@ if __name__ == "__main__":
         "forecasts": forecasts.main,
         "lies-curve": lies.curve,
         "lies-swarm": lies.swarm,
+        "local-letters": local.letters,
     }
     if sys.argv[1:2] and sys.argv[1] in commands:
         commands[sys.argv[1]](sys.argv[2:])

@@ -3,11 +3,15 @@
 python -m benchmarks local          missions of three and five robots, and how fast the engine is
 python -m benchmarks local-ten      a circle of ten, asked on events only: duration and memory, in an own process
 python -m benchmarks local-table    the same missions: stock weights, the adapter, and ideal simulated models
+python -m benchmarks local-letters FILE.gguf [TURNS]
+                                    ten robots asked for a step: a waypoint of the packaged adapter, and a letter of
+                                    this one, in turns: tokens and processor time of an answer
 """
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import os
 import resource
@@ -15,14 +19,22 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
+import numpy as np
+
+from llm_flock.distill.choices import draw_choices
 from llm_flock.llm.answer_forms import answer_grammar
+from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.local.engine import Engine, slot_count, thread_count
 from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.port import AnswerForm
+from llm_flock.llm.models import ModelPool
+from llm_flock.llm.planner import LanguagePlanner
+from llm_flock.llm.port import AnswerForm, Attempt
+from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.sharing import CallLane, Pools
 from llm_flock.runtime.api import run_async
 from llm_flock.runtime.result import Summary
@@ -30,6 +42,9 @@ from llm_flock.runtime.result import Summary
 TRAINED, STOCK, IDEAL = "local:smollm2", "local:smollm2+none", "simulated:ideal"
 BARS = (("triangle", 3), ("circle", 5))
 TRIALS = 20
+TEN = 10
+"""Robots that ask at once."""
+
 SAFE = 3.0
 """The default safe distance [units]."""
 
@@ -120,6 +135,52 @@ def _ten() -> None:
     # Children as well, should there be any.
     peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024
     print(json.dumps({"row": flown.row("circle", 10), "seconds": seconds, "peak_mib": peak}))
+
+
+def letters(arguments: Sequence[str]) -> None:
+    """Ten robots ask the same held-out steps for a waypoint and for a letter, in turns; grammars as on board."""
+    if not arguments:
+        raise SystemExit("local-letters FILE.gguf [TURNS]: the adapter that was taught letters is missing")
+    machine()
+    asyncio.run(_letters(f"{TRAINED}+{arguments[0]}", int(arguments[1]) if len(arguments) > 1 else 6))
+
+
+async def _letters(taught: str, turns: int) -> None:
+    forms = {
+        "a waypoint": (TRAINED, LanguagePlanner, PromptSet.load("brief"), "own"),
+        "a letter": (taught, LetterPlanner, PromptSet.load("letters", wish="Keep left."), "world"),
+    }
+    questions = [choice.question for choice in itertools.islice(draw_choices(0, "held-out"), TEN * turns)]
+    spent: dict[str, list[float]] = {name: [] for name in forms}
+    attempts: dict[str, list[Attempt]] = {name: [] for name in forms}
+    async with ModelPool() as pool:
+        for turn in range(-1, turns):  # the first turn loads both engines, and does not count
+            asked = questions[TEN * max(0, turn) :][:TEN]
+            for name, (text, kind, prompts, frame) in forms.items():
+                model = pool.model(text, robot=0, rng=np.random.default_rng(0))
+                seen: list[Attempt] = []
+                planners = [
+                    kind(k, model, prompts, max_retries=0, frame=frame, on_attempt=seen.append) for k in range(TEN)
+                ]
+                began = time.process_time()
+                await asyncio.gather(*(p.step(q) for p, q in zip(planners, asked, strict=True)))
+                if turn >= 0:
+                    spent[name].append((time.process_time() - began) / max(1, len(seen)))
+                    attempts[name] += seen
+    print(
+        "| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time [s] |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for name, (text, *_) in forms.items():
+        usages = [attempt.reply.usage for attempt in attempts[name] if attempt.reply is not None]
+        parsed = sum(attempt.parsed is not None for attempt in attempts[name]) / len(attempts[name])
+        written = [usage.output for usage in usages]
+        read = sum(usage.input for usage in usages) / len(usages)
+        low, middle, high = min(spent[name]), median(spent[name]), max(spent[name])
+        print(
+            f"| {name} | `{text.rpartition('/')[2]}` | {len(written)} | {100 * parsed:.0f} | {read:.0f} "
+            f"| {sum(written) / len(written):.1f} | {max(written)} | {middle:.3f} ({low:.3f} to {high:.3f}) |"
+        )
 
 
 def machine() -> None:

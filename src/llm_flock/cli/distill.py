@@ -74,6 +74,9 @@ def train(
     rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
     rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
     tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
+    blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
+    half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
+    keep: Annotated[int, typer.Option(min=0, help="Keep the factors of every so many steps, to compare")] = 0,
     threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
@@ -89,7 +92,7 @@ def train(
     torch = need("torch")
     if threads is not None:
         torch.set_num_threads(threads)
-    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed)
+    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed, blocks=blocks, half=half)
     lessons = [student.lesson(example) for example in found]
     console = Screen(stderr=True)
     console.print(f"{len(lessons)} examples, on {student.device}")
@@ -102,7 +105,7 @@ def train(
             )
             console.print(line, end="\r" if console.is_terminal else "\n")
 
-    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed)
+    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed, keep_steps=keep)
     end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
     sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 
@@ -184,19 +187,22 @@ def _plan_table(plans: Sequence[PlanFigures]) -> Table:
 
 _CHOOSERS = {
     "choice": "the model",
-    "first_letter": "always the first letter",
-    "random_letter": "a random letter",
-    "farthest_safe": "the farthest safe way",
+    "first_way": "the first way",
+    "random_way": "a random way",
+    "wish_alone": "the way of the wish, open or not",
+    "keywords": "a reader of taught words",
 }
 """Rows of the table of choices."""
 
 
 def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
     wishes = tuple(chosen["choice"].by_wish)
-    columns = ("asked", "different prompts", "of these taught", "parsed", "right", "safe")
-    table = Table("choice by", *columns, *(f"wish: {wish}" for wish in wishes))
+    columns = ("asked", "different prompts", "of these taught", "parsed", "right", "open")
+    columns += ("wish decides", "sentence beside", *(f"wish: {wish}" for wish in wishes))
+    table = Table("choice by", *columns)
     for name, c in chosen.items():
-        shares = (f"{share:.1%}" for share in (c.parsed, c.right, c.safe, *(c.by_wish[wish] for wish in wishes)))
+        wished = (c.by_wish[wish] for wish in wishes)
+        shares = (f"{share:.1%}" for share in (c.parsed, c.right, c.open, c.turning, c.beside, *wished))
         table.add_row(_CHOOSERS[name], str(c.asked), str(c.distinct), str(c.taught), *shares)
     return table
 
@@ -205,13 +211,15 @@ def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
 def export(
     training: Annotated[Path, typer.Argument(help="Folder of a training")],
     out: Annotated[Path, typer.Argument(help="New GGUF file")],
+    step: Annotated[int | None, typer.Option(min=1, help="The factors kept at this step (--keep) [the last]")] = None,
 ) -> None:
     """Write the trained adapter for llama.cpp: --model local:smollm2+FILE."""
     from llm_flock.distill.adapter import MAX_BYTES, Adapter, write_gguf
-    from llm_flock.distill.training import FACTORS
+    from llm_flock.distill.training import FACTORS, factors_of
 
     _check_new(out)
-    size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
+    factors = training / (FACTORS if step is None else factors_of(step))
+    size = write_gguf(Adapter.load(factors), out, name=f"llm-flock {out.stem}")
     note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
     sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")
 

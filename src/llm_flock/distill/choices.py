@@ -1,151 +1,82 @@
-"""Questions that are answered with one letter: code computes the ways to go, a model chooses by the mission's wish.
-
-A robot may go straight on, half as far, round to the left or right, or wait. Code says for each way how far it gets and
-how near the nearest robot then is, so a model computes no number. It has to read the wish. Ways stand in random order.
-"""
+"""Examples and figures of questions for one letter (`llm.letters`): what is right follows from the wish by a rule."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal, TypeAlias
+from typing import Any, get_args
 
 import numpy as np
 
 from llm_flock.arrays import Point
 from llm_flock.distill.examples import HELD_OUT_TEAMS, TEAMS, Example, Split, draw_mission, draw_step
+from llm_flock.distill.wishes import BESIDE, BESIDE_SHARE, WORDINGS, Wish, keyword_reader
 from llm_flock.errors import ModelError
+from llm_flock.llm.answer_forms import LETTER_TOKENS
+from llm_flock.llm.letters import Letter, LetterWay, Room, read_letter, ways_of, ways_text
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, CallSettings, ChatMessage, LanguageModel
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.mission import Mission, build_mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.planning import StepQuestion
-
-WayName: TypeAlias = Literal[
-    "straight on", "straight on, half as far", "round to the left", "round to the right", "wait"
-]
-Wish: TypeAlias = Literal["far", "left", "right", "clear", "yield"]
-
-LETTERS = "ABCDE"
-
-ROUND_DEGREES = 50.0
-"""Angle between a way round and the way to the goal [degrees]."""
-
-MARGIN = 0.05
-"""Smallest lead of the right way, in what it is chosen by: a closer question has no clear answer, and is left out."""
 
 CHOICES = 6000
 """Number of examples of the recipe: `distill data --choices`."""
 
-MOST_TOKENS = 4
-"""Longest answer [tokens]: a letter, and room to see that a model would not stop after it."""
-
 AT_ONCE = 4
 """Questions asked at once."""
 
-WORDINGS: Mapping[Wish, Mapping[Split, tuple[str, ...]]] = {
-    "far": {
-        "train": (
-            "Get as far as you safely can.",
-            "Lose no time.",
-            "Be quick.",
-            "Go as far as possible.",
-            "We are late.",
-        ),
-        "held-out": ("Hurry.", "Make the most of this step."),
-    },
-    "left": {
-        "train": (
-            "Prefer to pass on the left.",
-            "Go round on the left.",
-            "Keep left.",
-            "If you can, take the left side.",
-        ),
-        "held-out": ("Swing out to the left where it is safe.", "The left side is preferred."),
-    },
-    "right": {
-        "train": (
-            "Prefer to pass on the right.",
-            "Go round on the right.",
-            "Keep right.",
-            "If you can, take the right side.",
-        ),
-        "held-out": ("Swing out to the right where it is safe.", "The right side is preferred."),
-    },
-    "clear": {
-        "train": ("Move, but stay far from others.", "Come forward with much room.", "Advance with the widest gap."),
-        "held-out": ("Make way towards the goal and give the others plenty of space.",),
-    },
-    "yield": {
-        "train": (
-            "Let robot 3 go first.",
-            "Robot 5 has priority.",
-            "Give way to robot 2.",
-            "Stay until robot 7 has passed.",
-        ),
-        "held-out": ("Robot 4 comes before you.", "Do not move before robot 6 does."),
-    },
-}
-"""What a mission may wish, in words. No held-out wording is taught."""
-
-NEIGHBORS: Mapping[Split, tuple[int, ...]] = {"train": (0, 1, 2, 4), "held-out": (3, 5)}
+NEIGHBORS: Mapping[Split, tuple[int, ...]] = {"train": (0, 1, 2, 2, 4), "held-out": (3, 5)}
 """Numbers of robots around."""
 
-DISTANCES: Mapping[Split, tuple[float, float]] = {"train": (1.2, 60.0), "held-out": (60.0, 100.0)}
+DISTANCES: Mapping[Split, tuple[float, float]] = {"train": (0.3, 60.0), "held-out": (60.0, 100.0)}
 """How far away goals are [step limits]."""
 
-SYSTEM = (
-    "You choose how a robot moves. Never come too close to another. Fulfil the wish if that is safe, "
-    "else get as far as is safe. Answer with one letter."
-)
+OBSTACLES = 0.3
+"""Share of questions with an obstacle near: a disc is taught, a square is held out."""
 
+DROPPED = 0.15
+"""Share of questions from which one way is taken, as a run takes one that the checks refused."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LetterWay:
-    """One way to go.
+DECIDED = 0.3
+"""Share that is kept of the questions whose wish changes nothing: most say nothing about reading."""
 
-    Attributes:
-        waypoint: where it ends [units; frame of the question].
-        progress: how much nearer the goal is then [step limits].
-        gap: smallest distance to another robot on the way [safe distances]; infinite with nobody around.
-    """
+WAYS: Mapping[Wish, Letter] = {"slow": "H", "left": "L", "right": "R", "yield": "W"}
+"""The way that a wish asks for, where it asks for one."""
 
-    name: WayName
-    waypoint: Point
-    progress: float
-    gap: float
-
-    @property
-    def safe(self) -> bool:
-        """Whether the way keeps the safe distance."""
-        return self.gap >= 1.0
+LETTERS: tuple[Letter, ...] = get_args(Letter)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A question with its ways in the order of their letters; `right` is the letter to answer."""
+    """A question with its ways in the order in which they are shown; `right` is the letter to answer."""
 
     question: StepQuestion
     wish: Wish
     words: str
     ways: tuple[LetterWay, ...]
-    right: str
+    right: Letter
 
     @property
     def user(self) -> str:
-        """The question as a model sees it, without the rules of `SYSTEM`."""
-        steps = math.dist(self.question.position, self.question.goal) / self.question.mission.max_step
-        lines = [f"Goal: {steps:.0f} steps away. Robots around: {len(self.question.neighbors)}. Wish: {self.words}"]
-        return "\n".join(lines + [f"{a}: {_way_text(way)}" for a, way in zip(LETTERS, self.ways, strict=True)])
+        """The question as a run with the prompts `letters` asks it, of these ways."""
+        return f"Wish: {self.words}\n{ways_text(self.ways)}"
+
+    @property
+    def beside(self) -> bool:
+        """Whether the wish has a sentence beside it that asks for nothing."""
+        return self.words not in itertools.chain(*WORDINGS[self.wish].values())
 
     def example(self) -> Example:
         """The question with its answer, to learn from."""
         mission = self.question.mission
         team = f"{mission.shape} {mission.n_places}"
-        return Example(kind="choice", system=SYSTEM, user=self.user, answer=self.right, team=team)
+        return Example(kind="choice", system=system_message(), user=self.user, answer=self.right, team=team)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,9 +87,11 @@ class ChoiceFigures:
         asked: number of questions.
         distinct: number of different prompts among them.
         taught: number of these different prompts that the recipe teaches.
-        parsed: share of answers that begin with a letter of the question.
+        parsed: share of answers that begin with a letter.
         right: share of right answers.
-        safe: share of answers that keep the safe distance; an answer that cannot be read does not count.
+        open: share of answers that name an open way, which keeps the distances; others are refused.
+        turning: share of right answers where the first way is wrong, so that the wish decides.
+        beside: share of right answers where a sentence stands beside the wish that asks for nothing.
         by_wish: share of right answers for each wish that was asked.
     """
 
@@ -167,59 +100,43 @@ class ChoiceFigures:
     taught: int
     parsed: float
     right: float
-    safe: float
+    open: float
+    turning: float
+    beside: float
     by_wish: Mapping[str, float]
 
 
-def ways_of(question: StepQuestion) -> tuple[LetterWay, ...]:
-    """The five ways of a robot in the plane, always in the same order."""
-    here, goal, limit = question.position, question.goal, question.mission.max_step
-    course = math.atan2(goal[1] - here[1], goal[0] - here[0])
-    full, turn = min(limit, math.dist(here, goal)), math.radians(ROUND_DEGREES)
-    ends: tuple[tuple[WayName, float, float], ...] = (
-        ("straight on", full, 0.0),
-        ("straight on, half as far", full / 2, 0.0),
-        ("round to the left", full, turn),
-        ("round to the right", full, -turn),
-        ("wait", 0.0, 0.0),
-    )
-    ways: list[LetterWay] = []
-    for name, length, angle in ends:
-        end = here[0] + length * math.cos(course + angle), here[1] + length * math.sin(course + angle)
-        gaps = [_distance(other, here, end) / question.mission.safe_distance for other in question.neighbors]
-        progress = (math.dist(here, goal) - math.dist(end, goal)) / limit
-        ways.append(LetterWay(name=name, waypoint=end, progress=progress, gap=min(gaps, default=math.inf)))
-    return tuple(ways)
+def right_letter(ways: Sequence[LetterWay], wish: Wish) -> Letter:
+    """What to answer: the way that the wish asks for where it is open, else the first.
 
-
-def right_way(ways: Sequence[LetterWay], wish: Wish) -> LetterWay | None:
-    """The way that fulfils the wish where that is safe, else the safe one that gets farthest; None if unclear."""
-    safe = [way for way in ways if way.safe]
-    wished = {"left": "round to the left", "right": "round to the right", "yield": "wait"}.get(wish)
-    for way in safe:
-        if way.name == wished:
-            return way
+    To keep clear is to take the way with most room, the first of them; standing still is no way.
+    """
     if wish == "clear":
-        return _leader([way for way in safe if way.name != "wait"], lambda way: min(way.gap, 99.0))
-    return _leader(safe, lambda way: way.progress)
+        moving = [way for way in ways if way.letter != "W"] or ways
+        return max(moving, key=lambda way: get_args(Room).index(way.room)).letter
+    asked = WAYS.get(wish)
+    open_to_it = [way for way in ways if way.letter == asked]
+    return open_to_it[0].letter if open_to_it else ways[0].letter
 
 
 def draw_choices(seed: int, split: Split) -> Iterator[Choice]:
-    """Draw questions without end; wishes come equally often before unclear questions are left out."""
+    """Draw questions without end; wishes come equally often before some are left out."""
     rng = np.random.default_rng([seed, split == "train", 4])
-    teams = TEAMS if split == "train" else HELD_OUT_TEAMS
-    wishes = tuple(WORDINGS)
+    teams, wishes = TEAMS if split == "train" else HELD_OUT_TEAMS, tuple(WORDINGS)
     while True:
-        question = _draw_question(rng, split, teams)
+        ways = list(ways_of(question := _draw_question(rng, split, teams), wait=rng.random() > 0.2))
+        if len(ways) > 2 and rng.random() < DROPPED:
+            del ways[int(rng.integers(len(ways)))]
+        if len(ways) < 2:
+            continue
         wish = wishes[int(rng.integers(len(wishes)))]
-        words = WORDINGS[wish][split]
-        said = words[int(rng.integers(len(words)))]
-        ways = ways_of(question)
-        right = right_way(ways, wish)
-        order: list[int] = rng.permutation(len(ways)).tolist()
-        if right is not None:
-            shuffled = tuple(ways[i] for i in order)
-            yield Choice(question=question, wish=wish, words=said, ways=shuffled, right=LETTERS[shuffled.index(right)])
+        said = _drawn(rng, WORDINGS[wish][split])
+        if rng.random() < BESIDE_SHARE:
+            both = [said, _drawn(rng, BESIDE[split])]
+            said = " ".join(both if rng.random() < 0.5 else both[::-1])
+        right = right_letter(ways, wish)
+        if wish == "far" or right != right_letter(ways, "far") or rng.random() < DECIDED:
+            yield Choice(question=question, wish=wish, words=said, ways=tuple(ways), right=right)
 
 
 def choice_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
@@ -228,59 +145,65 @@ def choice_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
 
 
 @lru_cache(maxsize=1)
+def system_message() -> str:
+    """The system message of the prompts `letters`: the same for all missions."""
+    return PromptSet.load("letters").system(build_mission())
+
+
+@lru_cache(maxsize=1)
 def taught_choices() -> frozenset[str]:
     """The question of every example of the recipe."""
     return frozenset(example.user for example in choice_examples(0, CHOICES, "train"))
-
-
-def read_letter(text: str) -> str | None:
-    """The letter that an answer begins with, None without one."""
-    found = re.match(rf"\s*([{LETTERS}])\b", text)
-    return found and found[1]
 
 
 def choice_figures(choices: Sequence[Choice], letters: Sequence[str | None]) -> ChoiceFigures:
     """Compare the letters that were read with the right ones."""
     n, prompts = len(choices), frozenset(choice.user for choice in choices)
     pairs = list(zip(choices, letters, strict=True))
-    by_wish: dict[str, float] = {}
-    for wish in WORDINGS:
-        hits = [choice.right == letter for choice, letter in pairs if choice.wish == wish]
-        if hits:
-            by_wish[wish] = sum(hits) / len(hits)
+
+    def right(counts: Callable[[Choice], bool]) -> float:
+        hits = [choice.right == letter for choice, letter in pairs if counts(choice)]
+        return sum(hits) / len(hits) if hits else math.nan
+
     return ChoiceFigures(
         asked=n,
         distinct=len(prompts),
         taught=len(prompts & taught_choices()),
         parsed=sum(letter is not None for letter in letters) / n,
-        right=sum(choice.right == letter for choice, letter in pairs) / n,
-        safe=sum(letter is not None and choice.ways[LETTERS.index(letter)].safe for choice, letter in pairs) / n,
-        by_wish=by_wish,
+        right=right(lambda _: True),
+        open=sum(letter in [way.letter for way in choice.ways] for choice, letter in pairs) / n,
+        turning=right(lambda choice: choice.right != right_letter(choice.ways, "far")),
+        beside=right(lambda choice: choice.beside),
+        by_wish={wish: right(lambda choice, wish=wish: choice.wish == wish) for wish in WORDINGS},
     )
 
 
 def measure_choices(model: str, count: int, seed: int = 0) -> dict[str, ChoiceFigures]:
-    """Ask a model `count` held-out questions, without a grammar; beside it, programs that read no wish."""
+    """Ask a model `count` held-out questions, without a grammar; beside it, programs instead of a model."""
     choices = list(itertools.islice(draw_choices(seed, "held-out"), count))
-    rng = np.random.default_rng([seed, 5])
-    random = [LETTERS[int(i)] for i in rng.integers(len(LETTERS), size=count)]
-    default: list[str | None] = []
-    for choice in choices:
-        farthest = max((way for way in choice.ways if way.safe), key=lambda way: way.progress)
-        default.append(LETTERS[choice.ways.index(farthest)])
     return {
         "choice": choice_figures(choices, asyncio.run(_ask(model, choices, seed))),
-        "first_letter": choice_figures(choices, [LETTERS[0]] * count),
-        "random_letter": choice_figures(choices, random),
-        "farthest_safe": choice_figures(choices, default),
+        **program_figures(choices, seed),
     }
+
+
+def program_figures(choices: Sequence[Choice], seed: int = 0) -> dict[str, ChoiceFigures]:
+    """What programs get: first way, random way, way of the known wish, open or not, and a reader of taught words."""
+    rng, reader = np.random.default_rng([seed, 5]), keyword_reader()
+    answers: dict[str, list[Letter]] = {
+        "first_way": [choice.ways[0].letter for choice in choices],
+        "random_way": [choice.ways[int(rng.integers(len(choice.ways)))].letter for choice in choices],
+        "wish_alone": [WAYS.get(choice.wish, "S") for choice in choices],
+        "keywords": [right_letter(choice.ways, reader.read(choice.words)) for choice in choices],
+    }
+    return {name: choice_figures(choices, letters) for name, letters in answers.items()}
 
 
 async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | None]:
     gate = asyncio.Semaphore(AT_ONCE)
 
     async def one(asked: LanguageModel, choice: Choice) -> str | None:
-        messages = ChatMessage("system", SYSTEM), ChatMessage("user", choice.user)
+        messages = ChatMessage("system", system_message()), ChatMessage("user", choice.user)
         async with gate:
             try:
                 reply = await asked.ask(
@@ -291,9 +214,13 @@ async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | N
         return read_letter(reply.text)
 
     async with ModelPool() as pool:
-        settings = CallSettings(max_tokens=MOST_TOKENS)
+        settings = CallSettings(max_tokens=LETTER_TOKENS)
         asked = pool.model(model, robot=0, rng=np.random.default_rng(seed), settings=settings)
         return list(await asyncio.gather(*(one(asked, choice) for choice in choices)))
+
+
+def _drawn(rng: np.random.Generator, texts: Sequence[str]) -> str:
+    return texts[int(rng.integers(len(texts)))]
 
 
 def _draw_question(
@@ -309,31 +236,21 @@ def _draw_question(
         away = rng.uniform(1.05 * mission.safe_distance, mission.max_step + 3 * mission.safe_distance)
         angle = course + rng.normal(0.0, 0.9)
         others.append((here[0] + away * math.cos(angle), here[1] + away * math.sin(angle)))
-    return replace(question, position=here, neighbors=tuple(others), horizon=1)
+    arena = ((-2000.0, -2000.0), (2000.0, 2000.0))
+    obstacles = (_draw_obstacle(rng, split, here, course, mission.safe_distance),) if rng.random() < OBSTACLES else ()
+    # Valid in all that ways look at; the whole mission, with a way round every obstacle, is not needed.
+    fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
+    fields |= {"obstacles": obstacles, "arena": arena}
+    mission = Mission.model_construct(**fields)
+    return replace(question, mission=mission, position=here, neighbors=tuple(others), horizon=1)
 
 
-def _leader(ways: Sequence[LetterWay], worth: Callable[[LetterWay], float]) -> LetterWay | None:
-    """The way that is worth most, None where another is nearly as good."""
-    ranked = sorted(ways, key=worth, reverse=True)
-    if not ranked or (len(ranked) > 1 and worth(ranked[0]) - worth(ranked[1]) < MARGIN):
-        return None
-    return ranked[0]
-
-
-def _way_text(way: LetterWay) -> str:
-    """A way in words; judgements stand beside numbers, so that none needs to be compared with a limit."""
-    if way.gap == math.inf:
-        room = "nobody near"
-    else:
-        judged = "too close" if not way.safe else "near" if way.gap < 1.5 else "clear"
-        room = f"{judged}, gap {math.floor(100 * way.gap) / 100:.2f}"
-    return f"{way.name}, {way.progress:.2f} nearer, {room}"
-
-
-def _distance(point: Point, start: Point, end: Point) -> float:
-    """Distance of a point to a segment in the plane [units]."""
-    along = end[0] - start[0], end[1] - start[1]
-    square = along[0] ** 2 + along[1] ** 2
-    share = ((point[0] - start[0]) * along[0] + (point[1] - start[1]) * along[1]) / square if square else 0.0
-    share = max(0.0, min(1.0, share))
-    return math.dist(point, (start[0] + share * along[0], start[1] + share * along[1]))
+def _draw_obstacle(rng: np.random.Generator, split: Split, here: Point, course: float, safe: float) -> Obstacle:
+    """A disc or a square beside the way, its edge at least a body radius away from the robot."""
+    radius, angle = rng.uniform(0.5, 2.0) * safe, course + rng.normal(0.0, 1.0)
+    away = radius * (1.0 if split == "train" else math.sqrt(2)) + rng.uniform(0.6, 2.5) * safe
+    x, y = here[0] + away * math.cos(angle), here[1] + away * math.sin(angle)
+    if split == "train":
+        return Obstacle(center=(x, y), radius=radius)
+    corners = ((x - radius, y - radius), (x + radius, y - radius), (x + radius, y + radius), (x - radius, y + radius))
+    return Obstacle(polygon=corners)

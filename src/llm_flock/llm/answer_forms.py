@@ -18,6 +18,9 @@ WHOLE_DIGITS = 6
 DECIMALS = 4
 """Most digits after it: a confused model must not write a number without end."""
 
+LETTER_TOKENS = 4
+"""Longest answer of one letter [tokens]: room to see that a model would not stop after it."""
+
 REASONING = "reasoning"
 """First field of a JSON answer: a model that must write the object at once still needs room to think."""
 
@@ -51,6 +54,8 @@ def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
 @lru_cache(maxsize=256)
 def answer_grammar(kind: Kind, form: AnswerForm) -> str:
     """The grammar of an answer in this form; it begins at `root`."""
+    if form.letters:
+        return "root ::= " + " | ".join(f'"{letter}"' for letter in form.letters) + "\n"
     number = f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?'
     rules = {
         "answer": _json_answer(kind, form) if form.json else _text_answer(kind, form),
@@ -72,6 +77,8 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
 
 def longest_answer(kind: Kind, form: AnswerForm) -> int:
     """Upper bound of the length of an answer in this form [tokens]."""
+    if form.letters:
+        return LETTER_TOKENS
     points = form.n if kind == "plan" else form.horizon
     number = 1 + WHOLE_DIGITS + 1 + DECIMALS + len(", ")
     reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons else 0

@@ -91,8 +91,12 @@ class LanguagePlanner:
         frame: coordinates of the prompts, see `frame`.
 
     Raises:
-        InputError: history is to be kept of questions in different frames.
+        InputError: history is to be kept of questions in different frames, or the prompts ask for something else than
+            this planner reads.
     """
+
+    LETTERS = False
+    """Whether it reads letters."""
 
     def __init__(
         self,
@@ -108,6 +112,8 @@ class LanguagePlanner:
         clips: ClipsStep | None = None,
         frame: FrameName = "world",
     ) -> None:
+        if prompts.letters != self.LETTERS:
+            raise InputError("prompts", "letters", "full, brief or a folder: nothing else than a run asks for a letter")
         if frame == "own" and history != 0:
             raise InputError(
                 "frame", frame, "world while history is kept, because with own each question has a different frame"
@@ -155,11 +161,18 @@ class LanguagePlanner:
         horizon: int,
         read: Callable[[str, AnswerForm], A],
         check: Callable[[Q, A], str | None] | None,
+        letters: str = "",
     ) -> A | NoAnswer:
         """Ask one question up to `1 + max_retries` times; a probe once."""
         mission, round_ = asked.question.mission, asked.question.round
-        json, reasons = self._prompts.json, self._prompts.reasons
-        form = AnswerForm(n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons)
+        form = AnswerForm(
+            n=mission.n_places,
+            dim=mission.dim,
+            horizon=horizon,
+            json=self._prompts.json,
+            reasons=self._prompts.reasons,
+            letters=letters,
+        )
         self._forget_other_missions(mission)
         system = ChatMessage("system", self._prompts.system(asked.framed.mission))
         question = ChatMessage("user", text)

@@ -71,6 +71,7 @@ class AnswerForm:
         horizon: longest path; 1 asks for a single position.
         json: a JSON object instead of the paper's lines.
         reasons: the prompts ask for a reason before the answer.
+        letters: the letters of which the answer is one; empty where positions are asked for.
     """
 
     n: int
@@ -78,6 +79,7 @@ class AnswerForm:
     horizon: int = 1
     json: bool = False
     reasons: bool = True
+    letters: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,7 @@ from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import Q
+from llm_flock.llm.letters import NO_WISH, ways_of, ways_text
 from llm_flock.llm.prompt_values import (
     MISSION,
     nearest_text,
@@ -36,13 +37,16 @@ from llm_flock.protocol.planning import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 
-PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief"}
+PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief", "letters": "prompts/letters"}
 """Packaged sets of templates, and their folders."""
+
+LETTERS = "letters"
+"""The packaged set that asks for one letter, of ways that code computes; plans are not asked."""
 
 MISSIONS_KEPT = 64
 """Missions whose variables and system message are kept."""
 
-COMMON = frozenset({"json", *MISSION})
+COMMON = frozenset({"json", "wish", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
     "robot": lambda asked: asked.robot,
     "round": lambda asked: asked.round,
@@ -64,6 +68,7 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     "waiting": lambda asked: asked.slot is None,
     "goal": lambda asked: place_text(asked.goal),
     "horizon": lambda asked: asked.horizon,
+    "ways": lambda asked: ways_text(ways_of(asked)),
 }
 """Variables of a question, and how each is written."""
 
@@ -95,31 +100,41 @@ class PromptSet:
     Attributes:
         json: whether they ask for a JSON object instead of the paper's text forms.
         reasons: whether they ask for a reason before the answer.
+        letters: whether they ask for a letter instead of a position, and for no plan.
+        wish: what the operator wishes of the steps, in words; empty without a wish.
     """
 
     json: bool
     reasons: bool = True
+    letters: bool = False
+    wish: str = ""
     templates: Mapping[str, CompiledTemplate]
     _missions: dict[str, tuple[dict[str, Any], str]] = field(
         default_factory=dict[str, tuple[dict[str, Any], str]], init=False, repr=False
     )
 
     @classmethod
-    def load(cls, prompts: str | Path = "full", *, json: bool = False) -> Self:
+    def load(cls, prompts: str | Path = "full", *, json: bool = False, wish: str = "") -> Self:
         """A packaged set by its name, or the operator's folder, whose templates replace those of `full`.
+
+        `wish` is what the operator wishes of the steps, in words.
 
         Raises:
             InputError: for field `prompts`: no such folder, none of the templates in it, or a template that cannot
                 be used (syntax, unknown variable, or a failure on an example), naming the file.
         """
         if isinstance(prompts, str) and prompts in PACKAGED:
-            return cls(json=json, reasons=prompts != "brief", templates=_packaged_templates(prompts))
+            letters = prompts == LETTERS
+            if letters and json:
+                raise InputError("answers", "json", "text: the prompts 'letters' ask for one letter")
+            templates = _packaged_templates(prompts)
+            return cls(json=json, reasons=prompts == "full", letters=letters, wish=wish, templates=templates)
         folder = Path(prompts)
         replaced = [name for name in VARIABLES if (folder / name).is_file()]
         if not replaced:
             raise InputError("prompts", str(folder), f"a folder with at least one of {', '.join(VARIABLES)}")
         logger.info("prompt templates from %s: %s", folder, ", ".join(replaced))
-        loaded = cls(json=json, templates=_templates("full", folder))
+        loaded = cls(json=json, wish=wish, templates=_templates("full", folder))
         loaded.try_out()
         return loaded
 
@@ -150,7 +165,7 @@ class PromptSet:
             if len(self._missions) >= MISSIONS_KEPT:
                 # A moving centre gives another mission in every round.
                 self._missions.clear()
-            common = {**self._globals(), "json": self.json}
+            common = {**self._globals(), "json": self.json, "wish": self.wish or NO_WISH}
             common |= {name: write(mission) for name, write in MISSION.items()}
             known = self._missions[mission.digest] = common, self._render("system.j2", common)
         return known

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -70,18 +70,23 @@ class StepQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanAnswer:
-    """A usable plan, and the slot that the planner chose for its own robot."""
+    """A usable plan, the slot that the planner chose for its own robot, and whether geometry made it for the model."""
 
     plan: Plan
     slot: int
+    by: Literal["model", "geometry"] = "model"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepAnswer:
-    """A usable waypoint, and the `path` after it, a waypoint for each round [units; world frame]."""
+    """A usable waypoint, and the `path` after it, a waypoint for each round [units; world frame].
+
+    `by` says whether geometry computed it because there was nothing to ask the model.
+    """
 
     waypoint: Point
     path: tuple[Point, ...] = ()
+    by: Literal["model", "geometry"] = "model"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -73,7 +73,7 @@ class Proposals:
             return [Note("stale_answer", {"about": "plan"})]
         answer = self._validator.plan(self._asked, answer)
         if isinstance(answer, PlanAnswer):
-            return [*self.breaker.usable(), *self._propose(self._asked, answer, "model")]
+            return [*self.breaker.usable(), *self._propose(self._asked, answer, answer.by)]
         notes = [self._agreement.lack_plan(answer), *self.breaker.refused(self._asked.round, answer)]
         return [*notes, *self._plan_by_geometry(self._asked, answer)]
 

@@ -6,8 +6,11 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from llm_flock.llm.frame import trained_for
+from llm_flock.errors import InputError
+from llm_flock.llm.frame import LETTERS_MODEL, trained_for
 from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.letter_planner import LetterPlanner
+from llm_flock.llm.letters import check_wish
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
@@ -15,7 +18,7 @@ from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_se
 from llm_flock.llm.own import OwnModel
 from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
-from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.prompting import LETTERS, PromptSet
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane, Pools
@@ -78,9 +81,16 @@ class TeamPlanners:
             max_tokens=limits.max_answer_tokens,
         )
 
+        wish = check_wish(model.wish)
+
         def prompts_of(text: str) -> PromptSet:
-            words = model.prompts or ("brief" if trained_for(text) else "full")
-            prompts = PromptSet.load(words, json=model.answers == "json")
+            trained = LETTERS if text == LETTERS_MODEL else "brief" if trained_for(text) else "full"
+            words = model.prompts or trained
+            prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
+            if wish and words in ("full", "brief"):
+                raise InputError(
+                    "wish", wish, f"no wish with the prompts {words!r}, which do not name it: use 'letters'"
+                )
             if parse_model(text).kind == "simulated":
                 check_prompts(prompts, config.mission)
             return prompts
@@ -114,10 +124,12 @@ class TeamPlanners:
             else:
                 remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
                 asked = Limited(remote, on_board if name.kind == "local" else self._limits)
-            return LanguagePlanner(
+            prompts = self._prompts[text]
+            kind = LetterPlanner if prompts.letters else LanguagePlanner
+            return kind(
                 robot,
                 asked,
-                self._prompts[text],
+                prompts,
                 max_retries=model.max_retries,
                 history=history,
                 on_attempt=self._notify,

@@ -20,7 +20,10 @@ SMOLLM2 = "smollm2"
 NO_ADAPTER = "none"
 """Stands in place of an adapter to ask for the stock weights."""
 
-_WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{NO_ADAPTER}|.+\.gguf)")
+LETTERS = "letters"
+"""Stands in place of an adapter to ask for the packaged one that was taught letters."""
+
+_WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{NO_ADAPTER}|{LETTERS}|.+\.gguf)")
 
 ENGINE_MISSING = (
     "needs the engine: pip install ./packages/llm-flock-smollm2-adapter '.[local]' in a checkout of LLM-Flock"
@@ -71,14 +74,14 @@ def split_name(text: str) -> tuple[str, str | None]:
 def is_packaged(text: str) -> bool:
     """Whether the text after `local:` names packaged files only, and none by its path."""
     model, adapter = split_name(text)
-    return model == SMOLLM2 and adapter in (None, NO_ADAPTER)
+    return model == SMOLLM2 and adapter in (None, NO_ADAPTER, LETTERS)
 
 
 def find_weights(text: str) -> Weights:
     """Find the files of a model on board and read their headers. Call before a run, to refuse early.
 
     Args:
-        text: what follows `local:`: `smollm2` or a path, then `+ADAPTER.gguf`, `+none` or nothing.
+        text: what follows `local:`: `smollm2` or a path, then `+ADAPTER.gguf`, `+letters`, `+none` or nothing.
 
     Raises:
         InputError: for field `model`: the engine, the weights, the adapter or a file is missing or unfit.
@@ -90,8 +93,8 @@ def find_weights(text: str) -> Weights:
     if model is None:
         raise InputError("model", f"local:{text}", says=WEIGHTS_MISSING)
     adapter = None if beside in (None, NO_ADAPTER) else Path(beside).expanduser()
-    if beside is None and name == SMOLLM2:
-        adapter = packaged_adapter()
+    if beside == LETTERS or (beside is None and name == SMOLLM2):
+        adapter = packaged_adapter(letters=beside == LETTERS)
         if adapter is None:
             raise InputError("model", f"local:{text}", says=ADAPTER_MISSING)
     header = read_header(model)
@@ -131,10 +134,12 @@ def packaged_model() -> Path | None:
     return next((Path(str(file.locate())) for file in files if file.suffix == ".gguf"), None)
 
 
-def packaged_adapter() -> Path | None:
-    """The GGUF file of the package `llm-flock-smollm2-adapter`, None where that is not installed."""
+def packaged_adapter(*, letters: bool = False) -> Path | None:
+    """A GGUF file of the package `llm-flock-smollm2-adapter`, None where that is not installed, or older."""
     module = "llm_flock_smollm2_adapter"
-    return None if util.find_spec(module) is None else import_module(module).ADAPTER
+    return (
+        None if util.find_spec(module) is None else vars(import_module(module)).get("LETTERS" if letters else "ADAPTER")
+    )
 
 
 def _digest(file: Path) -> str:

@@ -37,6 +37,7 @@ from llm_flock.llm.simulated.prompt_reader import (
     read_step,
     read_still,
     read_task,
+    read_ways,
     sensible_decimals,
 )
 from llm_flock.mission import ORIENTATIONS
@@ -100,6 +101,9 @@ class Responder:
         system = next((text for role, text in conversation if role == "system"), "")
         # After a rejected answer, the question is not the last message.
         for role, text in reversed(conversation):
+            ways = read_ways(text) if role == "user" else []
+            if ways:
+                return self._letter(ways, failures)
             if role == "user" and STEP_MARK in text:
                 return self._step(read_task(system), read_step(text), failures)
             if role == "user" and PLAN_MARK in text:
@@ -108,6 +112,12 @@ class Responder:
                 return self._plan(task, *read_plan(text), failures, still)
         last = conversation[-1][1] if conversation else ""
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
+
+    def _letter(self, ways: Sequence[str], failures: frozenset[str]) -> str:
+        """The first way whatever the wish, for a stand-in reads no words; some failures change it."""
+        if "malformed" in failures:
+            return "I would rather not say."
+        return ways[int(self._rng.integers(len(ways)))] if "random" in failures else ways[0]
 
     def _plan(
         self, task: Task, robot: int, as_json: bool, failures: frozenset[str], still: Sequence[Point] = ()

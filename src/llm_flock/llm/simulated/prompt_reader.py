@@ -30,6 +30,9 @@ _CORNER = re.compile(r"\[([^\]]+)\]")
 _STILL = re.compile(r"^Robots that do not move any more stand at (\[\[.+\]\]): ", re.MULTILINE)
 _GIVEN = "relative to its centre its places are [["
 
+_WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
+
+WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
 _NEIGHBORS_MARK = "\nRobots near you, moving as well: "
@@ -155,8 +158,15 @@ def read_step(text: str) -> StepPrompt:
     )
 
 
+def read_ways(text: str) -> list[str]:
+    """Read the letters of the ways, in their order; empty if the question is not for a letter."""
+    return _WAY.findall(text.rpartition("\n")[2]) if text.startswith(WISH_MARK) else []
+
+
 def check_prompts(prompts: PromptSet, mission: Mission) -> None:
     """Read the prompts of sample questions. Call before a run with simulated models; InputError as in `read_task`."""
+    if prompts.letters:
+        return
     read_task(prompts.system(mission))
     here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
     read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))

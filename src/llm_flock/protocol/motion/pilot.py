@@ -233,7 +233,9 @@ class Pilot:
         reaches = corner is not None and math.dist(scene.position, corner) <= question.mission.max_step
         if corner is not None and reaches and math.dist(fit, corner) <= self._tolerance:
             fit = corner  # a little beside it, the way on may not be free, and the next question would be the same
-        effects = self._fly(fit, scene, asked, Origin.MODEL if fit == asked else Origin.CLIPPED)
+        chosen = Origin.MODEL if fit == asked else Origin.CLIPPED
+        by_geometry = isinstance(answer, StepAnswer) and answer.by == "geometry"
+        effects = self._fly(fit, scene, asked, Origin.GEOMETRY if by_geometry else chosen)
         if fit != asked:
             effects.insert(0, Note("clipped", {"proposed": asked, "flown": fit}))
         if self._committed is not None:
