@@ -167,9 +167,7 @@ async def _letters(taught: str, turns: int) -> None:
                 if turn >= 0:
                     spent[name].append((time.process_time() - began) / max(1, len(seen)))
                     attempts[name] += seen
-    print(
-        "| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time [s] |"
-    )
+    print("| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time [s] |")
     print("|---|---|---|---|---|---|---|---|")
     for name, (text, *_) in forms.items():
         usages = [attempt.reply.usage for attempt in attempts[name] if attempt.reply is not None]
