@@ -119,6 +119,7 @@ def _waits(model: str) -> bool:
 
 ADDED: Mapping[str, frozenset[str]] = {
     "limits": frozenset({"max_answer_tokens"}),
+    "model": frozenset({"wish"}),
     "trial": frozenset({"start_area"}),
 }
 """Settings, by section, that are younger than the first sweeps; none is given unless it is set."""

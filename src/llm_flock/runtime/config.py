@@ -136,7 +136,7 @@ class ModelConfig(ConfigSection):
         description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
         "[the model's: brief for local:smollm2, letters for local:smollm2+letters, full for others]",
     )
-    wish: str = Field(default="", description="What is wished of the steps, in words; with --prompts letters")
+    wish: str | None = Field(default=None, description="What is wished of the steps, in words; with --prompts letters")
     frame: FrameName | None = Field(
         default=None,
         description="Coordinates in a model's prompts: world, or own (plans around the origin in spacings, steps "

@@ -76,7 +76,7 @@ def parameters(
     observe: Literal["in-range", "all"] = "in-range",
     max_retries: int = 2,
     prompts: str | Path | None = None,
-    wish: str = "",
+    wish: str | None = None,
     frame: FrameName | None = None,
     temperature: str | float | None = None,
     reasoning_effort: str | None = None,

@@ -81,7 +81,7 @@ class TeamPlanners:
             max_tokens=limits.max_answer_tokens,
         )
 
-        wish = check_wish(model.wish)
+        wish = check_wish(model.wish or "")
 
         def prompts_of(text: str) -> PromptSet:
             trained = LETTERS if text == LETTERS_MODEL else "brief" if trained_for(text) else "full"

@@ -6,13 +6,16 @@ from collections.abc import Callable
 
 import pytest
 from driven_agent import LINE, PLAN, DrivenAgent, make, says
+from msgspec.structs import replace
 from signed_team import Liar, SignedTeam
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.messaging import REMEMBERED_PAYLOADS, REMEMBERED_REFUSALS
+from llm_flock.protocol.agreement.messaging import COURSE_ROUNDS, REMEMBERED_PAYLOADS, REMEMBERED_REFUSALS
 from llm_flock.protocol.events import MissionGiven, Received
 from llm_flock.protocol.messages.channel import Inbound
+from llm_flock.protocol.messages.codec import decode, encode
+from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 
@@ -34,6 +37,21 @@ def test_another_mission_drops_messages_and_keeps_heartbeats() -> None:
     driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2), ordered_at=1))
     assert driven.agent._messaging.drain() == []
     assert driven.agent._liveness.beats[1:] == (7, 3)
+
+
+def test_a_way_that_is_asked_for_is_forgotten_two_rounds_after_its_sender_fell_silent() -> None:
+    driven = DrivenAgent(make())
+    driven.begin()
+    asked = Course(level=1, of=1, path=((60.0, 50.0),))
+    said = decode(says(1, plan=PLAN), LINE.n_robots, LINE.dim)
+    driven.agent.handle(Received(encode(replace(said, course=asked))))
+    messaging = driven.agent._messaging
+    messaging.drain()
+    for _ in range(COURSE_ROUNDS):
+        messaging.begin_round()
+        assert messaging.courses == {1: asked}
+    messaging.begin_round()
+    assert messaging.courses == {}
 
 
 class Opened:
