@@ -145,8 +145,9 @@ def test_a_run_is_seen_and_steered(tmp_path: Path) -> None:
         client.listen_until(lambda: "/robots/4/pose" in client.channels and len(client.services) == 2)
         client.subscribe("/state", "/robots/4/pose")
         client.listen_until(lambda: len(client.of("/robots/4/pose")) > 3)
-        assert client.call(KILL, {"robot": 4}) == {"robot": 4}
         assert client.call(MISSION, {"shape": "line"}) == {"robot": 0}
+        # It is given no later than a robot is killed by an order that comes after it.
+        assert client.call(KILL, {"robot": 4}) == {"robot": 4}
         client.listen_until(lambda: bool(client.of("/state")) and client.of("/state")[-1]["phases"][4] == "dead")
     record = read_record(tmp_path / "demo" / "run.mcap")
     assert [mission.mission["shape"] for mission in record.missions] == ["circle", "line"]

@@ -49,6 +49,7 @@ def test_drones_with_a_radio() -> None:
     starts, obstacles = [(-0.4, -0.3, 0.0), (-0.4, 0.3, 0.0)], wall(13.0, 15.0, 30.0)
     room = {"shape": "line", "n_robots": 2, "center": [20, 15], "spacing": 6, "arena": [[0, 0], [30, 30]]}
     brisk = {"round_s": 0.6, "max_speed_m_s": 6.0, "take_off_s": 0.5, "land_s": 0.5, "settle_s": 0.3, "deadman": False}
+    brisk["stall_s"] = 5.0  # the stand-ins share a busy machine, and this is about ways
     with StandIns(starts, controller=2) as stand_ins:  # Mellinger: none that lags is let fly so fast
         drones = [{"name": f"d{k}", "uri": uri, "start": starts[k][:2]} for k, uri in enumerate(stand_ins.uris)]
         mission = {"mission": {**room, "obstacles": obstacles}}
