@@ -55,7 +55,7 @@ class FoxgloveClient:
         self.listen_until(lambda: number in self.answers)
         return self.answers[number]
 
-    def listen_until(self, true: Any, timeout_s: float = 20.0) -> None:
+    def listen_until(self, true: Any, timeout_s: float = 60.0) -> None:
         end = time.monotonic() + timeout_s
         while not true():
             left = end - time.monotonic()
