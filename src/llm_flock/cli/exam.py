@@ -49,6 +49,10 @@ def exam(
     export: Annotated[
         Path | None, typer.Option(help="Write the questions to this file (JSON lines), and ask no model")
     ] = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Option(help="Write the questions to this folder as a dataset for the Hugging Face Hub; ask no model"),
+    ] = None,
     prompts: Annotated[Text, typer.Option(help="As in run", show_default=False)] = None,
     frame: Annotated[Text, typer.Option(help="As in run", show_default=False)] = None,
     answers: Annotated[str, typer.Option(help="Form of answers: text or json")] = "text",
@@ -71,14 +75,20 @@ def exam(
 
     Prompts, parsers and checks are those of a run. Results and recordings are kept in a folder.
     """
+    from llm_flock.exam.dataset import write_dataset
     from llm_flock.exam.examinee import Setup
     from llm_flock.exam.leaderboard import write_page
     from llm_flock.exam.questions import to_lines
     from llm_flock.exam.session import Paper
+    from llm_flock.exam.splits import VERSION
 
     paper = Paper(split=split, seed=seed, sections=sections, limit=limit, repeats=repeats)
     if export is not None:
         _export(export, to_lines(paper.questions()))
+    if dataset is not None:
+        for path in write_dataset(dataset, paper.questions(), version=VERSION, split=paper.split):
+            say(path)
+    if export is not None or dataset is not None:
         return
     if not models:
         if page is None:
