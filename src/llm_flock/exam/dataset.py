@@ -23,15 +23,15 @@ configs:
 # LLM-Flock exam, version {version}, {split} split
 
 Questions that a robot of a team without a central controller asks its language model: plan a formation, choose a place
-in it, fly the next step, use the reason why an answer was refused, read a mission in plain words. A seeded program makes
-them, and code scores every answer. The digest of these {count} questions is `{digest}`.
+in it, fly the next step, use the reason why an answer was refused, read a mission in plain words. A seeded program
+makes them, and code scores every answer. The digest of these {count} questions is `{digest}`.
 
 | Table | Questions | What is asked |
 |---|---|---|
 {rows}
 
 A question holds no prompt: `llm-flock exam` renders it with the templates of a run, so that any prompt can be tried.
-Fields that have their default are left out. The reference of LLM-Flock describes them (docs/reference/exam-questions.md).
+Fields that have their default are left out. LLM-Flock's reference describes them (docs/reference/exam-questions.md).
 
 ```python
 from datasets import load_dataset
