@@ -35,9 +35,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_finish() -> None:
-    """Spare the collector what lives to the end anyway, modules and tests: a tenth of the time of all tests."""
+    """Spare the collector what lives to the end anyway, modules and tests: a tenth of the time of all tests.
+
+    And let it look at what is left less often, which spares as much again.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(100_000, 50, 50)
 
 
 class NetworkBlocked(AssertionError):
