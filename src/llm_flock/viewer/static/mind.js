@@ -58,7 +58,7 @@ export class Minds {
     }
     const k = Math.max(0, this.runs.findIndex((run) => run.outcome && run.outcome.guilty.length));
     const found = this.runs[k].outcome;
-    if (!this.opened && found && !this.runs.some((run) => run.open && !run.about.live)) {
+    if (!this.opened && found && !this.runs.some((run) => run.open && !(run.about && run.about.live))) {
       this.opened = true;
       if (this.lists[0].value) return;
       this.choose(k, found.interesting.robot, false);
