@@ -151,13 +151,7 @@ async def fly_case(name: str, after_s: float = 1.5, **fields: Any) -> dict[str, 
         poses = stack.enter_context(_cameras(config, stand_ins)) if name in OUTSIDE else None
         watch = Watch(stand_ins)
         looking = asyncio.create_task(watch.look())
-        flying = asyncio.Event()
-
-        def on_stage(stage: str) -> None:
-            if stage == "flying":
-                flying.set()
-
-        flight = Flight(config, build_fleet(config), on_stage=on_stage)
+        flight, flying = _flight(config)
         with _mute() if name == "model_silent" else contextlib.nullcontext():
             task = asyncio.create_task(flight.run(yes))
             await flying.wait()
@@ -171,6 +165,17 @@ async def fly_case(name: str, after_s: float = 1.5, **fields: Any) -> dict[str, 
         # A drone that hovers out of reach is as safe as it can be once everybody else is down and it is named.
         until = time.monotonic() - 0.1 if watch.all_off_s is None else watch.all_off_s
         return _row(name, config, result, until - began, watch.nearest_m)
+
+
+def _flight(config: FlightConfig) -> tuple[Flight, asyncio.Event]:
+    """A flight, and an event that is set once its mission begins."""
+    flying = asyncio.Event()
+
+    def on_stage(stage: str) -> None:
+        if stage == "flying":
+            flying.set()
+
+    return Flight(config, build_fleet(config), on_stage=on_stage), flying
 
 
 def _free_port() -> int:
@@ -192,13 +197,7 @@ async def fly_through_a_pause(name: str, **fields: Any) -> dict[str, Any]:
         config = addressed(config, homes, stand_ins.uris)
         watch, victim = Watch(stand_ins), stand_ins[1]
         looking = asyncio.create_task(watch.look())
-        flying = asyncio.Event()
-
-        def on_stage(stage: str) -> None:
-            if stage == "flying":
-                flying.set()
-
-        flight = Flight(config, build_fleet(config), on_stage=on_stage)
+        flight, flying = _flight(config)
         task = asyncio.create_task(flight.run(yes))
         await flying.wait()
         await asyncio.sleep(1.0)

@@ -33,7 +33,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
+from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.protocol.signed.certificates import (
@@ -325,3 +325,10 @@ def line_up(n: int, gap: float = 7.0) -> list[Point]:
 def good_plan(mission: Mission, angle: int) -> Plan:
     """A faultless plan that no robot of the team proposed."""
     return turned(mission, mission.n_robots + angle)[-1]
+
+
+def free_slot(team: SignedTeam) -> int:
+    """The first place that nobody has."""
+    table = team.agents[0].claim.table
+    assert table is not None
+    return next(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)

@@ -16,8 +16,9 @@ from pydantic import BaseModel
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED
 from llm_flock.robots.segment import Segment
-from llm_flock.runtime.flight.config import FlightConfig, MissionFrame
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
+from llm_flock.runtime.flight.frame import MissionFrame
 from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
 
 SPACE: dict[str, Any] = {

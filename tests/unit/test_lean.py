@@ -87,11 +87,15 @@ print(json.dumps(found), file=sys.stderr)
 """
 
 
+def probed(asked: str, probe: str = PROBE) -> list[str]:
+    """What a new process writes to stderr that runs command lines one after another; the modules found are last."""
+    command = [sys.executable, "-c", probe, asked]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stderr.splitlines()
+
+
 def imported(lines: list[str]) -> list[list[str]]:
     """Heavy modules that are loaded after each of some command lines, one after another in one new process."""
-    asked = json.dumps([(line, (*HEAVY, *LINES[line])) for line in lines])
-    done = subprocess.run([sys.executable, "-c", PROBE, asked], capture_output=True, text=True, check=True, timeout=60)
-    return json.loads(done.stderr.splitlines()[-1])
+    return json.loads(probed(json.dumps([(line, (*HEAVY, *LINES[line])) for line in lines]))[-1])
 
 
 def test_commands_that_refuse_import_nothing_heavy() -> None:
@@ -100,28 +104,15 @@ def test_commands_that_refuse_import_nothing_heavy() -> None:
 
 
 def test_the_probe_would_notice() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE, '[["shapes", ["numpy", "json", "shapely"]]]'],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    assert done.stderr.splitlines()[-1] == '[["numpy", "json"]]'
+    assert probed('[["shapes", ["numpy", "json", "shapely"]]]')[-1] == '[["numpy", "json"]]'
 
 
 def test_the_viewer_loads_no_other_command() -> None:
     # A page waits for it. It refuses what it is given here after it has built its options.
     probe = PROBE.replace("sys.argv[1:] = line.split()", 'sys.argv[1:] = ["view", *line.split()]')
-    done = subprocess.run(
-        [sys.executable, "-c", probe, '[["no-such-file", ["llm_flock.cli", "rich", "asyncio", "typer", "numpy"]]]'],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    assert "no-such-file" in done.stderr
-    assert done.stderr.splitlines()[-1] == '[["typer"]]'
+    *said, found = probed('[["no-such-file", ["llm_flock.cli", "rich", "asyncio", "typer", "numpy"]]]', probe)
+    assert "no-such-file" in "\n".join(said)
+    assert found == '[["typer"]]'
 
 
 def test_the_viewer_alone_says_what_it_says_among_the_others() -> None:

@@ -76,7 +76,7 @@ def train(
     tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
     blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
     half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
-    keep: Annotated[int, typer.Option(min=0, help="Keep the factors of every so many steps, to compare")] = 0,
+    keep: Annotated[int, typer.Option(min=0, help="Also save the factors after every N steps; 0: only the last")] = 0,
     threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,

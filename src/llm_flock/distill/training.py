@@ -39,7 +39,7 @@ class TrainingOptions:
         tokens: size of all batches of a step, about.
         together: batches of a step, of different kinds of questions; all have the same weight.
         keep_s: time between two checkpoints [s].
-        keep_steps: the factors are kept every so many steps, beside the last ones, to compare them; 0 keeps none.
+        keep_steps: save the factors after every `keep_steps` steps too, to compare them; 0 saves only the last ones.
     """
 
     steps: int = 3000

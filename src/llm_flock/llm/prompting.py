@@ -7,7 +7,7 @@ update (166-171); the wording here is our own, and the plan message also gives t
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +20,7 @@ from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import Q
-from llm_flock.llm.letters import NO_WISH, ways_of, ways_text
+from llm_flock.llm.letters import NO_WISH, LetterWay, ways_of, ways_text
 from llm_flock.llm.prompt_values import (
     MISSION,
     nearest_text,
@@ -146,9 +146,13 @@ class PromptSet:
         """The plan generation message."""
         return self._question("plan.j2", PLAN, question)
 
-    def step(self, question: StepQuestion) -> str:
-        """The position update message."""
-        return self._question("step.j2", STEP, question)
+    def step(self, question: StepQuestion, ways: Sequence[LetterWay] | None = None) -> str:
+        """The position update message; with the ways to choose from, where they are known already."""
+        known: Mapping[str, Callable[[StepQuestion], Any]] = STEP
+        if ways is not None:
+            shown = ways_text(ways)
+            known = {**STEP, "ways": lambda asked: shown}
+        return self._question("step.j2", known, question)
 
     def retry(self, reason: str, question: PlanQuestion | StepQuestion) -> str:
         """The message after an answer that cannot be used to the same question; `reason` is a sentence."""

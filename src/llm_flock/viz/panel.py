@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,12 +17,16 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from llm_flock import graph
+from llm_flock.arrays import Points
 from llm_flock.record.palette import NO_PLAN
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
 from llm_flock.viz.crowd import spread
 from llm_flock.viz.labels import beside, size_of
 from llm_flock.viz.style import DANGER, FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
+
+Looks: TypeAlias = Sequence[PlanLook]
+Counts: TypeAlias = Sequence[tuple[float, float]]
 
 MOST_LABELLED = 30
 SMALLEST_LABELLED = 6.5
@@ -122,7 +126,7 @@ class Panel:
         self._too_close(axes, positions, drawn)
         self._robots(axes, state, drawn, looks, counts)
 
-    def _spread(self, axes: Axes, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
+    def _spread(self, axes: Axes, places: Points) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
         """Where discs are drawn [units], and the middles of crowds, which are counted; small discs stay in place."""
         if not self.labelled:
             return places, []
@@ -166,7 +170,7 @@ class Panel:
         pairs = np.argwhere(np.triu(adjacent))
         axes.add_collection(LineCollection(list(positions[:, :2][pairs]), colors=FAINT, linewidths=0.8, zorder=2))
 
-    def _trails(self, axes: Axes, round_number: int, places: NDArray[np.float64]) -> None:
+    def _trails(self, axes: Axes, round_number: int, places: Points) -> None:
         """Each leg in the colour of the plan that was followed on it."""
         path = np.concatenate([self._path[:round_number], places[None]])
         legs: list[NDArray[np.float64]] = []
@@ -178,7 +182,7 @@ class Panel:
         start = self._path[0]
         axes.scatter(start[:, 0], start[:, 1], s=min(3.0, 0.25 * self._disc), c=INK, linewidths=0, zorder=2)
 
-    def _goals(self, axes: Axes, state: State, looks: Sequence[PlanLook]) -> None:
+    def _goals(self, axes: Axes, state: State, looks: Looks) -> None:
         rings = [(goal, look.line) for goal, look in zip(state.goals, looks, strict=True) if goal is not None]
         if rings:
             points = np.array([goal[:2] for goal, _ in rings])
@@ -192,14 +196,7 @@ class Panel:
                 zorder=3,
             )
 
-    def _robots(
-        self,
-        axes: Axes,
-        state: State,
-        places: NDArray[np.float64],
-        looks: Sequence[PlanLook],
-        counts: Sequence[tuple[float, float]],
-    ) -> None:
+    def _robots(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Counts) -> None:
         dead = [robot for robot, phase in enumerate(state.phases) if phase == DEAD]
         if dead:
             for size, colour, marker in ((self._disc, INK, "o"), (0.5 * self._disc, PAPER, "x")):
@@ -227,14 +224,7 @@ class Panel:
             )
         self._words(axes, state, places, looks, counts)
 
-    def _words(
-        self,
-        axes: Axes,
-        state: State,
-        places: NDArray[np.float64],
-        looks: Sequence[PlanLook],
-        counts: Sequence[tuple[float, float]],
-    ) -> None:
+    def _words(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Counts) -> None:
         """Letter of the plan and influence, beside every robot that has begun; beside a dead one its number."""
         begun = [robot for robot in range(len(looks)) if state.phases[robot] != ASLEEP]
         words = {
@@ -280,7 +270,7 @@ class Panel:
         """The place of a crowd's number [points]."""
         return x - self._font, x + self._font, y - 0.7 * self._font, y + 0.7 * self._font
 
-    def _discs(self, axes: Axes, places: NDArray[np.float64], looks: Sequence[PlanLook], above: float) -> None:
+    def _discs(self, axes: Axes, places: Points, looks: Looks, above: float) -> None:
         axes.scatter(
             places[:, 0],
             places[:, 1],

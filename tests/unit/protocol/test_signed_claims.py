@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import msgspec
-from signed_team import Liar, SignedTeam, evidence_of, line_up
+from signed_team import Liar, SignedTeam, evidence_of, free_slot, line_up
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
@@ -29,12 +29,6 @@ from llm_flock.protocol.signed.certificates import (
 from llm_flock.protocol.signed.evidence import SPARE, Evidence
 
 MISSION = Mission(shape="circle", n_robots=5)
-
-
-def free_slot(team: SignedTeam) -> int:
-    table = team.agents[0].claim.table
-    assert table is not None
-    return next(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
 
 
 def test_honest_robots_settle_as_they_do_without_signatures(team: SignedTeam) -> None:

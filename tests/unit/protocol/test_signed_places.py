@@ -7,7 +7,7 @@ import math
 
 import msgspec
 import pytest
-from signed_team import Liar, SignedTeam, evidence_of, line_up
+from signed_team import Liar, SignedTeam, evidence_of, free_slot, line_up
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
@@ -25,12 +25,6 @@ from llm_flock.protocol.signed.certificates import (
 )
 
 MISSION = Mission(shape="circle", n_robots=5)
-
-
-def free_slot(team: SignedTeam) -> int:
-    table = team.agents[0].claim.table
-    assert table is not None
-    return next(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
 
 
 def versions(team: SignedTeam) -> int:

@@ -40,7 +40,6 @@ from llm_flock.protocol.signed.certificates import (
 REMEMBERED = 4096
 """Most signatures that are remembered as good."""
 
-
 MOST_PASSED_ON = 32
 """Most statements of other witnesses in one message; they take turns."""
 
