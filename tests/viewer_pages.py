@@ -37,9 +37,10 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
 def page_at(
     browser: Browser, url: str, *, width: int = 1280, height: int = 720, dark: bool = False, still: bool = True
 ) -> Iterator[Page]:
-    """A page that must neither complain, nor ask anybody else, nor give a request up.
+    """A page that must neither complain, nor ask anybody else, nor have a request fail.
 
-    Where it is not `still`, a record plays when it appears.
+    A browser aborts what is under way when a page is left or loaded again: that is no failure, and the pages abort
+    nothing themselves. Where it is not `still`, a record plays when it appears.
     """
     context = browser.new_context(
         color_scheme="dark" if dark else "light",
@@ -53,16 +54,17 @@ def page_at(
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
 
-    def give_up(request: Request) -> None:
-        said.append(f"given up: {request.url} {request.failure}")
+    def fail(request: Request) -> None:
+        if request.failure != "net::ERR_ABORTED":
+            said.append(f"failed: {request.url} {request.failure}")
 
-    page.on("requestfailed", give_up)
+    page.on("requestfailed", fail)
     page.on("request", lambda request: asked.append(request.url))
     page.on("websocket", lambda socket: asked.append(socket.url))
     page.goto(url)
     yield page
     # A page of a run in flight asks on; what is under way when it is left is nobody's fault.
-    page.remove_listener("requestfailed", give_up)
+    page.remove_listener("requestfailed", fail)
     own = re.escape(url.split("/")[2])
     assert said == [], said
     assert [address for address in asked if not re.match(rf"((http|ws)://{own}/|data:|blob:)", address)] == []
