@@ -67,10 +67,15 @@ def mission_of(n: int) -> Mission:
     return Mission(shape="circle", n_robots=n, center=(side / 2, side / 2), arena=((0.0, 0.0), (side, side)))
 
 
+def rounds_to_form(n: int) -> int:
+    """How long a team has: rounds in the simulator, as many periods of a motion round against processes."""
+    return 60 + 6 * n
+
+
 def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Outcome:
     """A team of n, the last of which lie together, in lockstep; their bodies fly off, unless they ask for ways.
 
-    The team reckons with as many liars unless it was told another number, and has 60 rounds and 6 for each robot.
+    The team reckons with as many liars unless it was told another number.
     """
     from gang import Gang
     from lies import round_of_lies
@@ -83,7 +88,7 @@ def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Out
     team = SignedTeam(mission, places, seed=seed, liars=liars, tolerated=max(1, liars) if told is None else told)
     gang = Gang({j: ToyKeys(j) for j in range(n - liars, n)}, mission, seed)
     held = 0
-    for number in range(1, 60 + 6 * n + 1):
+    for number in range(1, rounds_to_form(n) + 1):
         try:
             team.begin()
             said: list[bytes] = []
@@ -145,8 +150,8 @@ def in_place(team: object) -> bool:
 
 SWARM = {1: 6, 2: 7}
 """Size of the team, by the number of liars; the team is told that number."""
-PATIENCE_S, LONG_S = 30.0, 60.0
-"""Time to form; longer among obstacles, and beside those that ask for ways: all give them for 32 rounds first [s]."""
+LONGER = 32
+"""Periods that a team has on top among obstacles, and beside those that ask for ways: all give them for so long."""
 OF_THE_WIRE = ("beacons elsewhere", "beacons that are no numbers", "reports of its own", "a flood")
 
 
@@ -207,9 +212,9 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path, hard: bool) -> 
         links[members[0]].listen("frame", None, see)
         links[members[0]].listen("say", None, hear)
         began, held, formed = time.monotonic(), 0, None
-        patience_s = LONG_S if hard or LIES.get(lie) is asks_for_ways else PATIENCE_S
+        periods = rounds_to_form(n) + (LONGER if hard or LIES.get(lie) is asks_for_ways else 0)
         try:
-            while time.monotonic() - began < patience_s and formed is None:
+            while time.monotonic() - began < periods * config.network.step_s and formed is None:
                 await asyncio.sleep(config.network.gossip_s)
                 for index, j in enumerate(members if places else ()):
                     number = int((time.monotonic() - began) / config.network.step_s)

@@ -330,6 +330,33 @@ def test_missions_to_a_swarm_with_keys_are_signed_by_the_operator_s(tmp_path: Pa
 
 
 @pytest.mark.parametrize("flags", [["ros2", "--ros-poses"], ["watch"]])
+def test_a_second_bridge_of_one_name_is_refused(flags: list[str], tmp_path: Path) -> None:
+    async def whole(endpoint: str) -> None:
+        words = [*flags, "--robots", "2", "--connect", f"tcp/127.0.0.1:{free_port()}", "--ros2", endpoint, "-q"]
+        with closing(Graph(endpoint, 0)) as graph:
+            graph.node("/flock", "team")
+            done = await asyncio.to_thread(
+                subprocess.run,
+                [sys.executable, "-m", "llm_flock", *words],
+                cwd=tmp_path,
+                env=ENV,
+                capture_output=True,
+                text=True,
+                timeout=60,
+            )
+            assert done.returncode == 2, done.stderr
+            assert "--ros-namespace flock: another bridge shows a team by this name there" in done.stderr
+            with closing(Graph(endpoint, 0)) as other:
+                other.check_free("/flock_2", "team")
+        with closing(Graph(endpoint, 0)) as after:
+            after.check_free("/flock", "team")
+
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with router(endpoint):
+        asyncio.run(whole(endpoint))
+
+
+@pytest.mark.parametrize("flags", [["ros2", "--ros-poses"], ["watch"]])
 def test_a_bridge_that_has_seen_nothing_ends_cleanly(flags: list[str], tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with router(endpoint), listener(endpoint) as session:

@@ -17,7 +17,7 @@ from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.ros2.drawing import ERROR, OK, WARN, TeamView, scaled, view_of
 from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.nodes import Finding, Refused, TeamNodes
+from llm_flock.ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes
 from llm_flock.ros2.orders import RATE, MissionGiver, check_frame, checked_position, mission_fields, places_fields
 from llm_flock.ros2.sensors import SensedBodies
 from llm_flock.ros2.types import CLOCK, NS, POINTS, POSE, TEXT
@@ -273,12 +273,14 @@ async def showing(config: SwarmConfig) -> AsyncGenerator[Show | None]:
     """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured.
 
     Raises:
-        InputError: the router does not answer, or is where the swarm is, or the extra is not installed.
+        InputError: the router does not answer, or is where the swarm is, or the extra is not installed, or another
+            bridge shows this team already.
     """
     if config.ros2.router is None:
         yield None
         return
     with closing(Graph(check_router(config), config.ros2.ros_domain)) as graph:
+        graph.check_free(config.ros2.namespace(config.network.swarm), TEAM_NODE)
         bridges: list[Bridge] = []
         tasks: list[asyncio.Task[None]] = []
 

@@ -16,7 +16,7 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.ros2.bridge import DIAGNOSTICS_S, MARKERS_S
 from llm_flock.ros2.drawing import ERROR, OK, WARN
 from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.nodes import Finding, Refused, TeamNodes
+from llm_flock.ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes
 from llm_flock.ros2.poses import RosPoses
 from llm_flock.ros2.recorded import RecordedTeam, positions_of
 from llm_flock.runtime.flight.config import FlightConfig
@@ -103,12 +103,13 @@ async def showing_flight(config: FlightConfig) -> AsyncGenerator[RecordSink | No
     """A sink that shows a flight in ROS 2; None where no router is configured.
 
     Raises:
-        InputError: the router does not answer, or the extra is not installed.
+        InputError: the router does not answer, or the extra is not installed, or another bridge shows this team.
     """
     if config.ros2.router is None:
         yield None
         return
     with closing(Graph(config.ros2.router, config.ros2.ros_domain)) as graph:
+        graph.check_free(config.ros2.namespace(TEAM), TEAM_NODE)
         show = FlightShow(graph, config)
         task = asyncio.create_task(show.live())
         try:

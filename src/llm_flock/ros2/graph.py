@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from llm_flock.errors import InputError, MessageError
 from llm_flock.extras import ExtraMissing
 from llm_flock.ros2.types import MOST_BYTES, from_cdr, prepare, to_cdr, type_hash
-from llm_flock.ros2.wire import PUBLISHER, SUBSCRIBER, Attachment, NodeName, gid_of, topic_key
+from llm_flock.ros2.wire import PUBLISHER, SUBSCRIBER, Attachment, NodeName, gid_of, tokens_of, topic_key
 from llm_flock.transport.zenoh import MOST_TOPICS, Allowance, open_session
 
 if TYPE_CHECKING:
@@ -118,6 +118,16 @@ class Graph:
     def be_seen(self, token: str) -> None:
         """Keep a liveliness token until the end."""
         self._kept.append(self.session.liveliness().declare_token(token))
+
+    def check_free(self, namespace: str, name: str) -> None:
+        """Refuse a second node of one name: two bridges of one team would publish every topic twice.
+
+        Raises:
+            InputError: somebody is there with this name.
+        """
+        if any(reply.ok for reply in self.session.liveliness().get(tokens_of(self._domain, namespace, name))):
+            says = "another bridge shows a team by this name there; name another namespace"
+            raise InputError("ros_namespace", namespace.removeprefix("/"), says=says)
 
     def node(self, namespace: str, name: str) -> Node:
         """A node; the namespace begins with a slash."""

@@ -14,6 +14,9 @@ from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.types import CLOCK, DIAGNOSTICS, MARKERS, PATH, POSE, TEXT, TRANSFORMS, message_class, time
 from llm_flock.runtime.ros2_config import Ros2Config
 
+TEAM_NODE = "team"
+"""Name of the team's node."""
+
 TOGETHER = 8
 """Poses that leave together: one by one they cost more, all together the first ones wait for the last."""
 
@@ -56,7 +59,7 @@ class TeamNodes:
         self.frame = config.ros_frame
         spaces = [f"{space}/robot_{robot}" for robot in range(n_robots)]
         self.frames = [name[1:] for name in spaces]
-        self.team = graph.node(space, "team")
+        self.team = graph.node(space, TEAM_NODE)
         self.robots = [graph.node(name, "robot") for name in spaces]
         both = list(zip(self.robots, spaces, strict=True))
         self._poses = [

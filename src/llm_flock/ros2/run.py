@@ -14,6 +14,7 @@ from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
 from llm_flock.ros2 import drawing
 from llm_flock.ros2.bridge import Bridge, check_router, showing
 from llm_flock.ros2.graph import Graph
+from llm_flock.ros2.nodes import TEAM_NODE
 from llm_flock.ros2.sensors import SensedBodies
 from llm_flock.ros2.types import POSE
 from llm_flock.runtime.entries import finite, run_info
@@ -75,6 +76,7 @@ async def _run_sensors(
     network, keys = config.network, load_keys(config, WORLD)
     with ExitStack() as stack:
         graph = stack.enter_context(closing(Graph(check_router(config), config.ros2.ros_domain)))
+        graph.check_free(config.ros2.namespace(config.network.swarm), TEAM_NODE)
         writer = NullWriter() if record is None else stack.enter_context(RecordWriter(record))
         writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
         link = stack.enter_context(closing(open_link(world_config(config), WORLD)))

@@ -68,6 +68,11 @@ class NodeName:
         return f"{_ADMIN}/{self.domain}/{self.session}/{self.number}/{number}/{kind}/{NO_ENCLAVE}/{place}/{self.name}"
 
 
+def tokens_of(domain: int, namespace: str, name: str) -> str:
+    """Key expression of the liveliness tokens of all nodes of this name, in whatever session."""
+    return f"{_ADMIN}/{domain}/*/*/*/{NODE}/*/{mangled(namespace)}/{name}"
+
+
 def gid_of(token: str) -> bytes:
     """An id of an endpoint: 16 bytes that its token determines. Readers only compare it."""
     return hashlib.blake2b(token.encode(), digest_size=GID_BYTES).digest()
