@@ -37,10 +37,10 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
 def page_at(
     browser: Browser, url: str, *, width: int = 1280, height: int = 720, dark: bool = False, still: bool = True
 ) -> Iterator[Page]:
-    """A page that must neither complain, nor ask anybody else, nor have a request fail.
+    """A page that must neither complain, nor ask anybody else, nor give a request up.
 
-    A browser aborts what is under way when a page is left or loaded again: that is no failure, and the pages abort
-    nothing themselves. Where it is not `still`, a record plays when it appears.
+    What was asked for by a page that has been left, or loaded again, is given up by the browser: nobody's fault. Where
+    it is not `still`, a record plays when it appears.
     """
     context = browser.new_context(
         color_scheme="dark" if dark else "light",
@@ -50,24 +50,27 @@ def page_at(
     )
     page = context.new_page()
     said: list[str] = []
-    asked: list[str] = []
+    asked: list[Request] = []
+    sockets: list[str] = []
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
 
-    def fail(request: Request) -> None:
-        if request.failure != "net::ERR_ABORTED":
-            said.append(f"failed: {request.url} {request.failure}")
+    def give_up(request: Request) -> None:
+        later = asked[asked.index(request) + 1 :]
+        if request.failure != "net::ERR_ABORTED" or not any(other.is_navigation_request() for other in later):
+            said.append(f"given up: {request.url} {request.failure}")
 
-    page.on("requestfailed", fail)
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("websocket", lambda socket: asked.append(socket.url))
+    page.on("requestfailed", give_up)
+    page.on("request", lambda request: asked.append(request))
+    page.on("websocket", lambda socket: sockets.append(socket.url))
     page.goto(url)
     yield page
     # A page of a run in flight asks on; what is under way when it is left is nobody's fault.
-    page.remove_listener("requestfailed", fail)
+    page.remove_listener("requestfailed", give_up)
     own = re.escape(url.split("/")[2])
     assert said == [], said
-    assert [address for address in asked if not re.match(rf"((http|ws)://{own}/|data:|blob:)", address)] == []
+    addresses = [*(request.url for request in asked), *sockets]
+    assert [address for address in addresses if not re.match(rf"((http|ws)://{own}/|data:|blob:)", address)] == []
     context.close()
 
 
