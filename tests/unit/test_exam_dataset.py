@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from llm_flock.exam.dataset import write_dataset
 from llm_flock.exam.questions import SECTIONS, read_questions
 from llm_flock.exam.session import Paper
 
+ROOT = Path(__file__).parents[2]
 PUBLIC = Paper().questions()
 
 
@@ -37,3 +41,27 @@ def test_no_folder_is_written_over(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="dataset"):
         write_dataset(tmp_path / "none" / "exam", PUBLIC, version=1, split="public")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_entry_for_the_register_of_inspect_evals_names_the_task() -> None:
+    # The fields and types of inspect-evals 0.26, whose own class is asked where it is installed.
+    entry: dict[str, Any] = yaml.safe_load(
+        (ROOT / "docs/leaderboard/inspect-register.yaml").read_text(encoding="utf-8")
+    )
+    (task,) = entry["tasks"]
+    assert task["dataset_samples"] == len(PUBLIC)
+    code = ast.parse((ROOT / task["task_path"]).read_text(encoding="utf-8"))
+    tasks = [
+        one.name
+        for one in ast.walk(code)
+        if isinstance(one, ast.FunctionDef)
+        and any(isinstance(mark, ast.Attribute) and mark.attr == "task" for mark in one.decorator_list)
+    ]
+    assert tasks == [task["name"]] == ["exam"]
+    words = "full_title", "common_title", "description"
+    assert all(isinstance(entry[word], str) and "\n" not in entry[word] for word in words)
+    assert set(entry) == {*words, "contributors", "tags", "tasks", "metadata", "source"}
+    assert set(entry["source"]) == {"repository_url", "repository_commit"}
+    if find_spec("inspect_evals") is not None:
+        theirs: Any = import_module("inspect_evals.metadata")
+        theirs.ExternalEvalMetadata(**entry, id="llm_flock_exam")
