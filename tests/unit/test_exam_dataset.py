@@ -55,7 +55,7 @@ def test_the_entry_for_the_register_of_inspect_evals_names_the_task() -> None:
         one.name
         for one in ast.walk(code)
         if isinstance(one, ast.FunctionDef)
-        and any(isinstance(mark, ast.Attribute) and mark.attr == "task" for mark in one.decorator_list)
+        and any(isinstance(mark, ast.Name) and mark.id == "task" for mark in one.decorator_list)
     ]
     assert tasks == [task["name"]] == ["exam"]
     words = "full_title", "common_title", "description"

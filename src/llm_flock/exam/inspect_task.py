@@ -26,6 +26,7 @@ require("exam", "the exam as a task of Inspect")
 
 # By name, because the library is not installed where types are checked.
 _inspect: Any = import_module("inspect_ai")
+task: Any = _inspect.task  # Inspect finds the tasks of a file by this name
 _dataset: Any = import_module("inspect_ai.dataset")
 _model: Any = import_module("inspect_ai.model")
 _scorer: Any = import_module("inspect_ai.scorer")
@@ -63,7 +64,7 @@ class InspectModel:
         return Reply(text=str(output.completion), model=self.name, usage=usage, latency_s=latency_s)
 
 
-@_inspect.task
+@task
 def exam(
     split: str = "public",
     seed: int | None = None,
