@@ -62,7 +62,8 @@ def fly(
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
-    In flight, l (or Ctrl-C) lands all drones, and x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
+    In flight, r lets all drones return to their starts and land there, l (or Ctrl-C) lands them where they are, and
+    x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
     """
     import asyncio
 

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from llm_flock.arrays import Points
 from llm_flock.protocol.planning import Planner
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Robot, RobotError
@@ -15,6 +16,7 @@ from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
+from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import FELL, LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import Trouble, TroubleKind
@@ -34,6 +36,12 @@ from llm_flock.runtime.trial import Trial, TrialProgress
 TAKING_OFF = "taking off"
 """Name of the stage from which on the operator may end the flight."""
 
+RETURN = "return"
+"""How a flight ended whose operator let all drones return."""
+
+FLYING = "flying"
+"""Name of the stage from take-off until the drones return or land."""
+
 NEVER_UP = "never took off"
 CUT = "motors cut"
 CUT_UNCONFIRMED = "motors cut, not confirmed"
@@ -50,7 +58,7 @@ class FlightResult:
 
 
 class Flight:
-    """Flies one mission. Call `run` once; `abort` and `emergency` at any time meanwhile.
+    """Flies one mission. Call `run` once; `abort`, `return_home` and `emergency` at any time meanwhile.
 
     Args:
         config: of the flight.
@@ -82,15 +90,34 @@ class Flight:
         self._sink = sink
         self._poses = poses
         self._supervisor: FlightSupervisor | None = None
+        self._stage = ""
+        self._ordered_home = asyncio.Event()
 
     def abort(self) -> bool:
         """Land all drones; returns False if the flight has not begun."""
         return self._trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
 
+    def return_home(self) -> bool:
+        """Let all drones fly to above their starts and land there; returns False if the flight has not begun.
+
+        A motion under way is flown to its end first. During take-off all are landed, as they are above their starts.
+        """
+        if self._supervisor is None:
+            return False
+        if self._stage == FLYING:
+            self._ordered_home.set()
+        elif self._stage not in ("returning", "landing"):
+            return self.abort()
+        return True
+
     def emergency(self) -> bool:
         """Cut all motors, wherever the drones are; returns False if the flight has not begun."""
         everybody = frozenset(range(len(self._robots)))
         return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+
+    def _enter(self, stage: str) -> None:
+        self._stage = stage
+        self._on_stage(stage)
 
     def _trip(self, trouble: Trouble) -> bool:
         if self._supervisor is None:
@@ -109,7 +136,7 @@ class Flight:
         warn_of_mission(config.mission)
         planners = TeamPlanners(config)
         try:
-            self._on_stage("connecting")
+            self._enter("connecting")
             async with feeding(config, self._robots, self._poses) as feed:
                 look = checks_of(config, self._robots, feed)
                 report = await preflight(
@@ -161,7 +188,7 @@ class Flight:
             try:
                 await self._mission(supervisor, team, trial, log)
             finally:
-                self._on_stage("landing")
+                self._enter("landing")
                 await landing.land_all()
                 await supervisor.cuts_done()
                 for task in watchers:
@@ -173,12 +200,15 @@ class Flight:
         return trial.finish(record, self._result(supervisor, landing, log, feed))
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
-        """Take off and flock, until the mission or the flight ends."""
+        """Take off and flock, until the mission or the flight ends; then return, if that is asked for."""
+        homes = homes_of(self._config, team.places)
         try:
-            self._on_stage(TAKING_OFF)
+            self._enter(TAKING_OFF)
             await supervisor.while_safe(take_off(self._config, team, log))
-            self._on_stage("flying")
-            await supervisor.while_safe(trial.run())
+            self._enter(FLYING)
+            await supervisor.while_safe(self._until_ordered_home(trial, team))
+            if self._ordered_home.is_set() or self._config.safety.at_end == "return":
+                await supervisor.while_safe(self._return(team, homes, log))
         except FlightEnded:
             pass  # the supervisor knows the trouble
         except SetPointRefused as refused:
@@ -188,8 +218,32 @@ class Flight:
         except (RobotError, TakeOffFailed, TimeoutError) as error:
             supervisor.trip(Trouble(TroubleKind.REFUSED, detail=str(error) or "a drone did not answer in time"))
         trial.begin()
+        if self._ordered_home.is_set():
+            trial.stopped, trial.reason = RETURN, "the operator lets all drones return"
         if supervisor.trouble is not None:
             trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
+
+    async def _until_ordered_home(self, trial: Trial, team: FlyingTeam) -> None:
+        """Fly the mission to its end, or until all are ordered home; never breaks off a joint motion for that."""
+        mission = asyncio.ensure_future(trial.run())
+        ordered = asyncio.ensure_future(self._ordered_home.wait())
+        try:
+            await asyncio.wait((mission, ordered), return_when=asyncio.FIRST_COMPLETED)
+            async with team.in_motion:
+                pass
+        finally:
+            ordered.cancel()
+            # Nothing runs between the end of a motion and here, so none begins.
+            mission.cancel()
+            await asyncio.wait((mission,))
+        if not mission.cancelled():
+            mission.result()
+
+    async def _return(self, team: FlyingTeam, homes: Points, log: FlightLog) -> None:
+        self._enter("returning")
+        log.note("returning")
+        away = await fly_home(self._config, team, team.fly_together, homes)
+        log.note("returned", not_home=[team.names[robot] for robot in away])
 
     def _result(
         self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog, feed: PoseFeed | None
@@ -200,9 +254,9 @@ class Flight:
                 ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
-        trouble = supervisor.trouble
+        trouble, ordered = supervisor.trouble, self._ordered_home.is_set()
         return FlightFigures(
-            ended="mission" if trouble is None else trouble.kind.value,
+            ended=RETURN if trouble is None and ordered else "mission" if trouble is None else trouble.kind.value,
             reason=None if trouble is None else trouble.detail,
             ends=ends,
             safe=set(ends.values()) <= SAFE_ENDS,
