@@ -278,3 +278,23 @@ def test_the_autopilots_own_fence_is_told():
 
 
 # Limits, and what strangers send.
+
+
+def test_a_vehicle_that_calls_its_driver_is_not_called_away():
+    """Ports are used again: what others send to a vehicle's own port, late or by mistake, must not turn it to them."""
+
+    async def connect() -> None:
+        with AutopilotStandIns([HOME]) as vehicles, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            await until(lambda: vehicles[0].socket.getsockname()[1] != 0)
+            place = ("127.0.0.1", vehicles[0].socket.getsockname()[1])
+            for packet in (
+                b"x",
+                Codec(1, 1).encode("heartbeat", 2, 12, 1, 0, 4),
+                Codec().encode("heartbeat", 6, 8, 0, 0, 4),
+            ):
+                other.sendto(packet, place)
+            robot = robot_of(vehicles)
+            await robot.connect(5.0)
+            await robot.close()
+
+    asyncio.run(connect())
