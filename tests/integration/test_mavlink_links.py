@@ -119,7 +119,7 @@ def test_an_address_that_cannot_be_opened():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         robot = MavlinkRobot("v", f"udp://127.0.0.1:{taken.getsockname()[1]}")
-        with pytest.raises(RobotError, match=r"v: udp://.* cannot be opened"):
+        with pytest.raises(RobotError, match=r"v: udp://.* cannot be opened: another program listens there"):
             asyncio.run(robot.connect(1.0))
     with pytest.raises(RobotError, match="v: serial:///dev/no-such-line cannot be opened"):
         asyncio.run(MavlinkRobot("v", "serial:///dev/no-such-line").connect(1.0))

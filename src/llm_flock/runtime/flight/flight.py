@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from llm_flock.arrays import Points
+from llm_flock.errors import RecordError
 from llm_flock.protocol.planning import Planner
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.robots.positions import PoseFeed, PoseSource
 from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.config import warn_of_mission
+from llm_flock.runtime.flight.claims import claimed
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
 from llm_flock.runtime.flight.homing import fly_home, homes_of
@@ -33,6 +36,8 @@ from llm_flock.runtime.result import FlightFigures, RunResult
 from llm_flock.runtime.roster import load_solvers
 from llm_flock.runtime.trial import Trial, TrialProgress
 
+logger = logging.getLogger(__name__)
+
 TAKING_OFF = "taking off"
 """Name of the stage from which on the operator may end the flight."""
 
@@ -51,10 +56,14 @@ SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off)."""
+    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off).
+
+    `broken_record` is the error at which the record broke off; None if it is whole, or there is none.
+    """
 
     report: PreflightReport
     result: RunResult | None = None
+    broken_record: RecordError | None = None
 
 
 class Flight:
@@ -91,6 +100,7 @@ class Flight:
         self._poses = poses
         self._supervisor: FlightSupervisor | None = None
         self._stage = ""
+        self._broken_record: RecordError | None = None
         self._ordered_home = asyncio.Event()
 
     def abort(self) -> bool:
@@ -128,10 +138,18 @@ class Flight:
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
         """Fly. Nothing takes off unless `confirm` returns True; it gets a preflight that was passed.
 
+        A record that cannot be written any more breaks off, and the flight goes on without it.
+
         Raises:
-            InputError: the file, or a path to write to, cannot be used; nothing has moved.
-            FlockError: the deadman did not start, or a file cannot be written any more; all drones were landed.
+            InputError: the file, or a path to write to, cannot be used, or another flight has a drone; nothing has
+                moved.
+            FlockError: the deadman did not start, or the record cannot even be begun, and nothing has taken off; or a
+                file of answers cannot be written any more, and all drones were landed.
         """
+        with claimed(self._config) as claims:
+            return await self._run(confirm, claims)
+
+    async def _run(self, confirm: Callable[[PreflightReport], Awaitable[bool]], claims: Sequence[int]) -> FlightResult:
         config = self._config
         warn_of_mission(config.mission)
         planners = TeamPlanners(config)
@@ -147,11 +165,22 @@ class Flight:
                 )
                 if not report.passed or not await confirm(report):
                     return FlightResult(report=report)
-                with open_outputs(config, planners, self._sink) as (journal, record):
-                    return FlightResult(report=report, result=await self._fly(planners, journal, record, report, feed))
+                result: RunResult | None = None
+                try:
+                    with open_outputs(config, planners, self._sink, on_broken=self._break_record) as (journal, record):
+                        result = await self._fly(planners, journal, record, report, feed, claims)
+                except RecordError as error:
+                    if result is None:
+                        raise
+                    self._broken_record = self._broken_record or error  # all are down
+                return FlightResult(report=report, result=result, broken_record=self._broken_record)
         finally:
             await planners.close()
             await asyncio.gather(*map(_close, self._robots))
+
+    def _break_record(self, error: RecordError) -> None:
+        self._broken_record = error
+        logger.warning("%s; the record breaks off here, and the flight goes on", error)
 
     async def _fly(
         self,
@@ -160,6 +189,7 @@ class Flight:
         record: str | None,
         report: PreflightReport,
         feed: PoseFeed | None,
+        claims: Sequence[int],
     ) -> RunResult:
         config, safety = self._config, self._config.safety
         log = FlightLog(config, journal.writer)
@@ -177,8 +207,10 @@ class Flight:
         rules, start = config.protocol.rules(), team.places
         trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
+        if self._broken_record is not None:
+            raise self._broken_record  # nothing has taken off yet
         landing = Landing(config, team, log)
-        async with HeartbeatSender(config, lambda: team.aloft) as heartbeats:
+        async with HeartbeatSender(config, lambda: team.aloft, claims) as heartbeats:
             team.on_take_off = heartbeats.beat
             watchers = [asyncio.create_task(supervisor.watch())]
             if feed is not None:
@@ -195,8 +227,6 @@ class Flight:
                     task.cancel()
                 if feed is not None:
                     log.note("poses", refused=feed.refused)
-        if log.failure is not None:
-            raise log.failure
         return trial.finish(record, self._result(supervisor, landing, log, feed))
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
