@@ -17,6 +17,8 @@ LONG = (
     "cli",
     "viewer",
     "power_lost",
+    "killed_in_flight",
+    "mavlink_flights",
     "sweep_ray",
     "swarm_cli",
     "sweep",

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from flights import STARTS, flight_config, yes
-from mavlink_flights import until
+from mavlink_flights import CALM, until
 
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.deadman import land_all
@@ -21,23 +21,6 @@ from llm_flock.runtime.flight.landing import LANDED, TAKEN
 from llm_flock.testing.mavlink import AutopilotStandIns
 
 pytestmark = pytest.mark.clock(2)
-
-CALM = {
-    "robot": "mavlink",
-    "tracking_m": 0.12,
-    "min_separation_m": 0.05,
-    "off_course_s": 3.0,
-    "stall_s": 3.0,
-    "settle_s": 1.0,
-    "take_off_s": 2.5,
-    "land_s": 1.5,
-    "round_s": 1.2,
-    "max_speed_m_s": 3.0,
-    "jump_m": 0.6,
-    "ready_battery_v": 14.0,
-    "low_battery_v": 13.0,
-    "connect_s": 8.0,
-}
 
 
 def vehicles_of(flavour: str) -> AutopilotStandIns:
