@@ -17,7 +17,7 @@ LONG = (
     "cli",
     "viewer",
     "power_lost",
-    "killed_in_flight",
+    "three_drones",
     "mavlink_flights",
     "sweep_ray",
     "swarm_cli",

@@ -1,8 +1,9 @@
-"""A drone that dies in any phase of a flight, by cflib and by MAVLink: what becomes of it, and of everybody else."""
+"""Three stand-ins by cflib and by MAVLink: they return, or one dies in any phase; what becomes of everybody."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -50,6 +51,10 @@ class Team:
             victim.silent = True
             with victim.lock:
                 victim.autopilot.body.motors = False
+
+    def from_starts(self) -> list[float]:
+        """How far each is from its start [m]."""
+        return [math.dist(self._made[k].position, (*start, 0.0)) for k, start in enumerate(STARTS)]
 
     def turning(self) -> list[bool]:
         """Whose motors turn."""
@@ -151,3 +156,29 @@ def test_one_that_dies_is_named_and_the_others_land(driver: str, phase: str, mon
         assert (flight.min_separation_m or 1.0) >= config.safety.min_separation_m
         turning = team.turning()
         assert not turning[0] and not turning[2]
+
+
+@pytest.mark.parametrize("driver", ["crazyflie", "px4", "ardupilot"])
+def test_the_operator_lets_all_return(driver: str) -> None:
+    with team_of(driver) as (team, config):
+        places: list[list[float]] = []
+
+        def on_stage(stage: str) -> None:
+            if stage == "flying":
+                asyncio.get_running_loop().call_later(1.4 * config.safety.round_s, flight.return_home)
+            if stage == "returning":
+                places.append(team.from_starts())
+
+        async def yes(_: PreflightReport) -> bool:
+            return True
+
+        flight = Flight(config, build_fleet(config), on_stage=on_stage)
+        done = asyncio.run(flight.run(yes))
+        assert done.result is not None and done.result.summary.flight is not None
+        figures = done.result.summary.flight
+        assert figures.ended == "return" and figures.reason is None, figures.reason
+        assert figures.safe and set(figures.ends.values()) == {LANDED} and not any(team.turning())
+        assert (figures.min_separation_m or 0.0) >= config.safety.min_separation_m
+        ((away, *_),) = [sorted(found, reverse=True) for found in places]
+        assert away > 1.1  # a metre high, and half a metre aside
+        assert max(team.from_starts()) <= config.safety.tracking_m + 0.05
