@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from flights import STARTS, STOCK, flight_config, yes
@@ -27,7 +28,7 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
-def config_of(uris: list[str], robot: str = OWN, **fields: object) -> FlightConfig:
+def config_of(uris: list[str], robot: str = OWN, **fields: Any) -> FlightConfig:
     ids = {"system_id": 7} if robot == "mavlink" else {}
     drones = [
         {"name": f"d{k}", "uri": uri, "start": start, **ids}

@@ -110,14 +110,8 @@ def test_a_dry_run_checks_the_way_home() -> None:
     ("n", "size", "obstacles"), [(3, 30, []), (10, 33, []), (10, 40, [{"center": [20, 20], "radius": 6}])]
 )
 def test_everybody_gets_home_from_anywhere_and_keeps_the_distance(n: int, size: float, obstacles: list[Any]) -> None:
-    mission = Mission(
-        shape="circle",
-        n_robots=n,
-        center=(size / 2, size / 2),
-        arena=((0, 0), (size, size)),
-        comm_range=20,
-        obstacles=obstacles,
-    )
+    room: dict[str, Any] = {"center": (size / 2, size / 2), "arena": ((0, 0), (size, size)), "obstacles": obstacles}
+    mission = Mission(shape="circle", n_robots=n, comm_range=20, **room)
     for seed in range(max(1, round(5 * EFFORT))):
         rng = np.random.default_rng(seed)
         starts, homes = draw_start(mission, "separated", rng), draw_start(mission, "separated", rng)

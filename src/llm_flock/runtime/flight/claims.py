@@ -51,7 +51,7 @@ def claimed(config: FlightConfig, folder: Path | None = None) -> Generator[Seque
     Raises:
         InputError: another flight has one of them.
     """
-    fleet, folder = config.fleet, folder or claims_folder()
+    fleet = config.fleet
     with ExitStack() as stack:
         handles: list[int] = []
         for drone in fleet.drones if fleet.robot not in ("simulated", "physics") else ():
@@ -59,8 +59,8 @@ def claimed(config: FlightConfig, folder: Path | None = None) -> Generator[Seque
             if name is None:
                 continue
             try:
-                file = _claim(folder / quote(name, safe=" "))
-            except OSError as error:
+                file = _claim((folder or claims_folder()) / quote(name, safe=" "))
+            except (OSError, RuntimeError) as error:  # also a user without a home
                 logger.warning("%s: another flight of it would not be noticed (%s)", drone.name, error)
                 continue
             if file is None:
