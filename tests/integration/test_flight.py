@@ -353,13 +353,16 @@ def in_space(**fields):
     )
 
 
-def test_a_mission_in_space_is_formed_and_landed() -> None:
+@pytest.mark.parametrize("at_end", ["land", "return"])
+def test_a_mission_in_space_is_formed_and_landed(at_end: str) -> None:
     robots: Robots = []
-    result = flown(in_space(), lambda flight, made: robots.extend(made), "landing")
+    result = flown(in_space(at_end=at_end), lambda flight, made: robots.extend(made), "landing")
     assert figures(result).safe and set(figures(result).ends.values()) == {"landed"}
     assert (figures(result).min_separation_m or 0.0) >= 0.2
     now = time.monotonic()
     spots = [robot.body.position(now) for robot in robots]
+    at_home = [math.dist(spot, robot.body.home) <= 0.05 for spot, robot in zip(spots, robots, strict=True)]
+    assert all(at_home) is (at_end == "return")
     assert len(spots) == 3 and all(z == 0.0 for _, _, z in spots)
     assert all(math.dist(a, b) >= 0.3 - 2e-3 for k, a in enumerate(spots) for b in spots[:k])
 
