@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from llm_flock.record.schema import Entry
 from llm_flock.robots.base import Equipment
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
@@ -51,8 +52,16 @@ async def yes(report: PreflightReport) -> bool:
     return True
 
 
-async def fly(config: FlightConfig, sabotage: Sabotage | None = None, at: str = "round 1") -> FlightResult:
-    """Fly, and do something to the drones when a stage begins (`taking off`, ...) or in the middle of a round."""
+async def fly(
+    config: FlightConfig,
+    sabotage: Sabotage | None = None,
+    at: str = "round 1",
+    sink: Callable[[Entry], None] | None = None,
+) -> FlightResult:
+    """Fly, and do something to the drones when a stage begins (`taking off`, ...) or in the middle of a round.
+
+    `sink` gets every entry of the record.
+    """
     robots = [robot for robot in build_fleet(config) if isinstance(robot, SimulatedRobot)]
     tasks: list[asyncio.Task[None]] = []
 
@@ -70,13 +79,23 @@ async def fly(config: FlightConfig, sabotage: Sabotage | None = None, at: str = 
         if stage == "flying" and at == "round 1":
             tasks.append(asyncio.get_running_loop().create_task(later()))
 
-    flight = Flight(config, robots, on_stage=on_stage)
+    class Sink:
+        def write(self, entry: Entry) -> None:
+            if sink is not None:
+                sink(entry)
+
+    flight = Flight(config, robots, on_stage=on_stage, sink=None if sink is None else Sink())
     return await flight.run(yes)
 
 
-def flown(config: FlightConfig, sabotage: Sabotage | None = None, at: str = "round 1") -> FlightResult:
+def flown(
+    config: FlightConfig,
+    sabotage: Sabotage | None = None,
+    at: str = "round 1",
+    sink: Callable[[Entry], None] | None = None,
+) -> FlightResult:
     """As `fly`, from start to end."""
-    return asyncio.run(fly(config, sabotage, at))
+    return asyncio.run(fly(config, sabotage, at, sink))
 
 
 def one_by_one(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:

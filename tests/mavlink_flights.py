@@ -15,6 +15,24 @@ FLAVOURS = ("px4", "ardupilot")
 GUIDED = {"px4": "Offboard", "ardupilot": "Guided"}
 PILOT = {"px4": "Position", "ardupilot": "Loiter"}
 
+CALM: dict[str, Any] = {
+    "robot": "mavlink",
+    "tracking_m": 0.12,
+    "min_separation_m": 0.05,
+    "off_course_s": 3.0,
+    "stall_s": 3.0,
+    "settle_s": 1.0,
+    "take_off_s": 2.5,
+    "land_s": 1.5,
+    "round_s": 1.2,
+    "max_speed_m_s": 3.0,
+    "jump_m": 0.6,
+    "ready_battery_v": 14.0,
+    "low_battery_v": 13.0,
+    "connect_s": 8.0,
+}
+"""A whole flight of stand-ins."""
+
 
 def robot_of(vehicles: AutopilotStandIns, k: int = 0, **options: Any) -> MavlinkRobot:
     """The driver of a stand-in."""

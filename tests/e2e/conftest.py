@@ -17,6 +17,8 @@ LONG = (
     "cli",
     "viewer",
     "power_lost",
+    "three_drones",
+    "mavlink_flights",
     "sweep_ray",
     "swarm_cli",
     "sweep",

@@ -81,7 +81,7 @@ def test_ctrl_c_lands_and_twice_cuts(presses: int, end: str) -> None:
     assert re.search(r"ended by\W+abort", out) and out.count(end) >= 4
 
 
-@pytest.mark.parametrize(("key", "end"), [(b"l", "landed"), (b"x", "motors cut")])
+@pytest.mark.parametrize(("key", "end"), [(b"l", "landed"), (b"r", "landed"), (b"x", "motors cut")])
 def test_keys_of_the_terminal(key: bytes, end: str) -> None:
     ours, theirs = pty.openpty()
     with subprocess.Popen(
@@ -95,6 +95,6 @@ def test_keys_of_the_terminal(key: bytes, end: str) -> None:
         os.write(ours, key)
         out = process.stdout.read()
         assert process.wait(10.0) == 1
-    assert out.count(end) >= 4
+    assert out.count(end) >= 4 and (key != b"r" or re.search(r"ended by\W+return", out))
     os.close(ours)
     os.close(theirs)

@@ -1,8 +1,9 @@
-"""Whole flights of four stand-in autopilots, and what becomes of them when the flight process is gone."""
+"""Whole flights of four and of ten stand-in autopilots, and what becomes of them when the flight process is gone."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from flights import STARTS, flight_config, yes
-from mavlink_flights import until
+from mavlink_flights import CALM, until
 
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.deadman import land_all
@@ -20,23 +21,6 @@ from llm_flock.runtime.flight.landing import LANDED, TAKEN
 from llm_flock.testing.mavlink import AutopilotStandIns
 
 pytestmark = pytest.mark.clock(2)
-
-CALM = {
-    "robot": "mavlink",
-    "tracking_m": 0.12,
-    "min_separation_m": 0.05,
-    "off_course_s": 3.0,
-    "stall_s": 3.0,
-    "settle_s": 1.0,
-    "take_off_s": 2.5,
-    "land_s": 1.5,
-    "round_s": 1.2,
-    "max_speed_m_s": 3.0,
-    "jump_m": 0.6,
-    "ready_battery_v": 14.0,
-    "low_battery_v": 13.0,
-    "connect_s": 8.0,
-}
 
 
 def vehicles_of(flavour: str) -> AutopilotStandIns:
@@ -128,3 +112,25 @@ def test_the_deadman_lands_what_is_in_the_air(flavour):
             await until(lambda: not any(vehicles[k].armed for k in range(4)))
 
     asyncio.run(whole())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("flavour", "shared"), [("px4", False), ("ardupilot", True)])
+def test_ten_connect_form_a_circle_return_and_land(flavour, shared):
+    """Ten at ports of their own, and ten that share one: all by their system ids."""
+    homes = [(0.75 * (k % 4) - 1.2, 0.75 * (k // 4) - 0.8, 0.0) for k in range(10)]
+    with AutopilotStandIns(homes, flavour=flavour, shared=shared) as vehicles:
+        assert len(set(vehicles.uris)) == (1 if shared else 10)
+        drones = [
+            {"name": f"d{k}", "uri": vehicles.uris[k], "system_id": k + 1, "start": home[:2]}
+            for k, home in enumerate(homes)
+        ]
+        config = flight_config(10, "circle", {"spacing": 6}, drones=drones, **CALM, at_end="return")
+        done = flown(config)
+        assert done.result is not None and done.result.summary.flight is not None, done.report
+        figures = done.result.summary.flight
+        assert figures.reason is None and done.result.summary.formed
+        assert set(figures.ends.values()) == {LANDED} and len(figures.ends) == 10
+        assert (figures.min_separation_m or 0.0) >= config.safety.min_separation_m
+        for k, home in enumerate(homes):
+            assert not vehicles[k].armed and math.dist(vehicles[k].position, home) <= config.safety.tracking_m + 0.05

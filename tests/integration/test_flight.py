@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+import json
 import math
+import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -18,8 +21,7 @@ from llm_flock.errors import RecordError
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer
 from llm_flock.record.reader import read_record
-from llm_flock.record.schema import BodySample
-from llm_flock.record.writer import RecordWriter
+from llm_flock.record.schema import CHANNELS, SummaryMessage, channel_schema
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import landing
 from llm_flock.runtime.flight.config import FlightConfig
@@ -269,21 +271,37 @@ def test_a_set_point_that_breaks_a_limit_is_never_sent(monkeypatch) -> None:
     assert flight.ended == "set_point" and flight.reason == "too fast" and flight.safe and not sent
 
 
-def test_a_record_that_cannot_be_written_ends_the_flight_on_the_floor(tmp_path, monkeypatch) -> None:
+@contextlib.contextmanager
+def small_files(size: int) -> Iterator[None]:
+    """Let no file grow beyond a size [bytes], as on a disc that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_flight_goes_on_without_a_record_that_cannot_be_written_any_more(tmp_path, caplog) -> None:
+    seen: list[object] = []
     config = flight_config(out=str(tmp_path))
-    plain = RecordWriter.write
-    seen: list[SimulatedRobot] = []
+    size = len(json.dumps([channel_schema(model) for model in CHANNELS.values()])) + 40_000
+    with small_files(size):
+        result = flown(config, sink=lambda entry: seen.append(entry))
+    flight = figures(result)
+    assert trial(result).formed and flight.ended == "mission" and set(flight.ends.values()) == {"landed"}
+    assert "cannot be written (File too large)" in str(result.broken_record)
+    assert "the record breaks off here, and the flight goes on" in caplog.text
+    record = read_record(tmp_path / "run.mcap")
+    assert record.result is None and 0 < record.rounds < trial(result).summary.rounds
+    assert isinstance(seen[-1], SummaryMessage), "whoever watches live misses nothing"
 
-    def full(self, entry) -> None:
-        if isinstance(entry, BodySample) and entry.round == 1:
-            raise RecordError("no space left")
-        plain(self, entry)
 
-    monkeypatch.setattr(RecordWriter, "write", full)
-    with pytest.raises(RecordError, match="no space left"):
-        flown(config, lambda flight, robots: seen.extend(robots), "connecting")
-    assert len(seen) == 4
-    assert all(not robot.body.flying and robot.body.position(time.monotonic())[2] == 0.0 for robot in seen)
+def test_nobody_takes_off_without_room_for_a_record(tmp_path) -> None:
+    stages: list[str] = []
+    with small_files(1000), pytest.raises(RecordError, match="cannot be written"):
+        flown(flight_config(out=str(tmp_path)), lambda flight, robots: stages.append("up"), "taking off")
+    assert not stages
 
 
 def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
@@ -335,13 +353,16 @@ def in_space(**fields):
     )
 
 
-def test_a_mission_in_space_is_formed_and_landed() -> None:
+@pytest.mark.parametrize("at_end", ["land", "return"])
+def test_a_mission_in_space_is_formed_and_landed(at_end: str) -> None:
     robots: Robots = []
-    result = flown(in_space(), lambda flight, made: robots.extend(made), "landing")
+    result = flown(in_space(at_end=at_end), lambda flight, made: robots.extend(made), "landing")
     assert figures(result).safe and set(figures(result).ends.values()) == {"landed"}
     assert (figures(result).min_separation_m or 0.0) >= 0.2
     now = time.monotonic()
     spots = [robot.body.position(now) for robot in robots]
+    at_home = [math.dist(spot, robot.body.home) <= 0.05 for spot, robot in zip(spots, robots, strict=True)]
+    assert all(at_home) is (at_end == "return")
     assert len(spots) == 3 and all(z == 0.0 for _, _, z in spots)
     assert all(math.dist(a, b) >= 0.3 - 2e-3 for k, a in enumerate(spots) for b in spots[:k])
 

@@ -119,7 +119,7 @@ def test_an_address_that_cannot_be_opened():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         robot = MavlinkRobot("v", f"udp://127.0.0.1:{taken.getsockname()[1]}")
-        with pytest.raises(RobotError, match=r"v: udp://.* cannot be opened"):
+        with pytest.raises(RobotError, match=r"v: udp://.* cannot be opened: another program listens there"):
             asyncio.run(robot.connect(1.0))
     with pytest.raises(RobotError, match="v: serial:///dev/no-such-line cannot be opened"):
         asyncio.run(MavlinkRobot("v", "serial:///dev/no-such-line").connect(1.0))
@@ -278,3 +278,23 @@ def test_the_autopilots_own_fence_is_told():
 
 
 # Limits, and what strangers send.
+
+
+def test_a_vehicle_that_calls_its_driver_is_not_called_away():
+    """Ports are used again: what others send to a vehicle's own port, late or by mistake, must not turn it to them."""
+
+    async def connect() -> None:
+        with AutopilotStandIns([HOME]) as vehicles, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            await until(lambda: vehicles[0].socket.getsockname()[1] != 0)
+            place = ("127.0.0.1", vehicles[0].socket.getsockname()[1])
+            for packet in (
+                b"x",
+                Codec(1, 1).encode("heartbeat", 2, 12, 1, 0, 4),
+                Codec().encode("heartbeat", 6, 8, 0, 0, 4),
+            ):
+                other.sendto(packet, place)
+            robot = robot_of(vehicles)
+            await robot.connect(5.0)
+            await robot.close()
+
+    asyncio.run(connect())

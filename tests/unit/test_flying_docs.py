@@ -11,7 +11,7 @@ import pytest
 from benchmarks.flight_cases import ALL, case_config
 
 from llm_flock.cli.fly import WORD
-from llm_flock.cli.keyboard import CUT_KEYS, LAND_KEYS
+from llm_flock.cli.keyboard import CUT_KEYS, LAND_KEYS, RETURN_KEYS
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.monitors import TroubleKind
@@ -61,5 +61,6 @@ def test_the_first_flight_of_one_drone_is_half_a_metre_to_the_middle() -> None:
 
 def test_keys_and_word_are_those_of_the_command() -> None:
     assert "**l** or the space bar" in PAGE and {"l", " "} <= LAND_KEYS
+    assert "**r**" in PAGE and "r" in RETURN_KEYS
     assert "**x**" in PAGE and "x" in CUT_KEYS
     assert f"Type `{WORD}`" in PAGE

@@ -62,7 +62,8 @@ def fly(
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
-    In flight, l (or Ctrl-C) lands all drones, and x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
+    In flight, r lets all drones return to their starts and land there, l (or Ctrl-C) lands them where they are, and
+    x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
     """
     import asyncio
 
@@ -92,6 +93,9 @@ def fly(
     elif summary is not None and summary.flight is not None:
         Screen().show(summary_table(summary, settings.mission.safe_distance))
         Screen().show(_flight_table(summary.flight))
+    if result.broken_record is not None:
+        say(f"error: the record broke off: {result.broken_record}", error=True)
+        raise typer.Exit(EXIT_FAILED)
     if summary is None or summary.flight is None or not summary.flight.safe or summary.flight.ended != "mission":
         raise typer.Exit(EXIT_FAILED)
 
@@ -296,4 +300,5 @@ def _plain(result: FlightResult) -> dict[str, Any]:
             "failed": [str(c) for c in result.report.checks if not c.passed],
         },
         "summary": None if result.result is None else result.result.summary.to_dict(),
+        "broken_record": None if result.broken_record is None else str(result.broken_record),
     }

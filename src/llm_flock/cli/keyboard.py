@@ -1,4 +1,4 @@
-"""The operator's keys in flight: one lands all drones, one cuts all motors."""
+"""The operator's keys in flight: one lets all drones return, one lands them, one cuts all motors."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 LAND_KEYS = frozenset("lL ")
 """Keys that land all drones: l, or the space bar."""
+
+RETURN_KEYS = frozenset("rR")
+"""Keys that let all drones return to their starts."""
 
 CUT_KEYS = frozenset("xX")
 """Keys that cut all motors."""
@@ -84,6 +87,8 @@ class Keyboard(contextlib.ExitStack):
                 self._flight.emergency()
             elif key in LAND_KEYS:
                 self._flight.abort()
+            elif key in RETURN_KEYS:
+                self._flight.return_home()
 
     def _signalled(self) -> None:
         self._signals += 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -69,6 +70,23 @@ class Tee:
         """Write an entry to both."""
         for sink in self._both:
             sink.write(entry)
+
+
+class GivenUp:
+    """A sink that gives another one up at its first error, which it hands to `on_failure`: for what must go on."""
+
+    def __init__(self, sink: RecordSink, on_failure: Callable[[RecordError], None]) -> None:
+        self._sink: RecordSink | None = sink
+        self._on_failure = on_failure
+
+    def write(self, entry: Entry) -> None:
+        """Pass an entry on, unless the other one was given up."""
+        if self._sink is not None:
+            try:
+                self._sink.write(entry)
+            except RecordError as error:
+                self._sink = None
+                self._on_failure(error)
 
 
 def both(first: RecordSink | None, second: RecordSink | None) -> RecordSink | None:
@@ -134,6 +152,7 @@ class RecordWriter:
             self._channels[topic] = self._mcap.register_channel(topic, "json", number)
         self._scene: SceneDrawer | None = None
         self._last_round = 0
+        self._broken = False
 
     def __enter__(self) -> Self:
         return self
@@ -169,12 +188,13 @@ class RecordWriter:
             self._scene.know([entry.plan_id])
 
     def close(self) -> None:
-        """Write the end of the file and close it. May be called twice."""
+        """Write the end of the file and close it; a file that could not be written gets none. May be called twice."""
         if self._file.closed:
             return
         try:
             with self._file:
-                self._mcap.finish()
+                if not self._broken:  # a message may have been written in part
+                    self._mcap.finish()
         except OSError as error:
             raise self._failure(error) from error
 
@@ -184,4 +204,5 @@ class RecordWriter:
         self._sequence[topic] += 1
 
     def _failure(self, error: OSError) -> RecordError:
+        self._broken = True
         return RecordError(f"{self.path}: cannot be written ({error.strerror})")

@@ -7,12 +7,12 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
-from llm_flock.errors import FieldError, FlockError, InputError
+from llm_flock.errors import FieldError, FlockError, InputError, RecordError
 from llm_flock.llm.own import split_choice
 from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
-from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
+from llm_flock.record.writer import GivenUp, NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
@@ -142,10 +142,12 @@ def open_outputs(
     *,
     trace: bool = False,
     unrepeatable: Sequence[str] = (),
+    on_broken: Callable[[RecordError], None] | None = None,
 ) -> Generator[tuple[Journal, str | None]]:
     """Open the files that a run writes: its journal, which keeps a trace or not, and the path of its record.
 
-    `unrepeatable` says what the configuration cannot repeat, besides the models.
+    `unrepeatable` says what the configuration cannot repeat, besides the models. With `on_broken`, a record that cannot
+    be written any more is given up, and `on_broken` gets the error; without, whoever writes gets it.
 
     Raises:
         InputError: a file exists already, or cannot be made.
@@ -155,11 +157,13 @@ def open_outputs(
         if cassette is not None:
             planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
         try:
-            writer = NullWriter() if path is None else stack.enter_context(RecordWriter(path))
+            writer: RecordSink = NullWriter() if path is None else stack.enter_context(RecordWriter(path))
         except InputError:
             if cassette is not None:
                 Path(cassette).unlink()  # created just now, and still empty
             raise
+        if on_broken is not None and path is not None:
+            writer = GivenUp(writer, on_broken)
         journal = Journal(
             config.mission,
             writer if sink is None else Tee(writer, sink),

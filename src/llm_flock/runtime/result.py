@@ -41,7 +41,7 @@ class MissionOutcome:
 class FlightFigures:
     """The figures of a flight. Distances are those of estimates, while both drones were in the air."""
 
-    ended: str  # why it ended: the mission, or the kind of failure
+    ended: str  # why it ended: mission, return by the operator's order, or the kind of failure
     reason: str | None  # the failure in words
     ends: dict[str, str]  # how each drone ended, by name: landed, never took off, cut, out of reach, ...
     safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import functools
 import time
 from collections.abc import Callable
@@ -240,6 +241,11 @@ async def open_udp(address: VehicleAddress, came: Callable[[bytes, Any], None]) 
     """
     try:
         return await _endpoint(address, came)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            says = "another program listens there, such as a ground station or a flight: end it, or use another port"
+            raise OSError(error.errno, says) from error
+        raise
     except ValueError as error:  # a host that cannot be one, by its letters or their number
         raise OSError(f"no host has the name {address.host!r}") from error
 

@@ -179,6 +179,9 @@ class SafetyConfig(ConfigSection):
     )
     think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
     max_flight_s: float = _seconds(240.0, "Land after this time in the air")
+    at_end: Literal["land", "return"] = Field(
+        default="land", description="After the mission: land on the spot, or return to above the starts and land there"
+    )
     reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
 
 

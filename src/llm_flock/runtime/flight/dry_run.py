@@ -14,6 +14,7 @@ from llm_flock.robots.base import PEAK_SPEED, Position
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import with_drones
+from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import Descent, plan_landing
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.journal import Journal
@@ -99,6 +100,8 @@ async def dry_run(config: FlightConfig) -> DryRun:
         await trial.run()
     finally:
         await planners.close()
+    if config.safety.at_end == "return":
+        await fly_home(config, team, team.fly, homes_of(config, aims))
     groups = plan_landing(config, dict(enumerate(team.set_points())), [])
     return DryRun(
         drones=config.fleet.drones,

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from llm_flock.arrays import Points
+from llm_flock.errors import RecordError
 from llm_flock.protocol.planning import Planner
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.robots.positions import PoseFeed, PoseSource
 from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.config import warn_of_mission
+from llm_flock.runtime.flight.claims import claimed
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.heartbeat import HeartbeatSender
+from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import FELL, LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import Trouble, TroubleKind
@@ -31,8 +36,16 @@ from llm_flock.runtime.result import FlightFigures, RunResult
 from llm_flock.runtime.roster import load_solvers
 from llm_flock.runtime.trial import Trial, TrialProgress
 
+logger = logging.getLogger(__name__)
+
 TAKING_OFF = "taking off"
 """Name of the stage from which on the operator may end the flight."""
+
+RETURN = "return"
+"""How a flight ended whose operator let all drones return."""
+
+FLYING = "flying"
+"""Name of the stage from take-off until the drones return or land."""
 
 NEVER_UP = "never took off"
 CUT = "motors cut"
@@ -43,14 +56,18 @@ SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off)."""
+    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off).
+
+    `broken_record` is the error at which the record broke off; None if it is whole, or there is none.
+    """
 
     report: PreflightReport
     result: RunResult | None = None
+    broken_record: RecordError | None = None
 
 
 class Flight:
-    """Flies one mission. Call `run` once; `abort` and `emergency` at any time meanwhile.
+    """Flies one mission. Call `run` once; `abort`, `return_home` and `emergency` at any time meanwhile.
 
     Args:
         config: of the flight.
@@ -82,15 +99,35 @@ class Flight:
         self._sink = sink
         self._poses = poses
         self._supervisor: FlightSupervisor | None = None
+        self._stage = ""
+        self._broken_record: RecordError | None = None
+        self._ordered_home = asyncio.Event()
 
     def abort(self) -> bool:
         """Land all drones; returns False if the flight has not begun."""
         return self._trip(Trouble(TroubleKind.ABORT, detail="the operator lands all drones"))
 
+    def return_home(self) -> bool:
+        """Let all drones fly to above their starts and land there; returns False if the flight has not begun.
+
+        A motion under way is flown to its end first. During take-off all are landed, as they are above their starts.
+        """
+        if self._supervisor is None:
+            return False
+        if self._stage == FLYING:
+            self._ordered_home.set()
+        elif self._stage not in ("returning", "landing"):
+            return self.abort()
+        return True
+
     def emergency(self) -> bool:
         """Cut all motors, wherever the drones are; returns False if the flight has not begun."""
         everybody = frozenset(range(len(self._robots)))
         return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+
+    def _enter(self, stage: str) -> None:
+        self._stage = stage
+        self._on_stage(stage)
 
     def _trip(self, trouble: Trouble) -> bool:
         if self._supervisor is None:
@@ -101,15 +138,23 @@ class Flight:
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
         """Fly. Nothing takes off unless `confirm` returns True; it gets a preflight that was passed.
 
+        A record that cannot be written any more breaks off, and the flight goes on without it.
+
         Raises:
-            InputError: the file, or a path to write to, cannot be used; nothing has moved.
-            FlockError: the deadman did not start, or a file cannot be written any more; all drones were landed.
+            InputError: the file, or a path to write to, cannot be used, or another flight has a drone; nothing has
+                moved.
+            FlockError: the deadman did not start, or the record cannot even be begun, and nothing has taken off; or a
+                file of answers cannot be written any more, and all drones were landed.
         """
+        with claimed(self._config) as claims:
+            return await self._run(confirm, claims)
+
+    async def _run(self, confirm: Callable[[PreflightReport], Awaitable[bool]], claims: Sequence[int]) -> FlightResult:
         config = self._config
         warn_of_mission(config.mission)
         planners = TeamPlanners(config)
         try:
-            self._on_stage("connecting")
+            self._enter("connecting")
             async with feeding(config, self._robots, self._poses) as feed:
                 look = checks_of(config, self._robots, feed)
                 report = await preflight(
@@ -120,11 +165,22 @@ class Flight:
                 )
                 if not report.passed or not await confirm(report):
                     return FlightResult(report=report)
-                with open_outputs(config, planners, self._sink) as (journal, record):
-                    return FlightResult(report=report, result=await self._fly(planners, journal, record, report, feed))
+                result: RunResult | None = None
+                try:
+                    with open_outputs(config, planners, self._sink, on_broken=self._break_record) as (journal, record):
+                        result = await self._fly(planners, journal, record, report, feed, claims)
+                except RecordError as error:
+                    if result is None:
+                        raise
+                    self._broken_record = self._broken_record or error  # all are down
+                return FlightResult(report=report, result=result, broken_record=self._broken_record)
         finally:
             await planners.close()
             await asyncio.gather(*map(_close, self._robots))
+
+    def _break_record(self, error: RecordError) -> None:
+        self._broken_record = error
+        logger.warning("%s; the record breaks off here, and the flight goes on", error)
 
     async def _fly(
         self,
@@ -133,6 +189,7 @@ class Flight:
         record: str | None,
         report: PreflightReport,
         feed: PoseFeed | None,
+        claims: Sequence[int],
     ) -> RunResult:
         config, safety = self._config, self._config.safety
         log = FlightLog(config, journal.writer)
@@ -150,8 +207,10 @@ class Flight:
         rules, start = config.protocol.rules(), team.places
         trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
+        if self._broken_record is not None:
+            raise self._broken_record  # nothing has taken off yet
         landing = Landing(config, team, log)
-        async with HeartbeatSender(config, lambda: team.aloft) as heartbeats:
+        async with HeartbeatSender(config, lambda: team.aloft, claims) as heartbeats:
             team.on_take_off = heartbeats.beat
             watchers = [asyncio.create_task(supervisor.watch())]
             if feed is not None:
@@ -161,24 +220,25 @@ class Flight:
             try:
                 await self._mission(supervisor, team, trial, log)
             finally:
-                self._on_stage("landing")
+                self._enter("landing")
                 await landing.land_all()
                 await supervisor.cuts_done()
                 for task in watchers:
                     task.cancel()
                 if feed is not None:
                     log.note("poses", refused=feed.refused)
-        if log.failure is not None:
-            raise log.failure
         return trial.finish(record, self._result(supervisor, landing, log, feed))
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
-        """Take off and flock, until the mission or the flight ends."""
+        """Take off and flock, until the mission or the flight ends; then return, if that is asked for."""
+        homes = homes_of(self._config, team.places)
         try:
-            self._on_stage(TAKING_OFF)
+            self._enter(TAKING_OFF)
             await supervisor.while_safe(take_off(self._config, team, log))
-            self._on_stage("flying")
-            await supervisor.while_safe(trial.run())
+            self._enter(FLYING)
+            await supervisor.while_safe(self._until_ordered_home(trial, team))
+            if self._ordered_home.is_set() or self._config.safety.at_end == "return":
+                await supervisor.while_safe(self._return(team, homes, log))
         except FlightEnded:
             pass  # the supervisor knows the trouble
         except SetPointRefused as refused:
@@ -188,8 +248,32 @@ class Flight:
         except (RobotError, TakeOffFailed, TimeoutError) as error:
             supervisor.trip(Trouble(TroubleKind.REFUSED, detail=str(error) or "a drone did not answer in time"))
         trial.begin()
+        if self._ordered_home.is_set():
+            trial.stopped, trial.reason = RETURN, "the operator lets all drones return"
         if supervisor.trouble is not None:
             trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
+
+    async def _until_ordered_home(self, trial: Trial, team: FlyingTeam) -> None:
+        """Fly the mission to its end, or until all are ordered home; never breaks off a joint motion for that."""
+        mission = asyncio.ensure_future(trial.run())
+        ordered = asyncio.ensure_future(self._ordered_home.wait())
+        try:
+            await asyncio.wait((mission, ordered), return_when=asyncio.FIRST_COMPLETED)
+            async with team.in_motion:
+                pass
+        finally:
+            ordered.cancel()
+            # Nothing runs between the end of a motion and here, so none begins.
+            mission.cancel()
+            await asyncio.wait((mission,))
+        if not mission.cancelled():
+            mission.result()
+
+    async def _return(self, team: FlyingTeam, homes: Points, log: FlightLog) -> None:
+        self._enter("returning")
+        log.note("returning")
+        away = await fly_home(self._config, team, team.fly_together, homes)
+        log.note("returned", not_home=[team.names[robot] for robot in away])
 
     def _result(
         self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog, feed: PoseFeed | None
@@ -200,9 +284,9 @@ class Flight:
                 ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
-        trouble = supervisor.trouble
+        trouble, ordered = supervisor.trouble, self._ordered_home.is_set()
         return FlightFigures(
-            ended="mission" if trouble is None else trouble.kind.value,
+            ended=RETURN if trouble is None and ordered else "mission" if trouble is None else trouble.kind.value,
             reason=None if trouble is None else trouble.detail,
             ends=ends,
             safe=set(ends.values()) <= SAFE_ENDS,

@@ -48,11 +48,13 @@ class Heartbeat(BaseModel):
 class HeartbeatSender:
     """Runs a deadman as long as its context lasts; its heartbeats stop when this process's event loop does.
 
-    No process is started for a flight that needs none. `aloft` returns the drones in the air.
+    No process is started for a flight that needs none. `aloft` returns the drones in the air. The deadman keeps the
+    files open whose handles are `kept`.
     """
 
-    def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]]) -> None:
+    def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]], kept: Collection[int] = ()) -> None:
         self._config = config
+        self._kept = kept
         self._aloft = aloft
         self._process: subprocess.Popen[bytes] | None = None
         self._beating: asyncio.Task[None] | None = None
@@ -80,6 +82,7 @@ class HeartbeatSender:
             [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            pass_fds=tuple(self._kept),
             start_new_session=True,  # keeps the terminal's Ctrl-C and hang-up from the deadman
         )
         assert process.stdin is not None

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from llm_flock import metrics
-from llm_flock.errors import RecordError
-from llm_flock.record.schema import BodySample, Entry, FlightEvent
+from llm_flock.record.schema import BodySample, FlightEvent
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import RobotState
 from llm_flock.robots.segment import Segment
@@ -25,13 +24,11 @@ class FlightLog:
     """Writes the entries of a record that only flights have, and keeps measurements over drones in the air.
 
     Attributes:
-        failure: error after which the record is no longer written; measurements go on.
         lag_s: longest delay of drones behind their set-points so far [s].
     """
 
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
         self.round = 0
-        self.failure: RecordError | None = None
         self.nearest_m, self.worst_m = math.inf, 0.0
         self.squares, self.counted = 0.0, 0
         self.lag_s = 0.0
@@ -44,7 +41,7 @@ class FlightLog:
     def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
         """Record an event."""
         seconds = round(time.monotonic() - self._began, 3)
-        self._write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
+        self._sink.write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
 
     def look(
         self,
@@ -78,12 +75,4 @@ class FlightLog:
                 battery_v=[state.battery_v for state in states],
                 link=[0.0 if state.link_lost else state.link for state in states],
             )
-            self._write(sample)
-
-    def _write(self, entry: Entry) -> None:
-        """Write unless writing has failed before: a broken record must not keep a drone from landing."""
-        if self.failure is None:
-            try:
-                self._sink.write(entry)
-            except RecordError as error:
-                self.failure = error
+            self._sink.write(sample)

@@ -82,8 +82,6 @@ class FlightSupervisor:
                 # A drone on the way down is left alone, unless its motors must be cut.
                 if trouble.robot in (team.aloft if trouble.cut else airborne):
                     self.trip(trouble)
-            if self._log.failure is not None:
-                self.trip(Trouble(TroubleKind.UNWATCHED, detail=str(self._log.failure)))
             if airborne and self._aloft_s is None:
                 self._aloft_s = now
             limit = self._config.safety.max_flight_s

@@ -47,6 +47,7 @@ class FlyingTeam(SimulatedTeam):
         motions: the current motion of each drone.
         airborne: drones that have taken off, and were not told to land.
         aloft: those, and the drones on the way down.
+        in_motion: held during each joint motion; whoever holds it keeps the next one from beginning.
         on_take_off: called when a drone is about to take off.
     """
 
@@ -55,6 +56,7 @@ class FlyingTeam(SimulatedTeam):
         self.names = [robot.name for robot in robots]
         self.airborne: set[int] = set()
         self.aloft: set[int] = set()
+        self.in_motion = asyncio.Lock()
         self.on_take_off: Callable[[], None] = lambda: None
         self._config = config
         self._frame = config.frame
@@ -93,6 +95,11 @@ class FlyingTeam(SimulatedTeam):
         return np.array([self._frame.to_mission(state.position) for state in self.states()])
 
     async def fly(self, displacements: Points) -> None:
+        """Fly the motion of a round, as `fly_together`."""
+        self._log.round += 1
+        await self.fly_together(displacements)
+
+    async def fly_together(self, displacements: Points) -> None:
         """Fly one joint motion, from rest to rest.
 
         Raises:
@@ -100,7 +107,10 @@ class FlyingTeam(SimulatedTeam):
             NotArrived: a drone is not where the motion ends.
             RobotError: a command to a drone failed.
         """
-        self._log.round += 1
+        async with self.in_motion:
+            await self._fly(displacements)
+
+    async def _fly(self, displacements: Points) -> None:
         safety = self._config.safety
         before = [motion.target for motion in self.motions]
         aims = self.places + displacements

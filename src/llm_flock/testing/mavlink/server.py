@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import selectors
 import socket
 import threading
@@ -15,6 +16,9 @@ from llm_flock.robots.base import Position
 from llm_flock.robots.mavlink.codec import GROUND_STATION, Codec
 from llm_flock.robots.mavlink.frames import enu
 from llm_flock.testing.mavlink.autopilot import Autopilot
+
+PORTS = (20_000, 32_000)
+"""Of drivers: below those that systems choose by themselves."""
 
 STEP_S = 0.005
 """Time between two steps of the vehicles [s]."""
@@ -48,7 +52,7 @@ class AutopilotStandIn:
         self.lock = threading.Lock()
         self._home = home
         self._rng = rng
-        self._peer = calls
+        self._calls = self._peer = calls
         self._codec = Codec()
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
@@ -89,7 +93,10 @@ class AutopilotStandIn:
                 return
             if self.silent or self.deaf or self._lost():
                 continue
-            self._peer = peer
+            if self._calls is None:
+                self._peer = peer
+            elif peer[1] != self._calls[1]:
+                continue  # a late packet for whoever had this port before must not turn it away from its driver
             for message in self._codec.datagram(data):
                 if int(message.get_srcSystem()) == GROUND_STATION:
                     with self.lock:
@@ -190,12 +197,12 @@ class AutopilotStandIns:
 
 
 def _free_ports(host: str, count: int) -> list[int]:
-    """UDP ports that nobody uses now."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for one in sockets:
-            one.bind((host, 0))
-        return [int(one.getsockname()[1]) for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()
+    """UDP ports that nobody uses now, and that no system gives to whoever asks for any before the driver is there."""
+    found: list[int] = []
+    for port in random.SystemRandom().sample(range(*PORTS), PORTS[1] - PORTS[0]):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, contextlib.suppress(OSError):
+            one.bind((host, port))
+            found.append(port)
+        if len(found) == count:
+            return found
+    raise OSError(f"fewer than {count} free ports at {host}")
