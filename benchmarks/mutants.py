@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 ROOT = Path(__file__).parents[1]
-COPIED = ("src", "tests", "pyproject.toml")
+COPIED = ("src", "tests", "benchmarks", "pyproject.toml")
 TIMEOUT_S = 300
 
 

@@ -14,6 +14,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.messages.codec import decode, encode
 from llm_flock.protocol.messages.message import (
+    NO_OWNER,
     UNSAID,
     BidEntry,
     Message,
@@ -58,6 +59,8 @@ class Gang:
         self.payloads: list[bytes] = []
         self.table: dict[int, tuple[BidEntry, Certificate]] = {}
         self.grants: dict[tuple[int, int], ReleaseGrant] = {}
+        self.words: dict[tuple[int, int, int], dict[int, bytes]] = {}
+        self.moves: dict[int, tuple[int, BidEntry, Certificate]] = {}
         self.sequence = 0
         self.count = 0
         self.numbers: Counter[int] = Counter()
@@ -79,7 +82,7 @@ class Gang:
         if message.plan is None or message.provenance is None or not proofs.origin:
             return
         if self.known is None or message.plan_digest != self.known.plan_digest:
-            self.table, self.grants = {}, {}
+            self.table, self.grants, self.words, self.moves = {}, {}, {}, {}
         self.known, self.origin = message, proofs.origin
         certificates = proofs.certificates()
         for slot, entry in enumerate(message.table or ()):
@@ -89,6 +92,8 @@ class Gang:
                 self.table[slot] = entry, certificate
             if isinstance(certificate.grant, ReleaseGrant):
                 self.grants[slot, entry[0]] = certificate.grant
+        for word in proofs.words:
+            self.words.setdefault((word.slot, word.version, word.owner), {})[word.witness] = word.signature
 
     # --- parts of messages --------------------------------------------------------------------------------------------
 
@@ -171,6 +176,16 @@ class Gang:
             (member, self.keys[member].sign(word_statement(self.about, slot, at, owner))) for member in self.members
         )
         return ReleaseGrant(tuple(words))
+
+    def freed(self, slot: int) -> ReleaseGrant | None:
+        """The words that free a place, one of them an honest robot's; None where none has said so."""
+        at = self.version(slot) + 1
+        statement = word_statement(self.about, slot, at, NO_OWNER)
+        words = {j: self.keys[j].sign(statement) for j in self.members}
+        for witness, signature in self.words.get((slot, at, NO_OWNER), {}).items():
+            if len(words) <= len(self.members):
+                words.setdefault(witness, signature)
+        return ReleaseGrant(tuple(sorted(words.items()))) if len(words) > len(self.members) else None
 
     def message(
         self, member: int, entries: Entries | None = None, hears: Sequence[int] | None = None, **more: Any

@@ -39,6 +39,9 @@ from llm_flock.protocol.signed.certificates import (
     wrap,
 )
 
+MOVES_EACH = 3
+"""Communication rounds from one move to the next of those that move on."""
+
 
 def claims_everything(gang: Gang, member: int) -> list[Said]:
     return [gang.message(member, {slot: gang.claim(member, slot) for slot in gang.places}, slot=0)]
@@ -133,6 +136,41 @@ def takes_places_from_one(gang: Gang, member: int) -> list[Said]:
         numbers = gang.numbers[member], gang.numbers[partner]
         return [gang.message(member, gang.exchange(member, partner, slot, other, numbers=numbers))]
     return []
+
+
+def moves_on(gang: Gang, member: int) -> list[Said]:
+    """It goes from place to place, and tells one honest robot first. That robot's word frees the place left a moment
+    before others know of it, so that the gang is there again before anybody: more places than members stay unusable.
+    """
+    if gang.rounds % MOVES_EACH == 1 and (slot := _gained(gang, member)) is not None:
+        gang.numbers[member] += 1
+        entry, certificate = gang.claim(member, slot, number=gang.numbers[member])
+        gang.moves[member], gang.table[slot] = (slot, entry, certificate), (entry, certificate)
+        return [gang.message(member, {slot: (entry, certificate)}, slot=slot, hears=gang.honest[:1])]
+    now = gang.moves.get(member)
+    return [] if now is None else [gang.message(member, {now[0]: now[1:]}, slot=now[0])]
+
+
+def _gained(gang: Gang, member: int) -> int | None:
+    """A place that the member gets: a free one, or an honest robot's, if it has none or all of these have theirs."""
+    owners = {slot: gang.table[slot][0][2] if slot in gang.table else NO_OWNER for slot in gang.places}
+    for slot in gang.places:
+        grant = gang.freed(slot)
+        if grant is not None:
+            at = gang.version(slot) + 1
+            gang.grants[slot, at] = grant
+            gang.table[slot] = (at, 0.0, NO_OWNER), Certificate(number=0, grant=grant)
+            return slot
+        if owners[slot] == NO_OWNER and (gang.version(slot) == 0 or (slot, gang.version(slot)) in gang.grants):
+            return slot
+    settled = set(gang.honest) <= set(owners.values())
+    for slot, owner in owners.items() if settled or member not in gang.moves else ():
+        at = gang.version(slot)
+        bid = drawn_bid(gang.about, slot, at, member) if at else -1e-9
+        granted = at == 0 or (slot, at) in gang.grants
+        if owner in gang.honest and granted and rank((at, bid, member)) > rank(gang.table[slot][0]):
+            return slot
+    return None
 
 
 def much_to_check(gang: Gang, member: int) -> list[Said]:
@@ -260,6 +298,7 @@ LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
     "raises versions": raises_versions,
     "hunts one robot": hunts_one,
     "takes the places of one robot": takes_places_from_one,
+    "moves on before others know": moves_on,
     "much to check": much_to_check,
     "offers one place to all": offers_to_all,
     "plans of its own": plans_of_its_own,

@@ -40,7 +40,24 @@ def test_no_folder_is_written_over(tmp_path: Path) -> None:
         write_dataset(tmp_path, PUBLIC, version=1, split="public")
     with pytest.raises(InputError, match="dataset"):
         write_dataset(tmp_path / "none" / "exam", PUBLIC, version=1, split="public")
+    with pytest.raises(InputError, match=r"dataset = .*cannot be made \(File name too long\)"):
+        write_dataset(tmp_path / ("x" * 300), PUBLIC, version=1, split="public")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_breaks_off_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[Path] = []
+
+    def breaks_off(path: Path, text: str, encoding: str) -> None:
+        written.append(path)
+        path.touch()
+        if len(written) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", breaks_off)
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(tmp_path / "exam", PUBLIC, version=1, split="public")
+    assert len(written) == 3 and not list(tmp_path.iterdir())
 
 
 def test_the_entry_for_the_register_of_inspect_evals_names_the_task() -> None:

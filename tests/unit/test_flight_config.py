@@ -17,6 +17,7 @@ from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.fleet import build_fleet
 from llm_flock.runtime.flight.frame import MissionFrame
 from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
@@ -170,6 +171,8 @@ def test_drones_of_crazyflies_yaml(tmp_path: Path) -> None:
 def test_a_driver_that_is_not_there(robot: str) -> None:
     with pytest.raises(InputError, match="robot"):
         build_fleet(flight_config(robot=robot))
+    with pytest.raises(InputError, match="robot"):
+        asyncio.run(dry_run(flight_config(robot=robot)))
 
 
 def test_a_driver_of_ones_own() -> None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import pytest
 from reports import CONFIG, MISSION, PLACES, PLAN, N, told
+from swarms import swarm_config
 
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.record.schema import Entry, PlanInfo
+from llm_flock.runtime.network import swarm
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.wire import Body, ReportedEvent, RobotReport, WorldState, pack, unpack
 
@@ -231,3 +235,27 @@ def test_only_whole_reports_pass_the_wire() -> None:
     raw = msgspec.msgpack.encode({"round": 1})
     with pytest.raises(MessageError, match="malformed"):
         unpack(RobotReport, pack(told(0))[:1] + raw)
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_swarm_that_is_told_to_fly_on_does_not_end_when_it_has_formed(
+    stops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Launched:
+        """Stands for the processes, and for an observer that has seen a formation."""
+
+        async def __aenter__(self) -> Launched:
+            return self
+
+        async def __aexit__(self, *_: object) -> None:
+            return
+
+        async def run(self, until: Callable[[Any], bool] = lambda observer: observer.formed_s is not None) -> str:
+            return "formed" if until(SimpleNamespace(formed_s=1.0)) else "time"
+
+        def result(self, stopped: str) -> str:
+            return stopped
+
+    monkeypatch.setattr(swarm, "launched", lambda *_, **__: Launched())
+    config = swarm_config(3, stop_when_formed=stops)
+    assert asyncio.run(swarm.run_swarm(config)) == ("formed" if stops else "time")

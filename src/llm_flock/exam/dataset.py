@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from llm_flock.errors import InputError
 from llm_flock.exam.questions import SECTIONS, Question, digest, to_lines
-from llm_flock.experiments.store import write_whole
 
 CARD = """---
 license: mit
@@ -48,7 +48,8 @@ def write_dataset(folder: Path, questions: Sequence[Question], *, version: int, 
     """Write a card and one file of JSON lines for each section into a new folder; returns the files.
 
     Raises:
-        InputError: for field `dataset`: the folder is there already, or its parent is not.
+        InputError: for field `dataset`: the folder is there already, its parent is not, or it cannot be made. Nothing
+            is left of one that is not finished.
     """
     if os.path.lexists(folder):
         raise InputError("dataset", str(folder), "a folder that is not there yet: none is overwritten")
@@ -56,11 +57,8 @@ def write_dataset(folder: Path, questions: Sequence[Question], *, version: int, 
         raise InputError("dataset", str(folder), "a folder within one that is there")
     tables = {name: [q for q in questions if q.section == name] for name in SECTIONS}
     tables = {name: found for name, found in tables.items() if found}
-    folder.mkdir()
-    files = [folder / f"{name}.jsonl" for name in tables]
-    for file, found in zip(files, tables.values(), strict=True):
-        write_whole(file, to_lines(found).encode())
-    card = CARD.format(
+    texts = {f"{name}.jsonl": to_lines(found) for name, found in tables.items()}
+    texts["README.md"] = CARD.format(
         size="n<1K" if len(questions) < 1000 else "1K<n<10K",
         configs="\n".join(_config(name) for name in tables),
         version=version,
@@ -69,8 +67,17 @@ def write_dataset(folder: Path, questions: Sequence[Question], *, version: int, 
         digest=digest(questions),
         rows="\n".join(f"| `{name}` | {len(found)} | {SECTIONS[name]} |" for name, found in tables.items()),
     )
-    write_whole(folder / "README.md", card.encode())
-    return [*files, folder / "README.md"]
+    unfinished = folder.with_name(f".{folder.name}-{os.getpid()}")
+    try:
+        unfinished.mkdir()
+        for name, text in texts.items():
+            (unfinished / name).write_text(text, encoding="utf-8")
+        unfinished.rename(folder)
+    except OSError as error:
+        raise InputError("dataset", str(folder), says=f"cannot be made ({error.strerror})") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return [folder / name for name in texts]
 
 
 def _config(name: str) -> str:

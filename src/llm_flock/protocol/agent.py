@@ -142,7 +142,7 @@ class Agent:
             "step": self._pilot.breaker,
         }
         self._fallback: Fallback = fallback
-        self._seeking = Seeking(robot)
+        self._seeking = Seeking(robot, 0 if authenticator is None else liars)
         self._connectivity = ConnectivityRecovery(liveness, all_to_all)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
@@ -351,7 +351,7 @@ class Agent:
         return notes
 
     def _begin_mission(self) -> None:
-        self._seeking = Seeking(self.robot)
+        self._seeking.start_again()
         self._pilot.begin_mission()
         for breaker in self._breakers.values():
             breaker.begin_mission()

@@ -125,6 +125,33 @@ def test_a_robot_that_witnesses_took_for_dead_stays_at_its_place() -> None:
     assert away.slot == 1 and away.table == ((0, -9.0, 3), (1, -1.0, 0), (2, -12.0, 4))
 
 
+@pytest.mark.parametrize(
+    ("owners", "lots", "freed", "won"),
+    [
+        ("ab", (-7.0, -2.0), {0, 1}, 1),  # its first choice has drawn higher
+        ("ab", (-1.0, -2.0), {0, 1}, 0),
+        ("ab", (-1.0, -2.0), {1}, 1),  # nothing shows that the first one was freed
+        ("ab", (-1.0, -2.0), set[int](), None),
+        ("ab", (-7.0, -7.0), {0, 1}, None),
+        ("-b", (-9.0, -2.0), {0, 1}, 0),  # a free place comes first, though it bids low there
+        ("xb", (-1.0, -7.0), {0, 1}, None),  # a body has no lot
+    ],
+)
+def test_lots_decide_about_a_place_that_was_freed_not_who_claims_it_first(
+    owners: str, lots: tuple[float, float], freed: set[int], won: int | None
+) -> None:
+    """Without a free place, the robot outbids an owner with a worse lot: else liars that are told first keep it out."""
+    of = {"a": (1, -5.0, 1), "b": (1, -5.0, 2), "-": (1, 0.0, -1), "x": (1, 0.0, -2)}
+    table: BidTable = (of[owners[0]], of[owners[1]], (0, 0.0, 3))
+    now = replace(at(4, 1.0), draw=lambda slot, _: lots[slot], freed=lambda slot, _: slot in freed)
+    claim = RULE.update(Claim(slot=None, table=table, bids=(-1.0, -9.0, -19.0)), now)
+    assert claim.slot == won and claim.table is not None
+    if won is not None:
+        assert claim.table[won] == (1, lots[won], 4)
+    without_keys = RULE.update(Claim(slot=None, table=table, bids=(-1.0, -9.0, -19.0)), at(4, 1.0))
+    assert without_keys.slot == (0 if owners[0] == "-" else None)
+
+
 def test_gain_is_the_fall_of_the_sum_of_squares() -> None:
     assert gain(at(0, 12.0), (1.0, 0.0), 0, 1) == pytest.approx(144 + 81 - 4 - 1)
 

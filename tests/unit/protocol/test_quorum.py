@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from benchmarks.lies import fly
 from gang import Gang
 from lies import LIES, round_of_lies
 from signed_team import SignedTeam, evidence_of, line_up
@@ -24,7 +25,13 @@ from llm_flock.protocol.signed.evidence import MOST_PASSED_ON
 
 N, TWO = 7, 2
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
-HUNTS = {"hunts one robot": 40, "takes the places of one robot": 100, "raises versions": 40, "much to check": 40}
+HUNTS = {
+    "hunts one robot": 40,
+    "takes the places of one robot": 100,
+    "raises versions": 40,
+    "moves on before others know": 60,
+    "much to check": 40,
+}
 """Lies that keep a robot from a place for a while, and rounds in which it has one at the latest."""
 WORST = ("frees every place all the time", "frees every place and takes one", "blocks every place")
 
@@ -62,6 +69,13 @@ def test_no_robot_is_kept_from_a_place_for_ever(lie: str, rounds: int) -> None:
     assert team.settled()
     assert team.smallest >= MISSION.safe_distance - 1e-6
     assert all(version < LAST_EXCHANGED + 2**20 for version, _ in team.owners(0))
+
+
+@pytest.mark.no_cover
+def test_who_is_told_first_has_no_right_to_a_place() -> None:
+    """Three of ten that claim each freed place before others know of it kept one to three without a place for ever."""
+    found = fly("moves on before others know", 10, 3, seed=2)
+    assert found.formed is not None and found.separation >= MISSION.safe_distance - 1e-6
 
 
 @pytest.mark.parametrize("tolerated", [1, TWO])

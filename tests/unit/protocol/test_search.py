@@ -1,5 +1,11 @@
 """The search that ends frozen partitions: which robot goes, where, and when it stops."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.search import (
     LOOKS,
     LOOKS_FOR_SILENT,
@@ -184,6 +190,23 @@ def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_firs
                 break
         ways.append(search.way)
     assert ways == [(PLAN.points[1], CENTER), (PLAN.points[1],)]
+
+
+def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_it() -> None:
+    """Its witnesses are too few to call the place blocked. Out of sight, it was vacant again: a search without end."""
+    live = cast("Any", SimpleNamespace(strangers=set[int](), silent={1}, without_plan=set[int]()))
+    recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)))
+    mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
+    owners, (x, y) = table(0, NO_OWNER, 2, 3), PLAN.points[1]
+
+    def looks_for(here: Point, *bodies: Point) -> tuple[int, ...]:
+        recovery.route(mission, PLAN, 0, owners, here, bodies=bodies, placed=False)
+        return recovery._search.known[1]
+
+    assert looks_for(PLAN.points[0], (x, y)) == ()
+    assert looks_for((x - 4 * mission.sensing, y)) == (), "it stands there still"
+    assert looks_for(PLAN.points[0]) == (1,), "it is seen to be gone"
+    assert looks_for((x - 4 * mission.sensing, y)) == (1,)
 
 
 def test_nobody_is_looked_for_where_a_body_stands() -> None:

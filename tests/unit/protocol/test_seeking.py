@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.seeking import WAIT, Seeking
+from llm_flock.protocol.membership.seeking import ALONE, WAIT, Seeking
 
 SMALL = Mission(shape="triangle", n_robots=3)
 MIDDLE = Mission(shape="circle", n_robots=10)
@@ -46,6 +48,19 @@ def test_where_the_centre_is_not_heard_at_the_places_it_also_visits_two_of_them(
 def test_in_a_large_formation_the_places_come_first_other_ones_for_each_robot() -> None:
     assert visited(LARGE, 0, (10.0, 75.0), 160)[:3] == [0, 15, -1]
     assert visited(LARGE, 20, (10.0, 75.0), 40)[0] == 20
+
+
+@pytest.mark.parametrize(("liars", "silent", "lost"), [(0, 3, False), (1, 3, False), (2, 2, False), (2, 3, True)])
+def test_it_is_out_of_touch_where_all_that_may_lie_would_outweigh_the_honest(
+    liars: int, silent: int, lost: bool
+) -> None:
+    """Of seven it hears three: if two of these lie, it and the last one are too few to free a place by their words."""
+    seeking = Seeking(0, liars)
+    for _ in range(ALONE):
+        seeking.count(range(1, 7 - silent), range(7 - silent, 7), 7)
+    assert seeking.lost is lost
+    seeking.start_again()
+    assert not seeking.lost
 
 
 def test_it_waits_near_enough_and_longer_each_time() -> None:

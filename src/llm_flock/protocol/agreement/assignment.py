@@ -58,6 +58,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
         granted: entries that enough robots have signed together; None in a team without keys.
         precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
         draw: the robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
+        freed: whether this version of a slot was freed by witnesses whom the robot can show; None without keys.
         exchanges: whether the robot may exchange slots.
     """
 
@@ -76,6 +77,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     granted: BidTable | None = None
     precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
     draw: Callable[[int, int], float] | None = None
+    freed: Callable[[int, int], bool] | None = None
     exchanges: bool = True
 
 

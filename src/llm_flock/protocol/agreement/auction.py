@@ -29,6 +29,7 @@ BID_DECIMALS = 9
 
 Precedence: TypeAlias = Callable[[int, BidEntry], tuple[int, int]]
 Draw: TypeAlias = Callable[[int, int], float]
+Freed: TypeAlias = Callable[[int, int], bool]
 
 SWAP_GAIN = 0.01
 """An exchange must lower the sum of the squared path lengths by at least this share of the squared spacing."""
@@ -134,7 +135,7 @@ class AuctionAssignment:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = keep_one(now.robot, table, among, now.precedence)
             if slot is None and offer is None:
-                table, slot = best_won(now.robot, bids, table, before=claim.slot, draw=now.draw)
+                table, slot = best_won(now.robot, bids, table, before=claim.slot, draw=now.draw, freed=now.freed)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
@@ -195,11 +196,14 @@ def best_won(
     *,
     before: int | None = None,
     draw: Draw | None = None,
+    freed: Freed | None = None,
 ) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
 
     Witnesses who have not heard of a robot for too long free its slot. It stays there, instead of taking another that
-    its owner may return to. The bid for a slot of a version above 0 is `draw`'s, if given.
+    its owner may return to. The bid for a slot of a version above 0 is `draw`'s, if given. Where no slot can be had
+    otherwise, it outbids the owner of one that was `freed` at such a version: with lots, whoever claims first has no
+    right to it, or liars that are told first could keep slots from everybody.
     """
     if before is not None and table[before][2] == NO_OWNER:
         version = table[before][0]
@@ -209,6 +213,14 @@ def best_won(
         # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
         if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
             return changed(table, {a: (version, _bid(bids, a, version, draw), robot)}), a
+    if draw is None or freed is None:
+        return table, None
+    for a in _preferred(bids):
+        version, _, owner = table[a]
+        if version > 0 and owner >= 0 and freed(a, version):
+            mine = version, draw(a, version), robot
+            if rank(mine) > rank(table[a]):
+                return changed(table, {a: mine}), a
     return table, None
 
 

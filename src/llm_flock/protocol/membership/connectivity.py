@@ -25,6 +25,7 @@ class ConnectivityRecovery:
     def __init__(self, liveness: Liveness, all_to_all: AllToAll) -> None:
         self._liveness, self._all_to_all, self._search = liveness, all_to_all, Search()
         self._gathering = Gathering()
+        self._standing: tuple[str, set[int]] = "", set()
 
     @property
     def given_up(self) -> bool:
@@ -83,7 +84,12 @@ class ConnectivityRecovery:
         if live.strangers or live.silent:
             near = AT_GOAL * mission.spacing
             free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
-            standing = {a for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
+            # A body that stood at a place when it was last in sight stands there still: whoever goes away from it to
+            # look elsewhere does not begin another search for it.
+            known = self._standing[1] if self._standing[0] == places.digest else ()
+            hidden = {a for a in known if math.dist(places.points[a], here) > mission.sensing}
+            standing = {a for a in free if a in hidden or any(math.dist(places.points[a], x) <= near for x in bodies)}
+            self._standing = places.digest, standing
         self._search = search = advance(
             before,
             position=here,

@@ -30,8 +30,12 @@ class Seeking:
     orientation, other ones for each robot: however the formation is turned, robots with a plan stand near such places.
     """
 
-    def __init__(self, robot: int) -> None:
-        self._robot = robot
+    def __init__(self, robot: int, liars: int = 0) -> None:
+        self._robot, self._liars = robot, liars
+        self.start_again()
+
+    def start_again(self) -> None:
+        """Forget how far it has come."""
         self._leg = 0
         self._left: int | None = None
         self._alone = 0
@@ -39,9 +43,10 @@ class Seeking:
     def count(self, living: Collection[int], silent: Collection[int], n_robots: int) -> None:
         """Take note of the neighbours that live, and of the silent robots of the team. Call once in each period.
 
-        A robot that hears few of its team is not in touch with it, whoever stands beside it.
+        A robot that hears few of its team is not in touch with it, whoever stands beside it. Nor is one that might hear
+        too few honest robots to free a slot, if all that may lie are among those it hears.
         """
-        in_touch = bool(living) and 2 * len(silent) < n_robots
+        in_touch = bool(living) and 2 * len(silent) < n_robots and n_robots - len(silent) > 2 * self._liars
         self._alone = 0 if in_touch else self._alone + 1
 
     @property

@@ -50,5 +50,6 @@ class SignedAssignment:
             granted=evidence.granted(table),
             precedence=evidence.precedence,
             draw=evidence.draw,
+            freed=evidence.freed,
             exchanges=evidence.may_exchange(len(now.plan)),
         )

@@ -245,6 +245,10 @@ class Evidence:
         """This robot's bid for a slot of a version above 0."""
         return drawn_bid(self._page, slot, version, self._robot)
 
+    def freed(self, slot: int, version: int) -> bool:
+        """Whether this robot can show the words that freed this version of a slot."""
+        return (slot, version, NO_OWNER) in self._freed
+
     def may_exchange(self, places: int) -> bool:
         """Whether exchanges count in this team, and this robot has not used up its numbers for them."""
         return self._exchanges and self._number + SPARE <= most_exchanges(places)

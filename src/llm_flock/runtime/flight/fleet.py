@@ -68,7 +68,7 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     wanted = config.fleet.drones
     if not wanted:
         raise InputError("drones", None, "one for each robot of the mission")
-    robots = _driver(config.fleet.robot)(config, wanted)
+    robots = driver_of(config.fleet.robot)(config, wanted)
     if len(robots) != len(wanted):
         raise InputError("robot", config.fleet.robot, f"a driver that makes {len(wanted)} robots (here {len(robots)})")
     return robots
@@ -173,7 +173,12 @@ _DRIVERS: dict[str, Driver] = {
 }
 
 
-def _driver(name: str) -> Driver:
+def driver_of(name: str) -> Driver:
+    """The driver of this name.
+
+    Raises:
+        InputError: there is none.
+    """
     if name in _DRIVERS:
         return _DRIVERS[name]
     if ":" not in name:

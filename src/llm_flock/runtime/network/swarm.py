@@ -299,10 +299,10 @@ async def run_swarm(
     """Fly one mission with a swarm of processes on this machine; `SwarmError` if one of them fails.
 
     `on_launch` is called before the first process starts, `on_start` gets the swarm once all of them run. A swarm that
-    takes missions from ROS does not end when it has formed.
+    takes missions from ROS does not end when it has formed, nor does one that is told to fly on (`stop_when_formed`).
     """
     async with launched(config, on_row=on_row, sink=sink, on_launch=on_launch) as swarm:
         on_start(swarm)
-        if config.ros2.ros_missions:
+        if config.ros2.ros_missions or not config.trial.stop_when_formed:
             return swarm.result(await swarm.run(lambda _: False))
         return swarm.result(await swarm.run())
