@@ -288,7 +288,7 @@ class Agent:
         self._liveness.begin_round(number, near, state)
         agreement.begin_round(event.neighbors)
         silent = self._liveness.silent
-        self._seeking.count(near - silent, silent, self.mission.n_robots)
+        self._seeking.count(near - silent, silent, self._liveness.strangers, self.mission.n_robots)
         self._messaging.begin_round()
         self._replanning.watch(
             agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
+from llm_flock.protocol.membership.connectivity import REMEMBERED, ConnectivityRecovery
 from llm_flock.protocol.membership.search import (
     LOOKS,
     LOOKS_FOR_SILENT,
@@ -204,7 +204,10 @@ def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_i
         return recovery._search.known[1]
 
     assert looks_for(PLAN.points[0], (x, y)) == ()
-    assert looks_for((x - 4 * mission.sensing, y)) == (), "it stands there still"
+    away = (x - 4 * mission.sensing, y)
+    assert {looks_for(away) for _ in range(REMEMBERED)} == {()}, "it stands there still"
+    assert looks_for(away) == (1,), "its witnesses may be too few: somebody else has to come and see it"
+    assert looks_for(PLAN.points[0], (x, y)) == ()
     assert looks_for(PLAN.points[0]) == (1,), "it is seen to be gone"
     assert looks_for((x - 4 * mission.sensing, y)) == (1,)
 

@@ -57,8 +57,12 @@ def test_it_is_out_of_touch_where_all_that_may_lie_would_outweigh_the_honest(
     """Of seven it hears three: if two of these lie, it and the last one are too few to free a place by their words."""
     seeking = Seeking(0, liars)
     for _ in range(ALONE):
-        seeking.count(range(1, 7 - silent), range(7 - silent, 7), 7)
+        seeking.count(range(1, 7 - silent), range(7 - silent, 7), (), 7)
     assert seeking.lost is lost
+    unknown = Seeking(0, liars)
+    for _ in range(ALONE):
+        unknown.count(range(1, 7 - silent), (), range(7 - silent, 7), 7)
+    assert unknown.lost is lost, "whoever was never heard of is no witness either"
     seeking.start_again()
     assert not seeking.lost
 

@@ -18,6 +18,9 @@ from llm_flock.protocol.messages.message import NO_OWNER, BidTable
 from llm_flock.protocol.path_length import ACROSS, next_stop
 from llm_flock.protocol.plan import Plan
 
+REMEMBERED = 30
+"""Rounds for which a body that is out of sight is taken to stand at a place: after that it is looked at again."""
+
 
 class ConnectivityRecovery:
     """Keeps one robot in touch with its team, or finds robots that it misses."""
@@ -25,7 +28,7 @@ class ConnectivityRecovery:
     def __init__(self, liveness: Liveness, all_to_all: AllToAll) -> None:
         self._liveness, self._all_to_all, self._search = liveness, all_to_all, Search()
         self._gathering = Gathering()
-        self._standing: tuple[str, set[int]] = "", set()
+        self._standing: tuple[str, dict[int, int]] = "", {}
 
     @property
     def given_up(self) -> bool:
@@ -84,12 +87,17 @@ class ConnectivityRecovery:
         if live.strangers or live.silent:
             near = AT_GOAL * mission.spacing
             free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
-            # A body that stood at a place when it was last in sight stands there still: whoever goes away from it to
-            # look elsewhere does not begin another search for it.
-            known = self._standing[1] if self._standing[0] == places.digest else ()
-            hidden = {a for a in known if math.dist(places.points[a], here) > mission.sensing}
-            standing = {a for a in free if a in hidden or any(math.dist(places.points[a], x) <= near for x in bodies)}
-            self._standing = places.digest, standing
+            # A body that stood at a place when it was last in sight stands there for a while: whoever goes away from
+            # it to look elsewhere does not begin another search for it.
+            known = self._standing[1] if self._standing[0] == places.digest else {}
+            seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
+            hidden = {
+                a: since + 1
+                for a, since in known.items()
+                if since < REMEMBERED and math.dist(places.points[a], here) > mission.sensing
+            }
+            self._standing = places.digest, {a: since for a, since in (hidden | seen).items() if a in free}
+            standing = {*self._standing[1]}
         self._search = search = advance(
             before,
             position=here,

@@ -40,13 +40,16 @@ class Seeking:
         self._left: int | None = None
         self._alone = 0
 
-    def count(self, living: Collection[int], silent: Collection[int], n_robots: int) -> None:
-        """Take note of the neighbours that live, and of the silent robots of the team. Call once in each period.
+    def count(
+        self, living: Collection[int], silent: Collection[int], strangers: Collection[int], n_robots: int
+    ) -> None:
+        """Take note of the neighbours that live, and of the team's silent and unknown robots. Call once in each period.
 
         A robot that hears few of its team is not in touch with it, whoever stands beside it. Nor is one that might hear
         too few honest robots to free a slot, if all that may lie are among those it hears.
         """
-        in_touch = bool(living) and 2 * len(silent) < n_robots and n_robots - len(silent) > 2 * self._liars
+        known = n_robots - len({*silent, *strangers})
+        in_touch = bool(living) and 2 * len(silent) < n_robots and (not self._liars or known > 2 * self._liars)
         self._alone = 0 if in_touch else self._alone + 1
 
     @property
