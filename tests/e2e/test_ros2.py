@@ -319,7 +319,7 @@ def test_missions_to_a_swarm_with_keys_are_signed_by_the_operator_s(tmp_path: Pa
         without.mkdir()
         (tmp_path / "team" / "operator").rename(without / "operator")
         done = subprocess.run(
-            [sys.executable, "-m", "llm_flock", *shown],
+            [sys.executable, "-m", "llm_flock", *shown, "--ros-namespace", "another"],
             cwd=tmp_path,
             env=ENV,
             capture_output=True,

@@ -21,7 +21,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanQuestion
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
 from llm_flock.runtime.flight.flight import NEVER_UP, Flight, FlightResult
-from llm_flock.runtime.flight.landing import LANDED, LOST, TOLD
+from llm_flock.runtime.flight.landing import LANDED, LOST, STOPPED, TOLD
 from llm_flock.runtime.flight.preflight import PreflightReport
 from llm_flock.testing.crtp import StandIns
 from llm_flock.testing.mavlink import AutopilotStandIns
@@ -120,13 +120,13 @@ async def _for_ever(planner: GeometryPlanner, question: PlanQuestion) -> NoAnswe
 GONE = (LOST, TOLD)
 
 PHASES: dict[str, tuple[set[str], Sequence[str], Sequence[str]]] = {
-    "preflight": ({"link_lost", "refused"}, (NEVER_UP, *GONE), (NEVER_UP, LANDED)),
-    "taking off": ({"link_lost", "refused"}, GONE, (LANDED,)),
+    "preflight": ({"link_lost", "refused"}, (NEVER_UP, *GONE), (NEVER_UP, LANDED, STOPPED)),
+    "taking off": ({"link_lost", "refused"}, GONE, (LANDED, STOPPED)),
     "motion": ({"link_lost", "off_course"}, GONE, (LANDED,)),
     "hold": ({"link_lost"}, GONE, (LANDED,)),
     "landing": ({"abort"}, GONE, (LANDED,)),
 }
-"""By phase: how the flight may end, the drone that died, and the others. With the long `stall_s` of the tests with
+"""By phase: how the flight may end, the drone that died, and the others; just off the ground these may stop unseen. With the long `stall_s` of the tests with
 MAVLink, a drone that does not arrive is noticed before its silence."""
 
 
