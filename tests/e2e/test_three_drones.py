@@ -126,8 +126,9 @@ PHASES: dict[str, tuple[set[str], Sequence[str], Sequence[str]]] = {
     "hold": ({"link_lost"}, GONE, (LANDED,)),
     "landing": ({"abort"}, GONE, (LANDED,)),
 }
-"""By phase: how the flight may end, the drone that died, and the others; just off the ground these may stop unseen. With the long `stall_s` of the tests with
-MAVLink, a drone that does not arrive is noticed before its silence."""
+"""By phase: how the flight may end, the drone that died, and the others; just off the ground these may stop unseen.
+
+With the long `stall_s` of the tests with MAVLink, a drone that does not arrive is noticed before its silence."""
 
 
 @pytest.mark.parametrize("driver", ["crazyflie", "px4"])
