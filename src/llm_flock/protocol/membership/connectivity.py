@@ -78,26 +78,33 @@ class ConnectivityRecovery:
             target = places.points[slot]
         return target, self._search.looked, notes
 
+    def _standing_at(
+        self, mission: Mission, places: Plan, table: BidTable, here: Point, bodies: Sequence[Point]
+    ) -> set[int]:
+        """Slots without an owner on which a body stands, or stood when it was last in sight.
+
+        Whoever goes away from a body to look elsewhere does not begin another search for it.
+        """
+        near = AT_GOAL * mission.spacing
+        free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
+        known = self._standing[1] if self._standing[0] == places.digest else {}
+        seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
+        hidden = {
+            a: since + 1
+            for a, since in known.items()
+            if since < REMEMBERED and math.dist(places.points[a], here) > mission.sensing
+        }
+        self._standing = places.digest, {a: since for a, since in (hidden | seen).items() if a in free}
+        return {*self._standing[1]}
+
     def _look_for_others(
         self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point, bodies: Sequence[Point]
     ) -> list[Note]:
         """Begin, continue or end the search for robots in vacant slots."""
         live, before = self._liveness, self._search
-        standing = set[int]()
-        if live.strangers or live.silent:
-            near = AT_GOAL * mission.spacing
-            free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
-            # A body that stood at a place when it was last in sight stands there for a while: whoever goes away from
-            # it to look elsewhere does not begin another search for it.
-            known = self._standing[1] if self._standing[0] == places.digest else {}
-            seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
-            hidden = {
-                a: since + 1
-                for a, since in known.items()
-                if since < REMEMBERED and math.dist(places.points[a], here) > mission.sensing
-            }
-            self._standing = places.digest, {a: since for a, since in (hidden | seen).items() if a in free}
-            standing = {*self._standing[1]}
+        standing = (
+            self._standing_at(mission, places, table, here, bodies) if live.strangers or live.silent else set[int]()
+        )
         self._search = search = advance(
             before,
             position=here,

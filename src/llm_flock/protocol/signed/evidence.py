@@ -321,13 +321,8 @@ class Evidence:
             elif slot == claim.slot and claim.offer is None and held.number < self._number:
                 # Somebody may have heard of a later claim, or accepted an offer, of which nothing came.
                 self._claim(slot, entry, held.grant)
-        present = {(slot, entry) for slot, entry in enumerate(table)}
-        self._held = {key: certificate for key, certificate in self._held.items() if key in present}
-        self._freed = {
-            (slot, version, owner): freed
-            for (slot, version, owner), freed in self._freed.items()
-            if version >= table[slot][0]
-        }
+        self._held = {key: certificate for key, certificate in self._held.items() if table[key[0]] == key[1]}
+        self._freed = {key: freed for key, freed in self._freed.items() if key[1] >= table[key[0]][0]}
 
     def _claim(self, slot: int, entry: BidEntry, grant: Grant | None) -> None:
         self._number += 1
