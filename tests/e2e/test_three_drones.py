@@ -26,7 +26,7 @@ from llm_flock.runtime.flight.preflight import PreflightReport
 from llm_flock.testing.crtp import StandIns
 from llm_flock.testing.mavlink import AutopilotStandIns
 
-pytestmark = pytest.mark.clock(2)
+pytestmark = pytest.mark.clock(1.5)
 
 STARTS = ((-0.8, -0.6), (0.8, -0.6), (0.0, 0.9))
 VICTIM = 1

@@ -205,6 +205,26 @@ def test_a_drone_that_stops_in_the_air_is_named_and_the_others_are_landed() -> N
     assert flight.ends == {name: "landed" if name != "d2" else FELL for name in ("d0", "d1", "d2", "d3")}
 
 
+@pytest.mark.parametrize(
+    ("command", "at", "says"),
+    [
+        ("arm", "taking off", "d1: did not arm within 6 s"),
+        ("take_off", "taking off", "d1: did not take off within 6 s"),
+        ("go_to", "round 1", "d1: did not take its next set-point within 1 s"),
+    ],
+)
+def test_a_driver_that_does_not_answer_ends_the_flight_by_name(command: str, at: str, says: str) -> None:
+    async def never(*_: object) -> None:
+        await asyncio.sleep(3600.0)
+
+    def hang(flight: Flight, robots: Robots) -> None:
+        setattr(robots[1], command, never)
+
+    flight = figures(flown(flight_config(), hang, at))
+    assert (flight.ended, flight.reason) == ("refused", says)
+    assert {flight.ends[name] for name in ("d0", "d2", "d3")} <= {"landed", "never took off", STOPPED}
+
+
 def test_time_is_up() -> None:
     config = flight_config(max_flight_s=1.5, stop_when_formed=False, rounds=100)
     flight = figures(flown(config))

@@ -245,8 +245,8 @@ class Flight:
             supervisor.trip(Trouble(TroubleKind.SET_POINT, detail=str(refused)))
         except NotArrived as late:
             supervisor.trip(Trouble(TroubleKind.OFF_COURSE, detail=str(late)))
-        except (RobotError, TakeOffFailed, TimeoutError) as error:
-            supervisor.trip(Trouble(TroubleKind.REFUSED, detail=str(error) or "a drone did not answer in time"))
+        except (RobotError, TakeOffFailed) as error:
+            supervisor.trip(Trouble(TroubleKind.REFUSED, detail=str(error)))
         trial.begin()
         if self._ordered_home.is_set():
             trial.stopped, trial.reason = RETURN, "the operator lets all drones return"

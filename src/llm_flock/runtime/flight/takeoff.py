@@ -10,7 +10,7 @@ from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.lag import distance_m
 from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.team import CLIPPED_M, FlyingTeam
+from llm_flock.runtime.flight.team import CLIPPED_M, FlyingTeam, answering
 
 MARGIN_S = 3.0
 """Wait this much longer than the duration of a take-off for a drone to reach its altitude [s]."""
@@ -18,8 +18,8 @@ MARGIN_S = 3.0
 LOOK_S = 0.05
 """Time between two checks of a rising drone [s]."""
 
-ARM_S = 3.0
-"""Longest wait for a drone to arm [s]."""
+ARM_S = 6.0
+"""Longest wait for a drone to arm [s]: longer than the waits within a driver, whose own errors say more."""
 
 
 class TakeOffFailed(Exception):
@@ -31,8 +31,7 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
 
     Raises:
         TakeOffFailed: a drone did not reach its altitude in time.
-        RobotError: a drone refused.
-        TimeoutError: a drone did not answer.
+        RobotError: a drone refused, or did not answer.
     """
     robots, size = range(len(team.robots)), config.fleet.take_off_group
     for first in robots[::size]:
@@ -46,13 +45,13 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
 async def _lift(config: FlightConfig, team: FlyingTeam, log: FlightLog, robot: int) -> None:
     safety, altitude = config.safety, config.world.altitude_m
     body = team.robots[robot]
-    async with asyncio.timeout(ARM_S):
+    async with answering(body, "arm", ARM_S):
         await body.arm()
     here = body.state().position
     log.note("take_off", robot, name=body.name, altitude_m=altitude)
     team.take_off(robot)
     began = time.monotonic()
-    async with asyncio.timeout(ARM_S):
+    async with answering(body, "take off", ARM_S):
         order = await body.take_off(altitude, safety.take_off_s)
     top: Position = (here[0], here[1], order.target[2])
     team.airborne.add(robot)

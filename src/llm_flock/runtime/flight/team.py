@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager
 
 import numpy as np
 
 from llm_flock.arrays import Points
-from llm_flock.robots.base import Position, Robot, RobotState
+from llm_flock.robots.base import Position, Robot, RobotError, RobotState
 from llm_flock.robots.segment import Segment
 from llm_flock.robots.simulated import SimulatedTeam
 from llm_flock.runtime.flight.config import FlightConfig
@@ -34,6 +35,16 @@ class SetPointRefused(Exception):
 
 class NotArrived(Exception):
     """A drone did not arrive where a motion ends."""
+
+
+@asynccontextmanager
+async def answering(robot: Robot, what: str, within_s: float) -> AsyncGenerator[None]:
+    """Wait no longer than this for a driver; RobotError names the drone and what it was told."""
+    try:
+        async with asyncio.timeout(within_s):
+            yield
+    except TimeoutError as error:
+        raise RobotError(robot.name, f"did not {what} within {within_s:g} s") from error
 
 
 class FlyingTeam(SimulatedTeam):
@@ -132,7 +143,7 @@ class FlyingTeam(SimulatedTeam):
         began = time.monotonic()
 
         async def one(robot: int) -> Position:
-            async with asyncio.timeout(SEND_S):
+            async with answering(self.robots[robot], "take its next set-point", SEND_S):
                 order = await self.robots[robot].go_to(after[robot], duration_s)
             end = order.target if math.dist(order.target, after[robot]) > CLIPPED_M else after[robot]
             self.motions[robot] = Segment(start=before[robot], target=end, duration_s=order.duration_s, began_s=began)
