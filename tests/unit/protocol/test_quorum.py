@@ -68,6 +68,7 @@ def test_no_robot_is_kept_from_a_place_for_ever(lie: str, rounds: int) -> None:
     team = flown(lie, TWO, rounds)
     assert team.settled()
     assert team.smallest >= MISSION.safe_distance - 1e-6
+    assert all(evidence_of(agent).excluded <= {5, 6} for agent in team.agents)
     assert all(version < LAST_EXCHANGED + 2**20 for version, _ in team.owners(0))
 
 
@@ -209,6 +210,8 @@ def test_many_words_take_turns() -> None:
     team.fly(3)
     evidence = evidence_of(team.agents[0])
     evidence._words = {(slot, 9, NO_OWNER): {j: bytes([slot, j]) for j in range(20)} for slot in range(N)}
-    told = [{(word.slot, word.witness) for word in evidence._passed_on()} for _ in range(8)]
+    told = list[set[tuple[int, int]]]()
+    for evidence._turn in range(8):
+        told.append({(word.slot, word.witness) for word in evidence._passed_on()})
     assert all(len(one) == MOST_PASSED_ON for one in told)
     assert len(set[tuple[int, int]]().union(*told)) > 100

@@ -24,6 +24,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     OPERATOR,
+    WIRE_SIGNED,
     Proofs,
     WitnessStatement,
     beat_statement,
@@ -170,7 +171,7 @@ def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:
 def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) -> None:
     message, _ = unwrap(liar.says(), 5)
     assert team.tell(1, message, team.liar) == ["version"]
-    assert team.tell(1, b"\5\xff", team.liar) == ["malformed"]
+    assert team.tell(1, bytes([WIRE_SIGNED]) + b"\xff", team.liar) == ["malformed"]
     assert team.tell(1, b"\5" + bytes(10**5), team.liar) == ["oversized"]
     with pytest.raises(MessageError, match="version"):
         unwrap(b"", 5)

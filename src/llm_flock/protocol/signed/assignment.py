@@ -34,9 +34,17 @@ class SignedAssignment:
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
         """The claim after a communication round."""
-        claim = self._rule.update(claim, self._admitted(now, claim.table or ()))
+        admitted = self._admitted(now, claim.table or ())
+        claim = self._allowed(self._rule.update(self._allowed(claim, now.robot), admitted), now.robot)
         self._evidence.attest(claim)
         return claim
+
+    def _allowed(self, claim: Claim, robot: int) -> Claim:
+        """The claim without the places of excluded robots."""
+        if claim.table is None or not self._evidence.excluded:
+            return claim
+        slot = None if robot in self._evidence.excluded else claim.slot
+        return replace(claim, slot=slot, table=self._evidence.without_excluded(claim.table))
 
     def _admitted(self, now: AssignmentInput, table: BidTable) -> AssignmentInput:
         """What may be merged into a table."""

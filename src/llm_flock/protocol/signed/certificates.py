@@ -37,7 +37,7 @@ from llm_flock.protocol.messages.message import (
 OPERATOR = -2
 """Member id of the operator, who gives missions."""
 
-WIRE_SIGNED = 5
+WIRE_SIGNED = 6
 """First byte of a message with certificates."""
 
 LIARS = 1
@@ -175,6 +175,14 @@ class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=Tr
     signature: Signature
 
 
+class RestlessWord(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """A witness's statement that a robot leaves place after place of the plan without cause; others pass it on."""
+
+    robot: Id
+    witness: Id
+    signature: Signature
+
+
 class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """A robot's last claim, shown to a robot that claims under a lower number: it has restarted, and does not know."""
 
@@ -198,6 +206,7 @@ class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
     mission: Signature | None = None
     beats: tuple[Signature, ...] | None = None
     last: tuple[LastClaim, ...] = ()
+    restless: tuple[RestlessWord, ...] = ()
 
     def certificates(self) -> dict[int, Certificate]:
         """By slot; an index of a grant that is missing gives a certificate without grant."""
@@ -269,6 +278,11 @@ def claim_statement(context: Context, slot: int, entry: BidEntry, number: int) -
 def word_statement(context: Context, slot: int, version: int, owner: int) -> bytes:
     """Signed by a witness: from this version on the slot is free, or blocked."""
     return _statement("word", context, slot, version, owner)
+
+
+def restless_statement(context: Context, robot: int) -> bytes:
+    """Signed by a witness: this robot leaves place after place without cause."""
+    return _statement("restless", context, robot)
 
 
 def offer_statement(context: Context, maker: int, offer: Offer, number: int) -> bytes:

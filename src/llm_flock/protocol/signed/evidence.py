@@ -6,12 +6,15 @@ robot holds at most one slot and changes no other robot's. `certificates` and th
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
+from collections.abc import Sequence
+from typing import TypeVar
 
 import msgspec.structs
 
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.agreement.auction import LAST_EXCHANGED, rank
+from llm_flock.protocol.agreement.auction import LAST_EXCHANGED, changed, rank
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
@@ -24,6 +27,7 @@ from llm_flock.protocol.signed.certificates import (
     LastClaim,
     Proofs,
     ReleaseGrant,
+    RestlessWord,
     WitnessStatement,
     acceptance_statement,
     claim_statement,
@@ -33,9 +37,13 @@ from llm_flock.protocol.signed.certificates import (
     most_exchanges,
     offer_statement,
     plausible,
+    restless_statement,
     witnesses,
     word_statement,
 )
+from llm_flock.protocol.signed.departures import Departures
+
+T = TypeVar("T")
 
 REMEMBERED = 4096
 """Most signatures that are remembered as good."""
@@ -79,6 +87,7 @@ class Evidence:
         self._own: tuple[tuple[int, int, int], ...] = ()
         self._outdated: set[tuple[int, BidEntry]] = set()
         self._outdated_before: set[tuple[int, BidEntry]] = set()
+        self._departures = Departures(self._witnesses, exchanges=self._exchanges)
 
     @property
     def liars(self) -> int:
@@ -129,6 +138,8 @@ class Evidence:
                     entries[slot] = entry
             for word in proofs.words:
                 self._hear_word(word, table)
+            for restless in proofs.restless:
+                self._hear_restless(restless)
             offer = self._hear_offer(message, proofs, len(table))
         except _Uncertified:
             self.refused["uncertified"] += 1
@@ -172,11 +183,14 @@ class Evidence:
             if isinstance(certificate.grant, ReleaseGrant):
                 self._freed[slot, version, owner] = certificate.grant
             return True
+        if owner in self._departures.excluded:
+            return False
         place = (certificate.number, slot)
         # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
         if place < self._last.get(owner, place) and not welcome:
             self._outdated.add((slot, entry))
+            self._departures.outbid(slot, table[slot], entry)
             if owner == message.sender:
                 self._behind.add(owner)
             return False
@@ -241,6 +255,26 @@ class Evidence:
         else:
             raise _Uncertified
 
+    def _hear_restless(self, word: RestlessWord) -> None:
+        if self._departures.knows(word.robot, word.witness):
+            return
+        if not self.signed_by(word.witness, restless_statement(self._page, word.robot), word.signature):
+            raise _Uncertified
+        self._departures.keep(word.robot, word.witness, word.signature)
+
+    @property
+    def excluded(self) -> frozenset[int]:
+        """Robots whose claims on the plan count for nothing: they left place after place without cause."""
+        return self._departures.excluded
+
+    def without_excluded(self, table: BidTable) -> BidTable:
+        """The table with the places of excluded robots free, where it can be shown that this version was freed."""
+        new: dict[int, BidEntry] = {}
+        for slot, (version, _, owner) in enumerate(table):
+            if owner in self.excluded and (version == 0 or self.freed(slot, version)):
+                new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
+        return changed(table, new)
+
     def draw(self, slot: int, version: int) -> float:
         """This robot's bid for a slot of a version above 0."""
         return drawn_bid(self._page, slot, version, self._robot)
@@ -280,11 +314,15 @@ class Evidence:
         # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
         left = {key for key in self._outdated & self._outdated_before if rank(key[1]) >= rank(table[key[0]])}
         self._outdated_before, self._outdated = self._outdated, set()
+        for robot in self._departures.look(table, self._held):
+            if not self._departures.knows(robot, self._robot):
+                signature = self._authenticator.sign(restless_statement(self._page, robot))
+                self._departures.keep(robot, self._robot, signature)
         own: dict[int, tuple[int, int]] = {slot: (entry[0] + 1, NO_OWNER) for slot, entry in left}
         for slot, (version, _, owner) in enumerate(table):
             if slot in seen.blocked and owner != BLOCKED:
                 own[slot] = (version + 1, BLOCKED)
-            elif owner in seen.silent or (owner == BLOCKED and slot in seen.clear):
+            elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
                 own[slot] = (version + 1, NO_OWNER)
         self._own = tuple((slot, *what) for slot, what in own.items())
         for slot, version, owner in self._own:
@@ -364,6 +402,7 @@ class Evidence:
             for what in self._own
             if what in self._words
         )
+        self._turn += 1
         last, self._behind = tuple(self._last_claims[j] for j in sorted(self._behind)), set()
         return Proofs(
             claims=claims,
@@ -371,6 +410,7 @@ class Evidence:
             words=words + self._passed_on(),
             offer=self._offer(message.offer),
             last=last,
+            restless=self._in_turn(self._departures.words()),
         )
 
     def _passed_on(self) -> tuple[WitnessStatement, ...]:
@@ -383,10 +423,14 @@ class Evidence:
             for robot, signature in words.items()
             if robot != self._robot
         ]
-        if len(others) > MOST_PASSED_ON:
-            self._turn = (self._turn + MOST_PASSED_ON) % len(others)
-            others = (others + others)[self._turn : self._turn + MOST_PASSED_ON]
-        return tuple(others)
+        return self._in_turn(others)
+
+    def _in_turn(self, statements: Sequence[T]) -> tuple[T, ...]:
+        """A few of them in each message."""
+        if len(statements) <= MOST_PASSED_ON:
+            return tuple(statements)
+        first = self._turn * MOST_PASSED_ON % len(statements)
+        return tuple(itertools.islice(itertools.cycle(statements), first, first + MOST_PASSED_ON))
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
         """The signed offer; it has a number of its own, which counts as that of a claim if it is accepted."""

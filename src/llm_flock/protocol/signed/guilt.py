@@ -23,6 +23,7 @@ from llm_flock.protocol.signed.certificates import (
     Proofs,
     Verifier,
     beat_statement,
+    restless_statement,
     word_statement,
 )
 from llm_flock.protocol.signed.channel import SignedChannel
@@ -94,9 +95,13 @@ def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
         return None
     about = Context(message.mission, message.plan_digest)
     evidence.turn_to(about)
-    evidence.admit(message, msgspec.structs.replace(proofs, words=()), (UNSAID,) * message.places)
+    evidence.admit(message, msgspec.structs.replace(proofs, words=(), restless=()), (UNSAID,) * message.places)
     words = all(
         evidence.signed_by(word.witness, word_statement(about, word.slot, word.version, word.owner), word.signature)
         for word in proofs.words
+    )
+    words = words and all(
+        evidence.signed_by(word.witness, restless_statement(about, word.robot), word.signature)
+        for word in proofs.restless
     )
     return None if words and not evidence.refused["uncertified"] else "uncertified"
