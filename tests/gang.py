@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ from msgspec.structs import replace
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.membership.liveness import PER_BEAT
 from llm_flock.protocol.messages.codec import decode, encode
 from llm_flock.protocol.messages.message import (
     NO_OWNER,
@@ -21,6 +23,7 @@ from llm_flock.protocol.messages.message import (
     Offer,
 )
 from llm_flock.protocol.signed.certificates import (
+    LEFT,
     Authenticator,
     Certificate,
     Context,
@@ -33,6 +36,7 @@ from llm_flock.protocol.signed.certificates import (
     claim_statement,
     claims_of,
     drawn_bid,
+    left_by,
     offer_statement,
     origin_statement,
     unwrap,
@@ -180,12 +184,18 @@ class Gang:
     def freed(self, slot: int) -> ReleaseGrant | None:
         """The words that free a place, one of them an honest robot's; None where none has said so."""
         at = self.version(slot) + 1
-        statement = word_statement(self.about, slot, at, NO_OWNER)
-        words = {j: self.keys[j].sign(statement) for j in self.members}
-        for witness, signature in self.words.get((slot, at, NO_OWNER), {}).items():
-            if len(words) <= len(self.members):
-                words.setdefault(witness, signature)
-        return ReleaseGrant(tuple(sorted(words.items()))) if len(words) > len(self.members) else None
+        for stated in (NO_OWNER, *map(left_by, self.members)):  # words that blame nobody first
+            honest = {j: word for j, word in self.words.get((slot, at, stated), {}).items() if j not in self.keys}
+            if honest:
+                statement = word_statement(self.about, slot, at, stated)
+                words = dict(itertools.islice(honest.items(), 1))
+                words.update({j: self.keys[j].sign(statement) for j in self.members})
+                return ReleaseGrant(tuple(sorted(words.items())), NO_OWNER if stated == NO_OWNER else LEFT - stated)
+        return None
+
+    def _beats(self, member: int) -> tuple[int, ...]:
+        """A heartbeat of its own, and nothing about others'."""
+        return tuple(PER_BEAT * self.sequence if j == member else 0 for j in range(self.mission.n_robots))
 
     def message(
         self, member: int, entries: Entries | None = None, hears: Sequence[int] | None = None, **more: Any
@@ -197,6 +207,8 @@ class Gang:
         for slot, (entry, _) in (entries or {}).items():
             table[slot] = entry
         self.sequence += 1
+        # Who claims lets its heart beat, or its claims would count for nothing; who seems dead costs more time.
+        claims = "offer" in more or any(entry[2] == member for entry, _ in (entries or {}).values())
         same = {"mission": self.known.mission, "plan": self.known.plan, "provenance": self.known.provenance}
         said = Message(
             **{
@@ -204,11 +216,12 @@ class Gang:
                 "sequence": self.sequence,
                 "neighbors": self.mission.n_robots - 1,
                 "table": tuple(table),
+                **({"beats": self._beats(member)} if claims else {}),
                 **same,
                 **more,
             }
         )
-        claims, grants = claims_of({slot: certificate for slot, (_, certificate) in (entries or {}).items()})
+        shown, grants = claims_of({slot: certificate for slot, (_, certificate) in (entries or {}).items()})
         origin, offer, signed = self.origin, None, self.keys[member]
         if said.provenance is not None and said.provenance.proposer == member and said.plan_digest is not None:
             origin = signed.sign(origin_statement(said.provenance, said.plan_digest))
@@ -217,6 +230,7 @@ class Gang:
         beats = None
         if said.beats is not None:
             own = signed.sign(beat_statement(member, said.beats[member]))
-            beats = tuple(own if j == member else b"x" * 64 for j in range(self.mission.n_robots))
-        proofs = Proofs(claims=claims, grants=grants, words=words, offer=offer, origin=origin, beats=beats)
+            forged = b"x" * 64 if "beats" in more else b""
+            beats = tuple(own if j == member else forged for j in range(self.mission.n_robots))
+        proofs = Proofs(claims=shown, grants=grants, words=words, offer=offer, origin=origin, beats=beats)
         return member, wrap(encode(said), proofs), None if hears is None else frozenset(hears)

@@ -39,6 +39,9 @@ from llm_flock.protocol.signed.certificates import (
     wrap,
 )
 
+FRAMES_EACH = 8
+"""Communication rounds from one claim that is told to the framed robot alone to the next."""
+
 MOVES_EACH = 3
 """Communication rounds from one move to the next of those that move on."""
 
@@ -173,6 +176,30 @@ def _gained(gang: Gang, member: int) -> int | None:
     return None
 
 
+def frames_one(gang: Gang, member: int) -> list[Said]:
+    """One honest robot alone hears that it is outbid, by a claim that counts for nobody else, who hear a later one.
+
+    To them it leaves place after place without cause.
+    """
+    hunted, others = gang.honest[0], gang.honest[1:]
+    own = next(iter(gang.owned(member)), None)
+    for slot in gang.owned(hunted) if gang.rounds % FRAMES_EACH == gang.members.index(member) else ():
+        at = gang.version(slot)
+        bid = drawn_bid(gang.about, slot, at, member) if at else -1e-9
+        granted = at == 0 or (slot, at) in gang.grants
+        if own is None or not granted or rank((at, bid, member)) <= rank(gang.table[slot][0]):
+            continue
+        outbids = gang.claim(member, slot)  # before the next number is given to what the others hear
+        stays = gang.claim(member, own, bid=gang.table[own][0][1])
+        return [
+            gang.message(member, {own: stays}, slot=own, hears=others),
+            gang.message(member, {slot: outbids}, slot=slot, hears=[hunted]),
+        ]
+    if own is None:
+        own = next((a for a in gang.places if a not in gang.table or gang.table[a][0] == UNSAID), None)
+    return [] if own is None else [gang.message(member, {own: gang.claim(member, own)}, slot=own, hears=others)]
+
+
 def much_to_check(gang: Gang, member: int) -> list[Said]:
     """As many statements as a message holds, each of which has a good signature, but of something else."""
     signature = gang.keys[member].sign(b"something else")
@@ -299,6 +326,7 @@ LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
     "hunts one robot": hunts_one,
     "takes the places of one robot": takes_places_from_one,
     "moves on before others know": moves_on,
+    "frames one robot": frames_one,
     "much to check": much_to_check,
     "offers one place to all": offers_to_all,
     "plans of its own": plans_of_its_own,

@@ -36,6 +36,7 @@ SHOWN = {
     "raises versions": {"uncertified"},
     "hunts one robot": {None, "uncertified"},  # the latter without the words that freed a place
     "takes the places of one robot": set[str | None](),  # takes two
+    "frames one robot": {None},
     "moves on before others know": {None},  # each claim is as an honest robot would make it
     "much to check": {"uncertified"},
     "offers one place to all": {None, "uncertified"},  # more than an honest robot makes

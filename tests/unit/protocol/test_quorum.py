@@ -30,6 +30,7 @@ HUNTS = {
     "takes the places of one robot": 100,
     "raises versions": 40,
     "moves on before others know": 60,
+    "frames one robot": 60,
     "much to check": 40,
 }
 """Lies that keep a robot from a place for a while, and rounds in which it has one at the latest."""

@@ -44,6 +44,15 @@ LIARS = 1
 """Robots that may lie together, unless a team is told otherwise."""
 
 
+LEFT = -3
+"""In a witness's statement: the slot is free because robot 0 left it; `left_by` gives that of every robot."""
+
+
+def left_by(robot: int) -> int:
+    """In a witness's statement, in place of an owner: the slot is free because this robot left it."""
+    return LEFT - robot
+
+
 def witnesses(liars: int) -> int:
     """Robots that must state that a slot is free or blocked: one more than may lie."""
     return liars + 1
@@ -100,9 +109,13 @@ Count = Annotated[int, msgspec.Meta(ge=0, lt=2**41)]
 
 
 class ReleaseGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=0):
-    """Statements of different robots that the slot is free, or blocked, from this version on."""
+    """Statements of different robots that the slot is free, or blocked, from this version on.
+
+    `by` is who left it, if it is free for that; NO_OWNER otherwise.
+    """
 
     words: Annotated[tuple[tuple[Id, Signature], ...], msgspec.Meta(min_length=witnesses(LIARS), max_length=MAX_ROBOTS)]
+    by: Annotated[int, msgspec.Meta(ge=NO_OWNER, lt=MAX_ROBOTS)] = NO_OWNER
 
 
 class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=1):
@@ -166,17 +179,20 @@ class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
 
 
 class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """A robot's statement that a slot is free or blocked from a version on; others pass it on."""
+    """A robot's statement that a slot is free or blocked from a version on; others pass it on.
+
+    `owner` is NO_OWNER where its owner is silent or a body is gone, BLOCKED, or `left_by` a robot.
+    """
 
     witness: Id
     slot: Id
     version: Count
-    owner: Annotated[int, msgspec.Meta(ge=BLOCKED, le=NO_OWNER)]
+    owner: Annotated[int, msgspec.Meta(gt=LEFT - MAX_ROBOTS, le=NO_OWNER)]
     signature: Signature
 
 
 class RestlessWord(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """A witness's statement that a robot leaves place after place of the plan without cause; others pass it on."""
+    """A witness's statement that a robot leaves place after place of the plan; others pass it on."""
 
     robot: Id
     witness: Id
@@ -184,7 +200,11 @@ class RestlessWord(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
 
 
 class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """A robot's last claim, shown to a robot that claims under a lower number: it has restarted, and does not know."""
+    """A robot's claim with its certificate.
+
+    Shown to a robot that claims under a lower number: it has restarted, and does not know that it was its last one. And
+    shown where a claim does not count any more but has outbid another: it is the cause why that one's owner has gone.
+    """
 
     slot: Id
     version: Count
@@ -207,6 +227,7 @@ class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
     beats: tuple[Signature, ...] | None = None
     last: tuple[LastClaim, ...] = ()
     restless: tuple[RestlessWord, ...] = ()
+    causes: tuple[LastClaim, ...] = ()
 
     def certificates(self) -> dict[int, Certificate]:
         """By slot; an index of a grant that is missing gives a certificate without grant."""
@@ -281,7 +302,7 @@ def word_statement(context: Context, slot: int, version: int, owner: int) -> byt
 
 
 def restless_statement(context: Context, robot: int) -> bytes:
-    """Signed by a witness: this robot leaves place after place without cause."""
+    """Signed by a witness: this robot leaves place after place."""
     return _statement("restless", context, robot)
 
 

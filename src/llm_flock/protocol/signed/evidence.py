@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 import msgspec.structs
@@ -18,6 +18,7 @@ from llm_flock.protocol.agreement.auction import LAST_EXCHANGED, changed, rank
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
+    LEFT,
     LIARS,
     Authenticator,
     Certificate,
@@ -33,6 +34,7 @@ from llm_flock.protocol.signed.certificates import (
     claim_statement,
     claims_of,
     drawn_bid,
+    left_by,
     most_claims,
     most_exchanges,
     offer_statement,
@@ -87,6 +89,8 @@ class Evidence:
         self._own: tuple[tuple[int, int, int], ...] = ()
         self._outdated: set[tuple[int, BidEntry]] = set()
         self._outdated_before: set[tuple[int, BidEntry]] = set()
+        self._causes: dict[int, LastClaim] = {}
+        self._silent = frozenset[int]()
         self._departures = Departures(self._witnesses, exchanges=self._exchanges)
 
     @property
@@ -140,6 +144,8 @@ class Evidence:
                 self._hear_word(word, table)
             for restless in proofs.restless:
                 self._hear_restless(restless)
+            for cause in proofs.causes:
+                self._hear_cause(cause, table)
             offer = self._hear_offer(message, proofs, len(table))
         except _Uncertified:
             self.refused["uncertified"] += 1
@@ -181,16 +187,16 @@ class Evidence:
             return False
         if owner < 0:
             if isinstance(certificate.grant, ReleaseGrant):
-                self._freed[slot, version, owner] = certificate.grant
+                self._keep_freed(slot, version, owner, certificate.grant)
             return True
-        if owner in self._departures.excluded:
+        if owner in self.excluded or owner in self._silent - {self._robot}:
             return False
         place = (certificate.number, slot)
         # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
         if place < self._last.get(owner, place) and not welcome:
             self._outdated.add((slot, entry))
-            self._departures.outbid(slot, table[slot], entry)
+            self._causes[slot] = LastClaim(slot, *entry, certificate.number, certificate.signature, certificate.grant)
             if owner == message.sender:
                 self._behind.add(owner)
             return False
@@ -207,7 +213,12 @@ class Evidence:
         if owner == self._robot:
             self._number = max(self._number, certificate.number)
         if isinstance(certificate.grant, ReleaseGrant):
-            self._freed[slot, entry[0], NO_OWNER] = certificate.grant
+            self._keep_freed(slot, entry[0], NO_OWNER, certificate.grant)
+
+    def _keep_freed(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> None:
+        self._freed[slot, version, owner] = grant
+        if grant.by != NO_OWNER:
+            self._departures.count(grant.by, slot, version)
 
     def _holds(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> bool:
         """Whether the certificate proves the entry."""
@@ -227,7 +238,10 @@ class Evidence:
         return owner < 0 or self.signed_by(owner, statement, certificate.signature)
 
     def _free(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> bool:
-        statement = word_statement(self._page, slot, version, owner)
+        if grant.by != NO_OWNER and owner != NO_OWNER:
+            return False  # who left it has not blocked it
+        stated = owner if grant.by == NO_OWNER else left_by(grant.by)
+        statement = word_statement(self._page, slot, version, stated)
         # Exactly as many as are needed: whoever merges the entry has to pass the grant on.
         return len(grant.words) == len({robot for robot, _ in grant.words}) == self._witnesses and all(
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
@@ -246,9 +260,11 @@ class Evidence:
         )
 
     def _hear_word(self, word: WitnessStatement, table: BidTable) -> None:
-        """Keep a statement about the next version of an entry held."""
+        """Keep a statement about the next version of an entry held; of departures, those of who may have claimed it."""
         slot, version, owner = what = (word.slot, word.version, word.owner)
         if slot >= len(table) or version != table[slot][0] + 1 or word.witness in self._words.get(what, {}):
+            return
+        if owner <= LEFT and LEFT - owner not in self._claimants(slot, table):
             return
         if self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
             self._words.setdefault(what, {})[word.witness] = word.signature
@@ -262,9 +278,25 @@ class Evidence:
             raise _Uncertified
         self._departures.keep(word.robot, word.witness, word.signature)
 
+    def _hear_cause(self, cause: LastClaim, table: BidTable) -> None:
+        """Note a claim that does not count any more, but is why the owner in the table has left."""
+        slot, entry = cause.slot, (cause.version, cause.bid, cause.owner)
+        if slot >= len(table) or entry[0] != table[slot][0] or rank(entry) <= rank(table[slot]):
+            return
+        if (cause.number, slot) >= self._last.get(cause.owner, (0, 0)):
+            return
+        if cause != self._causes.get(slot):
+            certificate = Certificate(number=cause.number, signature=cause.signature, grant=cause.grant)
+            if not (
+                plausible(self._page, slot, entry, cause.number) and self._holds(slot, entry, certificate, len(table))
+            ):
+                raise _Uncertified
+            self._causes[slot] = cause
+        self._outdated.add((slot, entry))
+
     @property
     def excluded(self) -> frozenset[int]:
-        """Robots whose claims on the plan count for nothing: they left place after place without cause."""
+        """Robots whose claims on the plan count for nothing: they left place after place."""
         return self._departures.excluded
 
     def without_excluded(self, table: BidTable) -> BidTable:
@@ -274,6 +306,11 @@ class Evidence:
             if owner in self.excluded and (version == 0 or self.freed(slot, version)):
                 new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
         return changed(table, new)
+
+    def _claimants(self, slot: int, table: BidTable) -> set[int]:
+        """Who holds a slot, or has outbid who holds it by a claim that does not count any more."""
+        cause = self._causes.get(slot)
+        return {table[slot][2]} if cause is None else {table[slot][2], cause.owner}
 
     def draw(self, slot: int, version: int) -> float:
         """This robot's bid for a slot of a version above 0."""
@@ -311,34 +348,45 @@ class Evidence:
             certificate = self._held.get((slot, entry))
             if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:
                 self._outdated.add((slot, entry))
-        # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
-        left = {key for key in self._outdated & self._outdated_before if rank(key[1]) >= rank(table[key[0]])}
-        self._outdated_before, self._outdated = self._outdated, set()
-        for robot in self._departures.look(table, self._held):
+        self._silent = seen.silent
+        own = {(slot, entry[0] + 1, left_by(entry[2])) for slot, entry in self._departed(table)}
+        for slot, (version, _, owner) in enumerate(table):
+            if slot in seen.blocked and owner != BLOCKED:
+                own = {what for what in own if what[0] != slot} | {(slot, version + 1, BLOCKED)}
+            elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
+                own.add((slot, version + 1, NO_OWNER))
+        self._own = tuple(sorted(own))
+        for robot in self._departures.restless(len(table)):
             if not self._departures.knows(robot, self._robot):
                 signature = self._authenticator.sign(restless_statement(self._page, robot))
                 self._departures.keep(robot, self._robot, signature)
-        own: dict[int, tuple[int, int]] = {slot: (entry[0] + 1, NO_OWNER) for slot, entry in left}
-        for slot, (version, _, owner) in enumerate(table):
-            if slot in seen.blocked and owner != BLOCKED:
-                own[slot] = (version + 1, BLOCKED)
-            elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
-                own[slot] = (version + 1, NO_OWNER)
-        self._own = tuple((slot, *what) for slot, what in own.items())
         for slot, version, owner in self._own:
             words = self._words.setdefault((slot, version, owner), {})
             if self._robot not in words:
                 words[self._robot] = self._authenticator.sign(word_statement(self._page, slot, version, owner))
 
+    def _departed(self, table: BidTable) -> Iterable[tuple[int, BidEntry]]:
+        """The highest claims on slots whose owners have claimed others since, though nobody has outbid them."""
+        highest: dict[int, BidEntry] = {}
+        for slot, entry in self._outdated:
+            if rank(entry) >= rank(max(table[slot], highest.get(slot, UNSAID), key=rank)):
+                highest[slot] = entry
+        # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
+        left = highest.items() & self._outdated_before
+        self._outdated_before, self._outdated = self._outdated, set()
+        return left
+
     def granted(self, table: BidTable) -> BidTable:
         """Entries that enough robots have stated together, to be merged; UNSAID elsewhere."""
         entries: list[BidEntry] = [UNSAID] * len(table)
-        for (slot, version, owner), words in list(self._words.items()):
+        for (slot, version, stated), words in list(self._words.items()):
             if version <= table[slot][0]:
-                del self._words[slot, version, owner]
+                del self._words[slot, version, stated]
             elif len(words) >= self._witnesses:
+                owner, by = (stated, NO_OWNER) if stated > LEFT else (NO_OWNER, LEFT - stated)
                 entry = (version, 0.0, owner)
-                self._freed[slot, version, owner] = ReleaseGrant(tuple(sorted(words.items())[: self._witnesses]))
+                grant = ReleaseGrant(tuple(sorted(words.items())[: self._witnesses]), by)
+                self._keep_freed(slot, version, owner, grant)
                 entries[slot] = max(entry, entries[slot], key=rank)
         return tuple(entries)
 
@@ -360,6 +408,11 @@ class Evidence:
                 # Somebody may have heard of a later claim, or accepted an offer, of which nothing came.
                 self._claim(slot, entry, held.grant)
         self._held = {key: certificate for key, certificate in self._held.items() if table[key[0]] == key[1]}
+        self._causes = {
+            a: why
+            for a, why in self._causes.items()
+            if why.version == table[a][0] and rank((why.version, why.bid, why.owner)) > rank(table[a])
+        }
         self._freed = {key: freed for key, freed in self._freed.items() if key[1] >= table[key[0]][0]}
 
     def _claim(self, slot: int, entry: BidEntry, grant: Grant | None) -> None:
@@ -411,6 +464,7 @@ class Evidence:
             offer=self._offer(message.offer),
             last=last,
             restless=self._in_turn(self._departures.words()),
+            causes=self._in_turn(tuple(self._causes.values())),
         )
 
     def _passed_on(self) -> tuple[WitnessStatement, ...]:
