@@ -368,6 +368,8 @@ def curve(arguments: Sequence[str] = ()) -> None:
 
 
 WORST = (
+    "moves on before others know",
+    "frames one robot",
     "frees every place and takes one",
     "frees every place all the time",
     "exchanges what others own",

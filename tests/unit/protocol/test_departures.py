@@ -212,24 +212,27 @@ def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_
     slot, message, proofs = claimed_in_secret(team, gang)
     (cause,) = proofs.causes
     evidence, table = evidence_of(team.agents[2]), tables(team)[2]
-    assert not evidence._causes
+    assert not evidence._departures.causes
 
     def hears(**changes: object) -> bool:
-        evidence._causes = {}
+        evidence._departures._causes = {}
         told = msgspec.structs.replace(proofs, causes=(msgspec.structs.replace(cause, **changes),))
         evidence.admit(message, told, table)
-        return bool(evidence._causes)
+        return bool(evidence._departures.causes)
 
-    assert hears() and evidence._causes[slot] == cause
+    assert hears() and evidence._departures.causes == (cause,)
     assert not hears(slot=len(table)) and not hears(version=1) and not hears(bid=-99.0)
     assert not hears(number=10**6), "it may count"
     assert not evidence.refused["uncertified"]
     assert not hears(signature=b"x" * 64) and not hears(bid=1.0)
     assert evidence.refused["uncertified"] == 2
-    evidence._causes = {slot: cause}
+    evidence._departures._causes = {slot: cause}
     before = len(evidence._good)
     evidence.admit(message, proofs, table)
-    assert len(evidence._good) == before and (slot, (cause.version, cause.bid, cause.owner)) in evidence._outdated
+    assert (
+        len(evidence._good) == before
+        and (slot, (cause.version, cause.bid, cause.owner)) in evidence._departures._outdated
+    )
 
 
 def test_words_about_a_departure_count_only_of_those_who_may_have_claimed_the_place() -> None:

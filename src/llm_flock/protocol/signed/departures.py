@@ -8,9 +8,11 @@ may lie has said it, the claims of that robot on this plan count for nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from llm_flock.protocol.signed.certificates import RestlessWord, most_exchanges
+from llm_flock.protocol.agreement.auction import rank
+from llm_flock.protocol.messages.message import UNSAID, BidEntry, BidTable
+from llm_flock.protocol.signed.certificates import LastClaim, RestlessWord, most_exchanges
 
 MOST_DEPARTURES = 5
 """So often may a robot leave a place of a plan: an honest one may seem to, where news of who outbid it is lost.
@@ -28,6 +30,51 @@ class Departures:
         self._exchanges = exchanges
         self._left: dict[int, set[tuple[int, int]]] = {}
         self._words: dict[int, dict[int, bytes]] = {}
+        self._outdated: set[tuple[int, BidEntry]] = set()
+        self._outdated_before: set[tuple[int, BidEntry]] = set()
+        self._causes: dict[int, LastClaim] = {}
+
+    def outdate(self, slot: int, entry: BidEntry) -> None:
+        """Note that an owner has another claim since."""
+        self._outdated.add((slot, entry))
+
+    def explain(self, cause: LastClaim) -> None:
+        """Note a checked claim that does not count any more, but outbids the one in the table."""
+        self._causes[cause.slot] = cause
+        self.outdate(cause.slot, entry_of(cause))
+
+    def explained(self, cause: LastClaim) -> bool:
+        """Whether this claim has been noted and checked before."""
+        return self._causes.get(cause.slot) == cause
+
+    @property
+    def causes(self) -> Sequence[LastClaim]:
+        """Claims that do not count any more, but are why owners in the table have gone."""
+        return tuple(self._causes.values())
+
+    def forget_causes(self, table: BidTable) -> None:
+        """Keep those that outbid an entry of the table, at its version."""
+        self._causes = {
+            slot: cause
+            for slot, cause in self._causes.items()
+            if cause.version == table[slot][0] and rank(entry_of(cause)) > rank(table[slot])
+        }
+
+    def claimants(self, slot: int, table: BidTable) -> set[int]:
+        """Who holds a slot, or has outbid who holds it by a claim that does not count any more."""
+        cause = self._causes.get(slot)
+        return {table[slot][2]} if cause is None else {table[slot][2], cause.owner}
+
+    def departed(self, table: BidTable) -> Iterable[tuple[int, BidEntry]]:
+        """The highest claims on slots whose owners have others since, though nobody outbid them. Call once a round."""
+        highest: dict[int, BidEntry] = {}
+        for slot, entry in self._outdated:
+            if rank(entry) >= rank(max(table[slot], highest.get(slot, UNSAID), key=rank)):
+                highest[slot] = entry
+        # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
+        left = highest.items() & self._outdated_before
+        self._outdated_before, self._outdated = self._outdated, set()
+        return left
 
     @property
     def excluded(self) -> frozenset[int]:
@@ -59,3 +106,8 @@ class Departures:
             for robot, words in sorted(self._words.items())
             for witness, signature in sorted(words.items())
         ]
+
+
+def entry_of(claim: LastClaim) -> BidEntry:
+    """The claim as an entry of a table."""
+    return (claim.version, claim.bid, claim.owner)

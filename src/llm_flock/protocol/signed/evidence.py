@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TypeVar
 
 import msgspec.structs
@@ -43,7 +43,7 @@ from llm_flock.protocol.signed.certificates import (
     witnesses,
     word_statement,
 )
-from llm_flock.protocol.signed.departures import Departures
+from llm_flock.protocol.signed.departures import Departures, entry_of
 
 T = TypeVar("T")
 
@@ -87,9 +87,6 @@ class Evidence:
         self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
         self._words: dict[tuple[int, int, int], dict[int, bytes]] = {}
         self._own: tuple[tuple[int, int, int], ...] = ()
-        self._outdated: set[tuple[int, BidEntry]] = set()
-        self._outdated_before: set[tuple[int, BidEntry]] = set()
-        self._causes: dict[int, LastClaim] = {}
         self._silent = frozenset[int]()
         self._departures = Departures(self._witnesses, exchanges=self._exchanges)
 
@@ -195,8 +192,8 @@ class Evidence:
         # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
         if place < self._last.get(owner, place) and not welcome:
-            self._outdated.add((slot, entry))
-            self._causes[slot] = LastClaim(slot, *entry, certificate.number, certificate.signature, certificate.grant)
+            claim = (slot, *entry, certificate.number, certificate.signature, certificate.grant)
+            self._departures.explain(LastClaim(*claim))
             if owner == message.sender:
                 self._behind.add(owner)
             return False
@@ -264,7 +261,7 @@ class Evidence:
         slot, version, owner = what = (word.slot, word.version, word.owner)
         if slot >= len(table) or version != table[slot][0] + 1 or word.witness in self._words.get(what, {}):
             return
-        if owner <= LEFT and LEFT - owner not in self._claimants(slot, table):
+        if owner <= LEFT and LEFT - owner not in self._departures.claimants(slot, table):
             return
         if self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
             self._words.setdefault(what, {})[word.witness] = word.signature
@@ -280,19 +277,18 @@ class Evidence:
 
     def _hear_cause(self, cause: LastClaim, table: BidTable) -> None:
         """Note a claim that does not count any more, but is why the owner in the table has left."""
-        slot, entry = cause.slot, (cause.version, cause.bid, cause.owner)
+        slot, entry = cause.slot, entry_of(cause)
         if slot >= len(table) or entry[0] != table[slot][0] or rank(entry) <= rank(table[slot]):
             return
         if (cause.number, slot) >= self._last.get(cause.owner, (0, 0)):
             return
-        if cause != self._causes.get(slot):
+        if not self._departures.explained(cause):
             certificate = Certificate(number=cause.number, signature=cause.signature, grant=cause.grant)
             if not (
                 plausible(self._page, slot, entry, cause.number) and self._holds(slot, entry, certificate, len(table))
             ):
                 raise _Uncertified
-            self._causes[slot] = cause
-        self._outdated.add((slot, entry))
+        self._departures.explain(cause)
 
     @property
     def excluded(self) -> frozenset[int]:
@@ -306,11 +302,6 @@ class Evidence:
             if owner in self.excluded and (version == 0 or self.freed(slot, version)):
                 new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
         return changed(table, new)
-
-    def _claimants(self, slot: int, table: BidTable) -> set[int]:
-        """Who holds a slot, or has outbid who holds it by a claim that does not count any more."""
-        cause = self._causes.get(slot)
-        return {table[slot][2]} if cause is None else {table[slot][2], cause.owner}
 
     def draw(self, slot: int, version: int) -> float:
         """This robot's bid for a slot of a version above 0."""
@@ -347,9 +338,9 @@ class Evidence:
         for slot, entry in enumerate(table):
             certificate = self._held.get((slot, entry))
             if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:
-                self._outdated.add((slot, entry))
+                self._departures.outdate(slot, entry)
         self._silent = seen.silent
-        own = {(slot, entry[0] + 1, left_by(entry[2])) for slot, entry in self._departed(table)}
+        own = {(slot, entry[0] + 1, left_by(entry[2])) for slot, entry in self._departures.departed(table)}
         for slot, (version, _, owner) in enumerate(table):
             if slot in seen.blocked and owner != BLOCKED:
                 own = {what for what in own if what[0] != slot} | {(slot, version + 1, BLOCKED)}
@@ -364,17 +355,6 @@ class Evidence:
             words = self._words.setdefault((slot, version, owner), {})
             if self._robot not in words:
                 words[self._robot] = self._authenticator.sign(word_statement(self._page, slot, version, owner))
-
-    def _departed(self, table: BidTable) -> Iterable[tuple[int, BidEntry]]:
-        """The highest claims on slots whose owners have claimed others since, though nobody has outbid them."""
-        highest: dict[int, BidEntry] = {}
-        for slot, entry in self._outdated:
-            if rank(entry) >= rank(max(table[slot], highest.get(slot, UNSAID), key=rank)):
-                highest[slot] = entry
-        # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
-        left = highest.items() & self._outdated_before
-        self._outdated_before, self._outdated = self._outdated, set()
-        return left
 
     def granted(self, table: BidTable) -> BidTable:
         """Entries that enough robots have stated together, to be merged; UNSAID elsewhere."""
@@ -408,11 +388,7 @@ class Evidence:
                 # Somebody may have heard of a later claim, or accepted an offer, of which nothing came.
                 self._claim(slot, entry, held.grant)
         self._held = {key: certificate for key, certificate in self._held.items() if table[key[0]] == key[1]}
-        self._causes = {
-            a: why
-            for a, why in self._causes.items()
-            if why.version == table[a][0] and rank((why.version, why.bid, why.owner)) > rank(table[a])
-        }
+        self._departures.forget_causes(table)
         self._freed = {key: freed for key, freed in self._freed.items() if key[1] >= table[key[0]][0]}
 
     def _claim(self, slot: int, entry: BidEntry, grant: Grant | None) -> None:
@@ -464,7 +440,7 @@ class Evidence:
             offer=self._offer(message.offer),
             last=last,
             restless=self._in_turn(self._departures.words()),
-            causes=self._in_turn(tuple(self._causes.values())),
+            causes=self._in_turn(self._departures.causes),
         )
 
     def _passed_on(self) -> tuple[WitnessStatement, ...]:
