@@ -200,6 +200,17 @@ def frames_one(gang: Gang, member: int) -> list[Said]:
     return [] if own is None else [gang.message(member, {own: gang.claim(member, own)}, slot=own, hears=others)]
 
 
+def raises_old_claims(gang: Gang, member: int) -> list[Said]:
+    """It claims place after place, of which only the last counts, and bids ever more for all the others."""
+    if member != gang.members[0]:
+        return []
+    here = min(gang.rounds // MOVES_EACH, len(gang.places) - 1)
+    old = {a: gang.claim(member, a, version=0, number=2, bid=-0.5 + 1e-4 * gang.rounds) for a in range(here)}
+    return [
+        gang.message(member, {**old, here: gang.claim(member, here, version=0, number=5 + here, bid=-0.5)}, slot=here)
+    ]
+
+
 def much_to_check(gang: Gang, member: int) -> list[Said]:
     """As many statements as a message holds, each of which has a good signature, but of something else."""
     signature = gang.keys[member].sign(b"something else")
@@ -327,6 +338,7 @@ LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
     "takes the places of one robot": takes_places_from_one,
     "moves on before others know": moves_on,
     "frames one robot": frames_one,
+    "raises old claims": raises_old_claims,
     "much to check": much_to_check,
     "offers one place to all": offers_to_all,
     "plans of its own": plans_of_its_own,

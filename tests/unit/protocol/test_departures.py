@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import msgspec
 import numpy as np
 import pytest
@@ -31,7 +33,7 @@ from llm_flock.protocol.signed.certificates import (
     wrap,
 )
 from llm_flock.protocol.signed.departures import MOST_DEPARTURES, Departures
-from llm_flock.protocol.signed.evidence import Evidence
+from llm_flock.protocol.signed.evidence import MOST_PASSED_ON, Evidence
 from llm_flock.robots.simulated import start_positions
 
 N, TWO, PLACES = 7, 2, 4
@@ -44,13 +46,30 @@ def test_who_leaves_too_often_is_named_and_nobody_before(exchanges: bool) -> Non
     """Where exchanges count, those that come to nothing may look like departures."""
     departures = Departures(TWO + 1, exchanges=exchanges)
     most = MOST_DEPARTURES + exchanges * most_exchanges(PLACES)
+
+    def leaves(robot: int, slot: int, version: int) -> None:
+        table = tuple((version - 1, -1.0, robot) if a == slot else UNSAID for a in range(PLACES))
+        departures.count(robot, slot, version, table)
+
     for version in range(1, most + 1):
-        departures.count(3, 0, version)
-        departures.count(3, 0, version)  # heard of once more
-        departures.count(4, version, 1)
+        leaves(3, 0, version)
+        leaves(3, 0, version)  # heard of once more
+        leaves(4, version % PLACES, 1)
         assert not departures.restless(PLACES)
-    departures.count(3, 1, 1)
-    assert departures.restless(PLACES) == [3]
+    leaves(3, 1, 1)
+    assert departures.restless(PLACES) == [3] and departures.suspects(4) and not departures.suspects(5)
+
+
+def test_nobody_is_counted_for_a_place_that_another_had_taken() -> None:
+    departures = Departures(TWO + 1, exchanges=False)
+    table: BidTable = ((0, -1.0, 3), (2, -1.0, 3), (0, -1.0, 5), UNSAID)
+    departures.explain(LastClaim(0, 0, -0.5, 5, 1, b"", None))
+    for slot, version in ((0, 1), (1, 1), (1, 2), (1, 4), (2, 1), (3, 1)):
+        departures.count(3, slot, version, table)
+    assert not departures.suspects(3)
+    departures.explain(LastClaim(1, 2, -0.9, 3, 1, b"", None))
+    departures.count(3, 1, 3, table)
+    assert departures.suspects(3)
 
 
 def test_words_of_enough_exclude_and_no_more_are_kept() -> None:
@@ -79,7 +98,9 @@ def words_about(team: SignedTeam, robot: int, witnesses: range) -> tuple[Restles
 
 
 def told(team: SignedTeam, gang: Gang, words: tuple[RestlessWord, ...], entries=None) -> None:
-    """A liar passes these words on."""
+    """A liar passes these words on, about robots of which each has seen a departure."""
+    for agent, word in itertools.product(team.agents, words):
+        evidence_of(agent)._departures._left.setdefault(word.robot, {(0, 9)})
     sender, payload, _ = gang.message(5, entries)
     content, proofs = unwrap(payload, N)
     team.comm_round(said_by=[(sender, wrap(content, msgspec.structs.replace(proofs, restless=words)), None)])
@@ -130,6 +151,47 @@ def test_an_honest_robot_that_is_excluded_claims_nothing() -> None:
     team.comm_round()
     assert team.slots[0] is None and all(entry[2] != 0 for table in tables(team) for entry in table)
     assert None not in team.slots[1:]
+
+
+def test_words_about_robots_that_left_nothing_are_not_kept() -> None:
+    """Those that lie can sign as many of them as there are numbers."""
+    team, gang = settled_team()
+    sender, payload, _ = gang.message(5)
+    content, proofs = unwrap(payload, N)
+    words = words_about(team, 6, range(5, 7)) + words_about(team, 1999, range(5, 7))
+    said = team.comm_round(said_by=[(sender, wrap(content, msgspec.structs.replace(proofs, restless=words)), None)])
+    assert not any(evidence_of(agent)._departures.words() for agent in team.agents)
+    assert not any(unwrap(one, N)[1].restless for one in said)
+
+
+def test_own_words_are_said_in_each_message_and_those_of_others_in_turn() -> None:
+    team, gang = settled_team()
+    evidence, signature = evidence_of(team.agents[0]), b"x"
+    for robot, witness in itertools.product(range(20, 60), (0, 5)):
+        evidence._departures.keep(robot, witness, signature)
+    content, _ = unwrap(team.comm_round()[0], N)
+    message, others = decode(content, N, 2), set[int]()
+    for said in [evidence.prove(message).restless for _ in range(3)]:
+        assert len(said) == 40 + MOST_PASSED_ON
+        assert {word.robot for word in said if word.witness == 0} == {*range(20, 60)}
+        others |= {word.robot for word in said if word.witness == 5}
+    assert others == {*range(20, 60)}
+    assert gang.members == [5, 6]
+
+
+def test_who_hears_too_few_to_have_an_honest_one_among_them_blames_nobody() -> None:
+    team, gang = settled_team()
+    slot, *_ = claimed_in_secret(team, gang)
+    evidence, table = evidence_of(team.agents[1]), tables(team)[1]
+    evidence._departures._left[6] = {(0, version) for version in range(MOST_DEPARTURES + 1)}
+    for alive, stated in ((2 * TWO, NO_OWNER), (2 * TWO + 1, left_by(6))):
+        evidence._words, evidence._departures._words = {}, {}
+        evidence._departures._causes[slot, 0] = LastClaim(slot, 0, -1e-9, 6, 1, b"", None)
+        for _ in range(2):
+            evidence._departures.outdate(slot, table[slot])
+            evidence.witness(table, Occupancy(alive=alive))
+        assert {*evidence._words} == {(slot, 1, stated)}
+        assert bool(evidence._departures.words()) == (stated != NO_OWNER)
 
 
 def test_a_word_that_nobody_signed_ends_the_message() -> None:
@@ -226,7 +288,7 @@ def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_
     assert not evidence.refused["uncertified"]
     assert not hears(signature=b"x" * 64) and not hears(bid=1.0)
     assert evidence.refused["uncertified"] == 2
-    evidence._departures._causes = {slot: cause}
+    evidence._departures._causes = {(slot, 0): cause}
     before = len(evidence._good)
     evidence.admit(message, proofs, table)
     assert (

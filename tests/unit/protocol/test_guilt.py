@@ -37,6 +37,7 @@ SHOWN = {
     "hunts one robot": {None, "uncertified"},  # the latter without the words that freed a place
     "takes the places of one robot": set[str | None](),  # takes two
     "frames one robot": {None},
+    "raises old claims": {None},
     "moves on before others know": {None},  # each claim is as an honest robot would make it
     "much to check": {"uncertified"},
     "offers one place to all": {None, "uncertified"},  # more than an honest robot makes

@@ -31,6 +31,7 @@ HUNTS = {
     "raises versions": 40,
     "moves on before others know": 60,
     "frames one robot": 60,
+    "raises old claims": 40,
     "much to check": 40,
 }
 """Lies that keep a robot from a place for a while, and rounds in which it has one at the latest."""

@@ -10,7 +10,7 @@ import msgspec
 
 from llm_flock import graph
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
+from llm_flock.mission import MAX_ROBOTS, Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.plans import blocked_within
@@ -31,11 +31,13 @@ class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
         silent: robots whose heartbeats have stopped; their slots are free.
         blocked: slots that no robot can take, because a body that does not move stands there.
         clear: slots that certainly have no such body.
+        alive: number of robots that were heard of and are not silent, with this one.
     """
 
     silent: frozenset[int] = NONE
     blocked: frozenset[int] = NONE
     clear: frozenset[int] = NONE
+    alive: int = MAX_ROBOTS
 
 
 def still_bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collection[int]) -> tuple[Point, ...]:
@@ -76,8 +78,9 @@ def observe(
     """
     silent = liveness.silent if hears_others and in_radio_contact(plan, mission.comm_range) else NONE
     still = still_bodies(mission, sensed, silent)
+    alive = mission.n_robots - len(liveness.silent | liveness.strangers)
     if not (still or knows_blocked):
-        return Occupancy(silent=silent)
+        return Occupancy(silent=silent, alive=alive)
     too_near, living = blocked_within(mission), liveness.living
     places = [a for a, place in enumerate(plan.points) if math.dist(position, place) <= sight(mission)]
 
@@ -85,4 +88,4 @@ def observe(
         return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in bodies))
 
     clear = frozenset(places) - under([x for j, x in sensed.items() if j not in living])
-    return Occupancy(silent=silent, blocked=under(still), clear=clear)
+    return Occupancy(silent=silent, blocked=under(still), clear=clear, alive=alive)

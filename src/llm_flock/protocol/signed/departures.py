@@ -8,7 +8,7 @@ may lie has said it, the claims of that robot on this plan count for nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.messages.message import UNSAID, BidEntry, BidTable
@@ -31,59 +31,64 @@ class Departures:
         self._left: dict[int, set[tuple[int, int]]] = {}
         self._words: dict[int, dict[int, bytes]] = {}
         self._outdated: set[tuple[int, BidEntry]] = set()
-        self._outdated_before: set[tuple[int, BidEntry]] = set()
-        self._causes: dict[int, LastClaim] = {}
+        self._due: set[tuple[int, int]] = set()
+        self._causes: dict[tuple[int, int], LastClaim] = {}
 
     def outdate(self, slot: int, entry: BidEntry) -> None:
         """Note that an owner has another claim since."""
         self._outdated.add((slot, entry))
 
     def explain(self, cause: LastClaim) -> None:
-        """Note a checked claim that does not count any more, but outbids the one in the table."""
-        self._causes[cause.slot] = cause
-        self.outdate(cause.slot, entry_of(cause))
+        """Note a checked claim that does not count, but outbids the one in the table; the highest there is kept."""
+        if not self.explained(cause):
+            self._causes[cause.slot, cause.version] = cause
 
     def explained(self, cause: LastClaim) -> bool:
-        """Whether this claim has been noted and checked before."""
-        return self._causes.get(cause.slot) == cause
+        """Whether this claim, or a higher one on the same version of the slot, has been noted and checked before."""
+        known = self._causes.get((cause.slot, cause.version))
+        return known is not None and rank(entry_of(known)) >= rank(entry_of(cause))
 
     @property
     def causes(self) -> Sequence[LastClaim]:
-        """Claims that do not count any more, but are why owners in the table have gone."""
+        """Claims that do not count, but are why owners in the table have gone."""
         return tuple(self._causes.values())
 
     def forget_causes(self, table: BidTable) -> None:
-        """Keep those that outbid an entry of the table, at its version."""
+        """Keep those that outbid an entry of the table."""
         self._causes = {
-            slot: cause
-            for slot, cause in self._causes.items()
-            if cause.version == table[slot][0] and rank(entry_of(cause)) > rank(table[slot])
+            (slot, version): cause
+            for (slot, version), cause in self._causes.items()
+            if rank(entry_of(cause)) > rank(table[slot])
         }
 
-    def claimants(self, slot: int, table: BidTable) -> set[int]:
-        """Who holds a slot, or has outbid who holds it by a claim that does not count any more."""
-        cause = self._causes.get(slot)
-        return {table[slot][2]} if cause is None else {table[slot][2], cause.owner}
+    def highest(self, slot: int, version: int, table: BidTable) -> int:
+        """Owner of the highest claim known on a version of a slot, whether it counts or not; NO_OWNER if none is."""
+        cause = self._causes.get((slot, version))
+        claims = [table[slot]] if table[slot][0] == version else []
+        return max(claims if cause is None else [*claims, entry_of(cause)], key=rank, default=UNSAID)[2]
 
-    def departed(self, table: BidTable) -> Iterable[tuple[int, BidEntry]]:
-        """The highest claims on slots whose owners have others since, though nobody outbid them. Call once a round."""
-        highest: dict[int, BidEntry] = {}
-        for slot, entry in self._outdated:
-            if rank(entry) >= rank(max(table[slot], highest.get(slot, UNSAID), key=rank)):
-                highest[slot] = entry
-        # Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
-        left = highest.items() & self._outdated_before
-        self._outdated_before, self._outdated = self._outdated, set()
-        return left
+    def departed(self, table: BidTable) -> Sequence[tuple[int, int, int]]:
+        """Slot and version of claims whose owners have others since, and the owner of the highest one there.
+
+        Call once a round. Twice in a row: an honest robot that moved on was outbid, and the news of it is on its way.
+        """
+        due = {(a, entry[0]) for a, entry in self._outdated if rank(entry) >= rank(table[a])}
+        left, self._due, self._outdated = due & self._due, due, set()
+        return [(slot, version, self.highest(slot, version, table)) for slot, version in sorted(left)]
 
     @property
     def excluded(self) -> frozenset[int]:
         """Robots that may own no place of this plan any more."""
         return frozenset(robot for robot, words in self._words.items() if len(words) >= self._enough)
 
-    def count(self, robot: int, slot: int, version: int) -> None:
-        """Note that this version of a place is free because a robot left it."""
-        self._left.setdefault(robot, set()).add((slot, version))
+    def count(self, robot: int, slot: int, version: int, table: BidTable) -> None:
+        """Note that this version of a place is free because a robot left it, if its claim was the highest known."""
+        if self.highest(slot, version - 1, table) == robot:
+            self._left.setdefault(robot, set()).add((slot, version))
+
+    def suspects(self, robot: int) -> bool:
+        """Whether a departure of this robot is known."""
+        return robot in self._left
 
     def restless(self, places: int) -> Sequence[int]:
         """Who has left too often."""
@@ -100,7 +105,7 @@ class Departures:
         self._words.setdefault(robot, {})[witness] = signature
 
     def words(self) -> Sequence[RestlessWord]:
-        """All words known, to be passed on."""
+        """All words known."""
         return [
             RestlessWord(robot, witness, signature)
             for robot, words in sorted(self._words.items())

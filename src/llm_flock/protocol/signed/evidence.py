@@ -87,6 +87,7 @@ class Evidence:
         self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
         self._words: dict[tuple[int, int, int], dict[int, bytes]] = {}
         self._own: tuple[tuple[int, int, int], ...] = ()
+        self._table: BidTable = ()
         self._silent = frozenset[int]()
         self._departures = Departures(self._witnesses, exchanges=self._exchanges)
 
@@ -125,6 +126,7 @@ class Evidence:
         robot sends a statement that nobody signed, so after the first such one nothing more of a message is looked at:
         whoever signs nothing takes no more than one signature's time.
         """
+        self._table = table
         certificates, entries = proofs.certificates(), [UNSAID] * len(message.table or ())
         offer = None
         try:
@@ -186,14 +188,16 @@ class Evidence:
             if isinstance(certificate.grant, ReleaseGrant):
                 self._keep_freed(slot, version, owner, certificate.grant)
             return True
-        if owner in self.excluded or owner in self._silent - {self._robot}:
+        claim = _claim_of(slot, entry, certificate)
+        if self._counts_not(owner):
+            self._departures.explain(claim)
             return False
         place = (certificate.number, slot)
         # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
         if place < self._last.get(owner, place) and not welcome:
-            claim = (slot, *entry, certificate.number, certificate.signature, certificate.grant)
-            self._departures.explain(LastClaim(*claim))
+            self._departures.explain(claim)
+            self._departures.outdate(slot, entry)
             if owner == message.sender:
                 self._behind.add(owner)
             return False
@@ -205,8 +209,7 @@ class Evidence:
         owner, place = entry[2], (certificate.number, slot)
         if place >= self._last.get(owner, place):
             self._last[owner] = place
-            claim = (slot, *entry, certificate.number, certificate.signature, certificate.grant)
-            self._last_claims[owner] = LastClaim(*claim)
+            self._last_claims[owner] = _claim_of(slot, entry, certificate)
         if owner == self._robot:
             self._number = max(self._number, certificate.number)
         if isinstance(certificate.grant, ReleaseGrant):
@@ -215,7 +218,7 @@ class Evidence:
     def _keep_freed(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> None:
         self._freed[slot, version, owner] = grant
         if grant.by != NO_OWNER:
-            self._departures.count(grant.by, slot, version)
+            self._departures.count(grant.by, slot, version, self._table)
 
     def _holds(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> bool:
         """Whether the certificate proves the entry."""
@@ -261,7 +264,7 @@ class Evidence:
         slot, version, owner = what = (word.slot, word.version, word.owner)
         if slot >= len(table) or version != table[slot][0] + 1 or word.witness in self._words.get(what, {}):
             return
-        if owner <= LEFT and LEFT - owner not in self._departures.claimants(slot, table):
+        if owner <= LEFT and LEFT - owner not in (table[slot][2], self._departures.highest(slot, version - 1, table)):
             return
         if self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
             self._words.setdefault(what, {})[word.witness] = word.signature
@@ -269,7 +272,8 @@ class Evidence:
             raise _Uncertified
 
     def _hear_restless(self, word: RestlessWord) -> None:
-        if self._departures.knows(word.robot, word.witness):
+        """Keep a word about a robot of which a departure is known: others would only fill memory and messages."""
+        if not self._departures.suspects(word.robot) or self._departures.knows(word.robot, word.witness):
             return
         if not self.signed_by(word.witness, restless_statement(self._page, word.robot), word.signature):
             raise _Uncertified
@@ -277,10 +281,11 @@ class Evidence:
 
     def _hear_cause(self, cause: LastClaim, table: BidTable) -> None:
         """Note a claim that does not count any more, but is why the owner in the table has left."""
-        slot, entry = cause.slot, entry_of(cause)
+        slot, entry, owner = cause.slot, entry_of(cause), cause.owner
         if slot >= len(table) or entry[0] != table[slot][0] or rank(entry) <= rank(table[slot]):
             return
-        if (cause.number, slot) >= self._last.get(cause.owner, (0, 0)):
+        outdated = (cause.number, slot) < self._last.get(owner, (0, 0))
+        if not (outdated or self._counts_not(owner)):
             return
         if not self._departures.explained(cause):
             certificate = Certificate(number=cause.number, signature=cause.signature, grant=cause.grant)
@@ -288,7 +293,13 @@ class Evidence:
                 plausible(self._page, slot, entry, cause.number) and self._holds(slot, entry, certificate, len(table))
             ):
                 raise _Uncertified
-        self._departures.explain(cause)
+            self._departures.explain(cause)
+        if outdated:
+            self._departures.outdate(slot, entry)
+
+    def _counts_not(self, owner: int) -> bool:
+        """Whether a robot claims in vain: it is excluded, or does not seem to live."""
+        return owner in self.excluded or owner in self._silent - {self._robot}
 
     @property
     def excluded(self) -> frozenset[int]:
@@ -300,6 +311,9 @@ class Evidence:
         new: dict[int, BidEntry] = {}
         for slot, (version, _, owner) in enumerate(table):
             if owner in self.excluded and (version == 0 or self.freed(slot, version)):
+                # Its claim stays the highest there was: whoever it outbid has left with cause.
+                if (certificate := self._held.get((slot, table[slot]))) is not None:
+                    self._departures.explain(_claim_of(slot, table[slot], certificate))
                 new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
         return changed(table, new)
 
@@ -340,14 +354,17 @@ class Evidence:
             if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:
                 self._departures.outdate(slot, entry)
         self._silent = seen.silent
-        own = {(slot, entry[0] + 1, left_by(entry[2])) for slot, entry in self._departures.departed(table)}
+        # Who hears too few to know that honest ones are among them blames nobody: it may know of no other claims.
+        sure = seen.alive > 2 * self.liars
+        departed = self._departures.departed(table)
+        own = {(slot, version + 1, left_by(owner) if sure else NO_OWNER) for slot, version, owner in departed}
         for slot, (version, _, owner) in enumerate(table):
             if slot in seen.blocked and owner != BLOCKED:
                 own = {what for what in own if what[0] != slot} | {(slot, version + 1, BLOCKED)}
             elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
                 own.add((slot, version + 1, NO_OWNER))
         self._own = tuple(sorted(own))
-        for robot in self._departures.restless(len(table)):
+        for robot in self._departures.restless(len(table)) if sure else ():
             if not self._departures.knows(robot, self._robot):
                 signature = self._authenticator.sign(restless_statement(self._page, robot))
                 self._departures.keep(robot, self._robot, signature)
@@ -358,7 +375,7 @@ class Evidence:
 
     def granted(self, table: BidTable) -> BidTable:
         """Entries that enough robots have stated together, to be merged; UNSAID elsewhere."""
-        entries: list[BidEntry] = [UNSAID] * len(table)
+        self._table, entries = table, [UNSAID] * len(table)
         for (slot, version, stated), words in list(self._words.items()):
             if version <= table[slot][0]:
                 del self._words[slot, version, stated]
@@ -432,6 +449,8 @@ class Evidence:
             if what in self._words
         )
         self._turn += 1
+        restless = self._departures.words()
+        own = [word for word in restless if word.witness == self._robot]
         last, self._behind = tuple(self._last_claims[j] for j in sorted(self._behind)), set()
         return Proofs(
             claims=claims,
@@ -439,7 +458,7 @@ class Evidence:
             words=words + self._passed_on(),
             offer=self._offer(message.offer),
             last=last,
-            restless=self._in_turn(self._departures.words()),
+            restless=(*own, *self._in_turn([word for word in restless if word not in own])),
             causes=self._in_turn(self._departures.causes),
         )
 
@@ -471,3 +490,8 @@ class Evidence:
             statement = offer_statement(self._page, self._robot, offer, self._number)
             self._offers = {offer: (self._number, self._authenticator.sign(statement))}
         return self._offers[offer]
+
+
+def _claim_of(slot: int, entry: BidEntry, certificate: Certificate) -> LastClaim:
+    """A claim as it is shown to others."""
+    return LastClaim(slot, *entry, certificate.number, certificate.signature, certificate.grant)
