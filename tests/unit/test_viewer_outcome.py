@@ -10,6 +10,7 @@ from sample_records import FakeRun, llm_entry, make_record
 
 import llm_flock
 from llm_flock.record.schema import MissionInfo, ProtocolEvent, RoundEnd, State, SummaryMessage
+from llm_flock.record.words import formed_in
 from llm_flock.viewer.data import frames, news
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.outcome import mission_parts, outcome
@@ -61,7 +62,10 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     assert (second.first, second.last, second.text) == (14, None, "line of 8")
     assert second.formed == told[1]["formed"] == 13 + run.result["rounds_to_formed"]
     took = run.result["rounds_to_formed"]
-    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took}, after {took} rounds"
+    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took} (given in round 14)"
+    # Figures, notebooks and tables count as this page does.
+    assert formed_in(run.result) == 13 + took == second.formed
+    assert formed_in({"formed": True, "rounds_to_formed": 4}) == 4 and formed_in({"missions": [{"formed": 3}]}) is None
     # While it flies there is no result: what was measured says the same.
     run.result, run.open = None, True
     assert [part.formed for part in mission_parts(run)] == [told[0]["formed"], told[1]["formed"]]

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from llm_flock.record.schema import SILENT
-from llm_flock.record.words import counted, work_text
+from llm_flock.record.words import counted, protocol_text, work_text
 from llm_flock.viewer.blame import Blame, blame, deaths_text
 from llm_flock.viewer.last_round import IN_SHAPE, begun
 
@@ -109,8 +109,8 @@ def _headline(run: Recording, parts: Sequence[MissionPart], *, over: bool) -> st
     last = parts[-1]
     name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
     if last.formed is not None:
-        after = f", after {counted(last.formed - max(0, last.first - 1), 'round')}" if len(parts) > 1 else ""
-        return begun(f"{name}formed in round {last.formed}{after}{_helped(run)}{_gaps(run)}")
+        given = f" (given in round {last.first})" if len(parts) > 1 else ""
+        return begun(f"{name}formed in round {last.formed}{given}{_helped(run)}{_gaps(run)}")
     if not over:
         return begun(f"{name}not formed yet")
     return begun(f"{name}not formed: {stop_text(run)}")
@@ -147,10 +147,8 @@ def stop_text(run: Recording) -> str:
 
 
 def protocol_name(run: Recording) -> str:
-    """The name of the protocol, or its rules where it has none."""
-    config: dict[str, Any] = {} if run.info is None else run.info.config.get("protocol", {})
-    rules = " + ".join(str(config[name]) for name in ("consensus", "assignment") if config.get(name))
-    return str(config.get("protocol") or rules)
+    """The name of the protocol, as everywhere; see `protocol_text`."""
+    return "" if run.info is None else protocol_text(run.info.config)
 
 
 def interesting(run: Recording, found: Blame) -> dict[str, Any]:

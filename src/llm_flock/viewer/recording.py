@@ -26,9 +26,10 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
+from llm_flock.record.words import protocol_text
 from llm_flock.viewer.canvases import TOO_CLOSE
 from llm_flock.viewer.events import breaker_text, track_of_event
-from llm_flock.viz.style import plan_look, rules
+from llm_flock.viz.style import plan_look
 
 logger = logging.getLogger(__name__)
 
@@ -304,12 +305,12 @@ class Recording:
 
     @property
     def description(self) -> str:
-        """Shape, N, rules, model and seed; empty while they are not known."""
+        """Shape, N, protocol, model and seed; empty while they are not known."""
         if self.info is None or not self.missions:
             return ""
         config, shape = self.info.config, self.missions[0].mission["shape"]
         model = config.get("model", {}).get("model", "")
-        parts = (f"{shape} of {self.n_robots}", rules(config), model, f"seed {self.info.seed}")
+        parts = (f"{shape} of {self.n_robots}", protocol_text(config), model, f"seed {self.info.seed}")
         return printable(" · ".join(str(part) for part in parts if part))
 
     def mission_at(self, number: int) -> MissionInfo:

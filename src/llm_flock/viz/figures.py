@@ -24,6 +24,7 @@ from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
 from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
+from llm_flock.record.words import formed_in
 from llm_flock.viz.charts import DPI, new_figure
 from llm_flock.viz.panel import Box, Panel, close_up, columns_of, key_of, view
 from llm_flock.viz.style import (
@@ -192,8 +193,8 @@ def png(figure: Figure) -> bytes:
 def outcome(record: RunRecord) -> str:
     """How a run ended, in a few words."""
     last = record.metrics[-1]
-    formed = (record.result or {}).get("rounds_to_formed")
-    if (record.result or {}).get("formed") and formed is not None:
+    formed = formed_in(record.result or {})
+    if formed is not None:
         return f"formed in round {formed}"
     plans = "1 plan" if last.plans_in_use == 1 else f"{last.plans_in_use} plans"
     goals = "1 goal" if last.distinct_goals == 1 else f"{last.distinct_goals} goals"
