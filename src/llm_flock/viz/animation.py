@@ -25,8 +25,9 @@ from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
+from llm_flock.viz.key import columns_of, key_of
 from llm_flock.viz.labels import size_of
-from llm_flock.viz.panel import Panel, columns_of
+from llm_flock.viz.panel import Panel
 from llm_flock.viz.style import DANGER, MOST_TITLE, heading, house_style, line_colour, whole_file
 
 STEPS_A_ROUND = 4
@@ -99,7 +100,7 @@ def last_frame(record: RunRecord) -> Image.Image:
 def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False) -> Iterator[Image.Image]:
     """The run in pictures of one size: the start, then this many `steps` of each round; or only the last of them."""
     panel = Panel(record, width=WIDTH * INCHES * 72)
-    key = panel.key()
+    key = key_of([(panel, range(record.rounds + 1))])
     columns = min(2, columns_of(key, INCHES, KEY_POINTS))
     below = KEY_INCHES + ROW_INCHES * -(-len(key) // columns)
     tall = round((HEAD_INCHES + WIDTH * INCHES + below) * DPI / 2) * 2 / DPI  # video coders want even sizes

@@ -15,8 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from llm_flock.errors import InputError
@@ -26,7 +24,8 @@ from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.words import formed_in
 from llm_flock.viz.charts import DPI, new_figure
-from llm_flock.viz.panel import Box, Panel, close_up, columns_of, key_of, view
+from llm_flock.viz.key import Entry, columns_of, key_of
+from llm_flock.viz.panel import Box, Panel, close_up, view
 from llm_flock.viz.style import (
     GRID,
     INK,
@@ -91,12 +90,12 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
                 axes.set_ylabel("y [units]")
             panels.append((panel, axes, k))
         figure.suptitle(heading(record, 0.8 * width), fontsize=10)
-        _legend(figure, panels[0][0].key(), width)
+        _legend(figure, key_of((panel, [k]) for panel, _, k in panels), width)
         _draw_teams(figure, panels)
         return figure
 
 
-def _legend(figure: Figure, entries: Sequence[Line2D | Patch], inches: float) -> None:
+def _legend(figure: Figure, entries: Sequence[Entry], inches: float) -> None:
     """A legend below the panels. A long one makes the figure taller: panels and titles keep their room."""
     columns = columns_of(entries, inches, RC["legend.fontsize"])
     rows = -(-len(entries) // columns)
@@ -160,7 +159,7 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
-        _legend(figure, key_of(panels), width)
+        _legend(figure, key_of((panel, [k]) for panel, _, k in teams), width)
         _draw_teams(figure, teams)
         return figure
 

@@ -24,6 +24,9 @@ PAPER = "#FFFFFF"
 DANGER = "#C81E1E"
 """Marks robots that are too close to one another; as in the viewer."""
 
+QUIET = "#56606B"
+"""Marks robots that only hide one another in the picture; as in the viewer."""
+
 BRIGHT = 0.6
 """Relative luminance from which a thin line is hard to see on white."""
 
@@ -96,6 +99,8 @@ MOST_TITLE = 400
 """Longest title [characters]."""
 
 WITHOUT_PLAN = PlanLook(name="", fill=NO_PLAN, line=FAINT, ink=INK, rim=":")
+NOT_BEGUN = PlanLook(name="", fill=FAINT, line=FAINT, ink=PAPER, rim=":")
+"""A robot that is not awake yet; as in the viewer."""
 
 
 def plan_looks(record: RunRecord) -> dict[str | None, PlanLook]:
