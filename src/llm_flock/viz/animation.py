@@ -55,7 +55,8 @@ WIDTH = 0.88
 
 DPI = 100
 
-KEY_POINTS = 6.5
+KEY_POINTS, KEY_SCALE = 6.5, 0.72
+"""Size of the letters of the legend, and of its signs in those of figures."""
 
 TITLE_POINTS = 8.0
 """Size of the title; a longer one is smaller, so that it keeps to one line."""
@@ -112,7 +113,13 @@ def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False)
         fits = 0.96 * INCHES * 72 / size_of(title, TITLE_POINTS)[0]
         figure.suptitle(title, y=1 - 0.09 / tall, va="top", fontsize=TITLE_POINTS * min(1.0, fits))
         figure.legend(
-            handles=key, loc="lower center", ncols=columns, fontsize=KEY_POINTS, borderaxespad=0.2, labelspacing=0.3
+            handles=key,
+            loc="lower center",
+            ncols=columns,
+            fontsize=KEY_POINTS,
+            borderaxespad=0.2,
+            labelspacing=0.3,
+            markerscale=KEY_SCALE,
         )
         panel.frame(axes)
         axes.set_xlabel("x and y [units]", fontsize=7.0, labelpad=1.0)
