@@ -10,6 +10,7 @@ import pytest
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.runtime.config import RunConfig
+from llm_flock.viewer import launcher
 from llm_flock.viewer.launcher import Launcher
 from llm_flock.viewer.library import Library
 from llm_flock.viewer.mission_text import MissionReader, draft_of
@@ -109,3 +110,22 @@ def test_an_answer_that_cannot_be_flown_is_refused(answer: str) -> None:
 def test_a_stand_in_cannot_read() -> None:
     with pytest.raises(InputError, match="cannot read"):
         MissionReader("simulated:ideal")
+
+
+def test_the_first_run_finds_the_simulation_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    began: list[tuple[float, object]] = []
+
+    class Timer:
+        def __init__(self, after: float, act: object) -> None:
+            began.append((after, act))
+
+        def start(self) -> None:
+            pass
+
+    monkeypatch.setattr(launcher.threading, "Timer", Timer)
+    one = Launcher(Library(), tmp_path)
+    one.warm()
+    one.warm()
+    assert began == [(launcher.WARM_AFTER_S, launcher.fly_nothing)], "once"
+    launcher.fly_nothing()
+    assert not list(tmp_path.iterdir()), "nothing is recorded"

@@ -105,7 +105,7 @@ export class Arena {
     const found = run.about ? run.frame(round) : null;
     if (!found) {
       // While a round is on its way, the last picture stays.
-      if (!this.frame || !run.about) this.say(run.failure || "Waiting for the first round …");
+      if (!this.frame || !run.about) this.say(run.failure || "Starting: waiting for the first round …");
       else this.picture(this.frame);
       return;
     }
