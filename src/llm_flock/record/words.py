@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
+from llm_flock.printable import one_line
+
 if TYPE_CHECKING:
     from llm_flock.record.schema import LlmEntry
 
@@ -85,8 +87,14 @@ def work_text(result: Mapping[str, Any]) -> str:
 
 def robots_text(robots: Sequence[int]) -> str:
     """Some robots by their ids, twelve at most."""
-    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", ..." if len(robots) > MOST_PLACES else "")
+    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", …" if len(robots) > MOST_PLACES else "")
     return f"robot{'s' if len(robots) > 1 else ''} {some}"
+
+
+def sentence(text: str, most: int) -> str:
+    """A text of at most `most` letters in one line, with one sign at its end."""
+    text = one_line(text, most).rstrip()
+    return text if text.endswith((".", "!", "?", "…")) else f"{text}."
 
 
 def counted(count: object, what: str) -> str:

@@ -11,7 +11,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 from llm_flock.record.schema import DEAD
-from llm_flock.record.words import MOST_PLACES, counted, robots_text
+from llm_flock.record.words import MOST_PLACES, counted, robots_text, sentence
 from llm_flock.viewer.last_round import AT_GOAL, IN_SHAPE, MOST_GROUPS, LastRound, begun, crosses
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _answers(run: Recording, end: LastRound, named: frozenset[int]) -> Blame | N
     tallies = [run.tallies[robot] for robot in robots]
     unusable, asked = sum(tally.unusable for tally in tallies), sum(tally.asked for tally in tallies)
     last = next((tally.last for tally in reversed(tallies) if tally.last), "").strip()
-    quoted = f" The last reason: {_sentence(last)}" if last else ""
+    quoted = f" The last reason: {sentence(last, LONGEST)}" if last else ""
     calls = f"{unusable} of {counted(asked, 'call')}"
     said = f"{begun(robots_text(robots))}: {_models(run, robots)} gave no usable answer in {calls}.{quoted}"
     return Blame(said, tuple(robots))
@@ -309,10 +309,3 @@ def _models(run: Recording, robots: Sequence[int]) -> str:
     names = dict.fromkeys(run.tallies[robot].model for robot in robots if robot in run.tallies)
     some = ", ".join([name for name in names if name][:MOST_GROUPS])
     return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
-
-
-def _sentence(text: str) -> str:
-    """A reason, cut where it is long, with one full stop."""
-    if len(text) > LONGEST:
-        return f"{text[:LONGEST]}…"
-    return text if text.endswith((".", "!", "?", "…")) else f"{text}."

@@ -244,7 +244,7 @@ def _place(before: str, at: object) -> str:
 
 def _places(slots: Sequence[object]) -> str:
     """Places by number, twelve at most."""
-    some = ", ".join(map(str, slots[:MOST_PLACES])) + (", ..." if len(slots) > MOST_PLACES else "")
+    some = ", ".join(map(str, slots[:MOST_PLACES])) + (", …" if len(slots) > MOST_PLACES else "")
     return f"place{'s' if len(slots) != 1 else ''} {some}"
 
 
