@@ -109,6 +109,19 @@ def test_who_cannot_hear_the_others_is_named_and_since_when(tmp_path: Path) -> N
     assert "3 parts out of radio range of one another: robots 0, 1; robots 2, 3; robot 4." in found.why
 
 
+def test_with_rules_that_settle_nothing_only_who_never_met_the_others_is_out_of_range(tmp_path: Path) -> None:
+    run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=3))
+    assert run.info is not None
+    rules = {"consensus": "influence", "assignment": "nearest"}
+    run.info = run.info.model_copy(update={"config": {**run.info.config, "protocol": rules}})
+    near = [[50.0 + 8.0 * k, 50.0] for k in range(4)]
+    for k, state in enumerate(run.states):
+        run.states[k] = state.model_copy(update={"positions": [*near, [95.0, 5.0]]})
+    assert "Robot 4 was out of radio range of all others in every round." in blame(run).why
+    run.states[1] = run.states[1].model_copy(update={"positions": [*near, [60.0, 45.0]]})
+    assert "radio" not in blame(run).why
+
+
 def test_lost_messages_and_too_few_rounds_are_told(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
     assert run.info is not None and run.loss == 0.0

@@ -61,7 +61,7 @@ def blame(run: Recording) -> Blame:
         if cause is not None:
             found.append(cause)
     fact, involved, look = end.fact()
-    settles = run.rules == SETTLING or not all(run.rules)
+    settles = _settles(run)
     if not found:
         if fact and not settles:
             return Blame(f"No robot is to blame: {_rules_blame(run, end)} {fact}", (), look)
@@ -93,6 +93,15 @@ def hopeless(run: Recording, robot: int) -> bool:
     """Whether at least half of the answers of a robot's model were of no use."""
     tally = run.tallies.get(robot)
     return tally is not None and tally.unusable > 0 and tally.unusable >= HOPELESS * tally.asked
+
+
+def _settles(run: Recording) -> bool:
+    """Whether rules bring a team in radio contact together; True for those of which the record says nothing."""
+    return run.rules == SETTLING or not all(run.rules)
+
+
+def _were(robots: Sequence[int]) -> str:
+    return "was" if len(robots) == 1 else "were"
 
 
 def _accused(run: Recording, end: LastRound, named: frozenset[int]) -> Blame | None:
@@ -233,16 +242,21 @@ def _links(run: Recording, end: LastRound, named: frozenset[int]) -> Blame | Non
     parts = end.parts()
     apart = sorted(robot for part in parts[1:] for robot in part)
     last = next((k for k in range(run.rounds, -1, -1) if run.rows[k].connected), None)
-    # Who was named before is apart for that reason. With rules that bring no team together, robots that once heard all
-    # others have parted because of these.
-    if not end.alone and not {*apart} <= named and (last is None or run.rules == SETTLING or not all(run.rules)):
+    if not _settles(run):
+        # With rules that bring no team together, robots that have met part because of these.
+        robots = [robot for robot in apart if not end.alone and robot not in named and not end.met(robot)]
+        if robots:
+            out = f"{_were(robots)} out of radio range of all others in every round"
+            told.append(f"{begun(robots_text(robots))} {out}.")
+    elif not {*apart} <= named:  # who was named before is apart for that reason
         once = "never were all robots in contact" if last is None else f"all were in contact up to round {last}"
         if len(parts) == len(end.awake):
             told.append("At the end no robot was in radio range of another one.")
         elif 2 * len(parts[0]) > len(end.awake):
             robots = apart
-            was = "was" if len(robots) == 1 else "were"
-            told.append(f"{begun(robots_text(robots))} {was} out of radio range of the others at the end; {once}.")
+            told.append(
+                f"{begun(robots_text(robots))} {_were(robots)} out of radio range of the others at the end; {once}."
+            )
         else:
             some = "; ".join(robots_text(part) for part in parts[:MOST_GROUPS])
             more = "; and so on" if len(parts) > MOST_GROUPS else ""

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 AT_GOAL, IN_SHAPE = 0.05, 0.1
 """As shares of the spacing, as in `llm_flock.metrics.agreement`, whose libraries load too slowly for a first page."""
 
+MOST_LOOKED_AT = 20_000
+"""Most distances of one robot that are looked at."""
+
 MOST_GROUPS = 3
 """Most groups of robots, plans, and causes that are told."""
 
@@ -109,6 +112,14 @@ class LastRound:
                 new = {other for other in left if any(math.dist(positions[k], positions[other]) <= reach for k in new)}
             parts.append(sorted(part))
         return sorted(parts, key=lambda part: (-len(part), part))
+
+    def met(self, robot: int) -> bool:
+        """Whether a robot was in radio range of any other in any round; not looked at in a very large run."""
+        reach, states = float(self.mission["comm_range"]), self.run.states[: self.run.rounds + 1]
+        others = [other for other in range(self.run.n_robots) if other != robot]
+        return len(states) * len(others) > MOST_LOOKED_AT or any(
+            math.dist(state.positions[robot], state.positions[other]) <= reach for state in states for other in others
+        )
 
 
 def crosses(way: tuple[Sequence[float], Sequence[float]], obstacle: Mapping[str, Any]) -> bool:
