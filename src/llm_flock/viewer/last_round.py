@@ -86,8 +86,10 @@ class LastRound:
                 (fewest, "it holds another plan than most" if self.most else "few others hold its plan"),
             )
         if self.shared:
+            one = len({(self.state.plan_ids[robot], self.state.slots[robot]) for robot in self.shared}) == 1
+            claimed = "claimed the same place" if one else "claimed places that others claimed too"
             return (
-                f"{begun(robots_text(self.shared))} claimed a place that another one claimed too.",
+                f"{begun(robots_text(self.shared))} {claimed}.",
                 tuple(self.shared),
                 (self.shared[0], "another robot claims its place too"),
             )

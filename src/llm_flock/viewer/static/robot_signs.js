@@ -136,7 +136,7 @@ export function describe(run, frame, robot) {
   parts.push(plan ? `plan ${plan}, ${frame.s[robot] === null ? "no place" : `place ${frame.s[robot]}`}` : "no plan");
   parts.push(`heard by ${Math.round(100 * frame.i[robot])} % of the team`);
   if (frame.x[robot].length > 2) parts.push(`height ${frame.x[robot][2].toFixed(1)} units`);
-  if (frame.h.includes(robot)) parts.push("moved otherwise than its model wanted");
+  if (frame.h.includes(robot)) parts.push("not moved as its model wanted");
   if (frame.b.includes(robot)) parts.push("its model is not asked (circuit breaker open)");
   return parts.join(" · ");
 }
