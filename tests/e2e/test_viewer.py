@@ -312,7 +312,7 @@ def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: 
         expect(page.locator(".flock-compared")).to_contain_text("Shape error [units]")
         expect(page.get_by_role("link", name="Play these two")).to_have_attribute("href", "/pair/1/3")
         page.get_by_role("button", name="Delete alpha").click()
-        page.get_by_role("dialog").get_by_role("button", name="Close").click()
+        page.get_by_role("dialog").get_by_role("button", name="Keep it").click()
         assert (tmp_path / "alpha" / "run.mcap").exists()
         page.get_by_role("button", name="Delete alpha").click()
         expect(page.get_by_role("dialog")).to_contain_text("The record of “alpha” is deleted")

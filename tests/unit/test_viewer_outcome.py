@@ -39,6 +39,7 @@ def test_one_hopeless_model_is_named_and_shown_first(tmp_path: Path) -> None:
     assert found["why"].startswith(said) and not found["why"].endswith("..")
     assert found["interesting"] == {"robot": 3, "why": "it kept the team from forming"}
     row = run_row(run)
+    assert row["why"] == "Robot 3: its model (simulated:malformed) gave no usable answer in 45 of 45 calls."
     assert row["tone"] == "bad" and row["ratio"] is None and len(row["thumbnail"]) == 6 and row["deletable"]
 
 
