@@ -171,7 +171,7 @@ def test_words_cross_a_ring_a_way_or_a_wall_only_where_all_room_is_crossed() -> 
     assert beside(disc, 5.0, word, bounds, outlines=walls) == [plain], "rather on a line than nowhere"
 
 
-@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10]])
+@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10], [5, 6, 7, 8, 9, 10]])
 def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
     mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
     states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)

@@ -43,6 +43,9 @@ from llm_flock.viz.style import (
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
 
+BETWEEN_INCHES = 0.3
+"""Between two rows of panels, for the label of an axis and a title."""
+
 ROWS, ROW_INCHES = 2, 0.17
 """Rows of a legend for which there is room anyway, and the height of each further one."""
 
@@ -70,7 +73,7 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
         columns = -(-len(chosen) // rows)
         whole = view(record)
         width = max(columns * PANEL_INCHES, 5.5)
-        figure = new_figure(width, rows * PANEL_INCHES * _tallness(whole) + 0.85)
+        figure = new_figure(width, rows * PANEL_INCHES * _tallness(whole) + 0.85 + BETWEEN_INCHES * (rows - 1))
         # Two columns a panel: a last row with fewer panels stands in the middle.
         grid = figure.add_gridspec(rows, 2 * columns)
         known = all(record.metrics[k].procrustes_mean is not None for k in chosen)
