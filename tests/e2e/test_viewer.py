@@ -271,7 +271,8 @@ def test_the_first_screen_names_the_robot_that_kept_the_team_from_forming(tmp_pa
         ready(page)
         expect(page.locator(".flock-banner")).to_contain_text("Not formed: all 15 rounds were used up")
         expect(page.locator(".flock-banner")).to_contain_text("protocol: flock")
-        expect(page.locator(".flock-why")).to_contain_text("Robot 3: its model (simulated:malformed) gave no usable answer in 45 of 45 calls")
+        said = "Robot 3: its model (simulated:malformed) gave no usable answer in 45 of 45 calls"
+        expect(page.locator(".flock-why")).to_contain_text(said)
         expect(page.locator(".flock-mind")).to_contain_text("Robot 3 · round 0")
         page.keyboard.press("ArrowRight")
         expect(page.locator(".flock-mind")).to_contain_text("refused: it holds no complete plan")
