@@ -271,7 +271,8 @@ def test_the_first_screen_names_the_robot_that_kept_the_team_from_forming(tmp_pa
         ready(page)
         expect(page.locator(".flock-banner")).to_contain_text("Not formed: all 15 rounds were used up")
         expect(page.locator(".flock-banner")).to_contain_text("protocol: flock")
-        expect(page.locator(".flock-why")).to_contain_text("Robot 3: its model gave no usable answer in 45 of 45 calls")
+        said = "Robot 3: its model (simulated:malformed) gave no usable answer in 45 of 45 calls"
+        expect(page.locator(".flock-why")).to_contain_text(said)
         expect(page.locator(".flock-mind")).to_contain_text("Robot 3 · round 0")
         page.keyboard.press("ArrowRight")
         expect(page.locator(".flock-mind")).to_contain_text("refused: it holds no complete plan")
@@ -312,7 +313,7 @@ def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: 
         expect(page.locator(".flock-compared")).to_contain_text("Shape error [units]")
         expect(page.get_by_role("link", name="Play these two")).to_have_attribute("href", "/pair/1/3")
         page.get_by_role("button", name="Delete alpha").click()
-        page.get_by_role("dialog").get_by_role("button", name="Close").click()
+        page.get_by_role("dialog").get_by_role("button", name="Keep it").click()
         assert (tmp_path / "alpha" / "run.mcap").exists()
         page.get_by_role("button", name="Delete alpha").click()
         expect(page.get_by_role("dialog")).to_contain_text("The record of “alpha” is deleted")

@@ -17,7 +17,7 @@ from llm_flock.viewer.page import bundle
 PLACE = """([n, wide, seed]) => {
     let state = seed;
     const random = () => { state = (state * 1103515245 + 12345) % 2147483648; return state / 2147483648; };
-    const { fanned } = modules["llm-flock-viewer/crowd.js"];
+    const { fanned, spots, tooNear } = modules["llm-flock-viewer/crowd.js"];
     const { around, placed } = modules["llm-flock-viewer/labels.js"];
     const pixels = [];
     for (let k = 0; k < n; k += 1) {
@@ -26,9 +26,13 @@ PLACE = """([n, wide, seed]) => {
     const { at, crowds } = fanned(pixels, 9);
     const disks = at.map(([x, y]) => [x, y, 11]);
     const words = at.map((_, k) => (k % 7 === 6 ? null : [14 + (k % 3) * 12, 14]));
-    const found = placed(disks, words, [600, 400], [[0, 360, 110, 400]]);
+    tooNear(crowds, [[3, 4]]);
+    const tags = spots(crowds, disks, 9, [600, 400], []);
+    const found = placed(disks, words, [600, 400], [[0, 360, 110, 400], ...tags]);
     const boxes = found.map((offset, k) => offset && around([at[k][0] + offset[0], at[k][1] + offset[1]], words[k]));
-    return { at, boxes, counted: crowds.filter((one) => one.counted).map((one) => one.middle), crowds: crowds.length };
+    const counted = crowds.filter((one) => one.counted).map((one) => one.middle);
+    return { at, boxes, counted, crowds: crowds.length, tags,
+        near: crowds.filter((one) => one.near).map((one) => one.members) };
 }"""
 
 
@@ -55,11 +59,35 @@ def test_no_word_lies_on_a_disk_or_on_another_word(scripts: Page, n: int, wide: 
             assert not (left < 110 and bottom > 360), "what is taken stays free"
             for other in boxes[k + 1 :]:
                 assert not (left < other[2] and other[0] < right and top < other[3] and other[1] < bottom)
+            for other in found["tags"]:
+                assert not (left < other[2] and other[0] < right and top < other[3] and other[1] < bottom)
             for x, y in found["at"]:
                 near = max(left, min(right, x)) - x, max(top, min(bottom, y)) - y
                 assert near[0] ** 2 + near[1] ** 2 >= 11**2 - 1e-6
+        assert len(found["tags"]) >= min(3, found["crowds"]), "the number of a crowd stands in it or beside it"
+        assert [{3, 4} <= {*members} for members in found["near"]] == [True], "red is only the crowd with a near pair"
         for x, y in found["counted"]:
             assert all((x - a) ** 2 + (y - b) ** 2 >= (9 + 10) ** 2 - 1e-6 for a, b in found["at"])
+
+
+OUTLINES = """() => {
+    const { around, crosses, placed } = modules["llm-flock-viewer/labels.js"];
+    const disk = [300, 200, 10];
+    const lines = [[[300, 200], [300, 100]], [[250, 221], [350, 221]]];
+    const word = [14, 14];
+    const boxOf = ([offset]) => around([disk[0] + offset[0], disk[1] + offset[1]], word);
+    const box = boxOf(placed([disk], [word], [600, 400], [], [], { rings: [[300, 200, 14]], lines }));
+    const far = Math.hypot(Math.max(box[0] - 300, 300 - box[2], 0), Math.max(box[1] - 200, 200 - box[3], 0));
+    const walls = [0, 1, 2, 3, 4, 5].map((k) => [[200, 150 + 20 * k], [400, 150 + 20 * k]]);
+    const least = placed([disk], [word], [600, 400], [], [], { lines: walls });
+    return { box, crossed: lines.some((line) => crosses(line, box)), far, still: boxOf(least) };
+}"""
+
+
+def test_a_word_crosses_a_ring_a_way_or_a_wall_only_where_all_room_is_crossed(scripts: Page) -> None:
+    found = scripts.evaluate(OUTLINES)
+    assert not found["crossed"] and found["far"] > 14, "neither above, on its way, nor on the ring of its goal"
+    assert found["still"], "rather on a line than nowhere"
 
 
 def test_robots_over_one_another_in_space_are_neither_too_close_nor_in_radio_range(
@@ -81,6 +109,7 @@ def test_robots_over_one_another_in_space_are_neither_too_close_nor_in_radio_ran
         canvas = page.locator("main .flock-arena canvas").first
         expect(canvas).to_have_attribute("data-near", "0")
         expect(canvas).to_have_attribute("data-links", "1")
+        expect(canvas).to_have_attribute("data-crowds", "3")  # counted, and not red
 
 
 def test_a_large_formation_keeps_its_disks_apart(tmp_path: Path, browser: Browser) -> None:
@@ -99,6 +128,25 @@ def test_a_large_formation_keeps_its_disks_apart(tmp_path: Path, browser: Browse
         expect(legend.get_by_text("safety disc")).to_be_visible()
 
 
+def test_the_legend_folds_where_a_window_becomes_narrow(tmp_path: Path, browser: Browser) -> None:
+    make_record(tmp_path / "one" / "run.mcap", n=4, rounds=3)
+    with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
+        ready(page)
+        legend = page.locator(".flock-legend")
+        expect(legend).to_be_visible()
+        expect(legend.get_by_text("dashed rim")).to_be_hidden()  # four plans have four colours
+        page.set_viewport_size({"width": 640, "height": 360})  # as a zoom of 200 % makes it
+        expect(legend).to_be_hidden()
+        page.get_by_role("button", name="Legend").click()
+        expect(legend).to_be_visible()
+        page.set_viewport_size({"width": 1280, "height": 720})
+        expect(legend).to_be_visible()
+        page.get_by_role("button", name="Legend").click()
+        page.reload()
+        ready(page)
+        expect(legend).to_be_hidden()  # as the reader left it
+
+
 def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> None:
     for name in ("one", "x" * 120):
         make_record(tmp_path / name / "run.mcap", n=4, rounds=3, agree=name == "one")
@@ -113,6 +161,9 @@ def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> N
                     assert wide <= width, (path, width, wide)
                 page.goto(f"{url}run/1")
                 ready(page)
+                expect(page.locator(".flock-legend")).to_be_hidden()
+                tops = [page.locator(one).bounding_box() for one in (".flock-banner", ".flock-layers")]
+                assert tops[0] and tops[1] and tops[0]["y"] < min(tops[1]["y"], 100), "what came of the run is first"
                 bar = page.evaluate("getComputedStyle(document.querySelector('.flock-time')).position")
                 assert bar == ("sticky" if height > 560 else "static"), "what stays in sight leaves room for the rest"
                 page.goto(f"{url}runs")

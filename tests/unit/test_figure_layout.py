@@ -19,9 +19,10 @@ from sample_records import make_record
 
 from llm_flock.record.reader import RunRecord, read_record
 from llm_flock.viz import figures
-from llm_flock.viz.crowd import spread
+from llm_flock.viz.crowd import spots, spread
+from llm_flock.viz.labels import Outlines, beside, box_at
 from llm_flock.viz.panel import view
-from llm_flock.viz.style import DANGER
+from llm_flock.viz.style import DANGER, NOT_BEGUN, QUIET, WITHOUT_PLAN
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def boxes(axes: Axes) -> tuple[list[Bbox], list[Bbox]]:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     renderer = canvas.get_renderer()
-    words = [text.get_window_extent(renderer) for text in axes.texts if not text.get_text().isdecimal()]
+    words = [text.get_window_extent(renderer) for text in axes.texts if text.get_zorder() >= 6]
     discs = [
         Bbox.from_bounds(x - half, y - half, 2 * half, 2 * half)
         for c in axes.collections
@@ -90,15 +91,17 @@ def test_every_disc_of_a_crowd_is_seen(seed: int) -> None:
     apart = np.linalg.norm(at[:, None] - at[None], axis=2) + np.diag(np.full(len(at), np.inf))
     assert apart.min() > 5.0, "no disc hides the middle of another"
     for crowd in crowds:
-        if crowd.middle is not None:
-            assert np.linalg.norm(at - crowd.middle, axis=1).min() > 5.0 + 5.0
+        if crowd.spot is not None:
+            assert np.linalg.norm(at - crowd.spot, axis=1).min() > 5.0 + 5.0
+    size, bounds = (8.0, 6.0), (-50.0, 150.0, -50.0, 150.0)
+    told = spots(at, crowds, 5.0, size, bounds)
+    assert len(told) == len(crowds) and all(one.spot is not None for one in told), "in the middle or beside it"
     alone = np.linalg.norm(discs[:, None] - discs[None], axis=2) + np.diag(np.full(len(at), np.inf))
     far = alone.min(axis=1) > 40.0
     np.testing.assert_array_equal(at[far], discs[far])
 
 
 def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
-    apart = tuple(row.model_copy(update={"min_separation": 9.0}) for row in record.metrics)
     stacked = record.positions.copy()
     stacked[2, :2] = stacked[2, 2]
     metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
@@ -112,14 +115,63 @@ def test_robots_in_one_place_are_red_and_counted(record: RunRecord) -> None:
         if isinstance(c, PathCollection) and to_hex(np.asarray(c.get_edgecolor())[0]) == DANGER.lower()
     ]
     assert [len(np.asarray(c.get_offsets())) for c in red] == [3]
-    assert "nearer than the safe distance" not in words(figures.snapshots(replace(record, metrics=apart), [2, 10]))
-    both = figures.comparison(
-        [replace(record, metrics=apart), replace(record, positions=stacked, metrics=metrics)], ["one", "other"]
-    )
+    assert "nearer than the safe distance" not in words(figures.snapshots(record, [2, 10]))
+    stacked[10] = stacked[2]
+    both = figures.comparison([record, replace(record, positions=stacked, metrics=metrics)], ["one", "other"])
     assert "nearer than the safe distance" in words(both), "the legend is for all panels"
+    assert "hide one another: too near" in words(both) and "one above the other" not in words(both)
 
 
-@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10]])
+def test_robots_above_one_another_are_counted_and_not_red(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=2, dim=3))
+    tower = record.positions.copy()
+    tower[2] = [[50.0, 50.0, 10.0], [50.0, 50.0, 30.0], [50.5, 50.0, 60.0]]
+    figure = figures.snapshots(replace(record, positions=tower), [2])
+    (axes,) = figure.axes
+    (count,) = [text for text in axes.texts if text.get_text() == "3\u00d7"]
+    patch = count.get_bbox_patch()
+    assert patch is not None and to_hex(patch.get_facecolor()) == QUIET.lower()
+    assert "hide one another, as one above the other: not too near" in words(figure)
+    assert "too near\n" not in words(figure).replace("not too near", "") and "nearer than" not in words(figure)
+    colours = {to_hex(colour) for c in axes.collections for colour in np.atleast_2d(c.get_edgecolor())}
+    assert DANGER.lower() not in colours
+
+
+def test_who_has_not_begun_and_who_has_no_plan_are_told_apart_and_without_words(record: RunRecord) -> None:
+    phases = ["asleep", *["idle"] * 4]
+    state = record.states[2].model_copy(
+        update={"phases": phases, "plan_ids": [None, None, *record.states[2].plan_ids[2:]]}
+    )
+    figure = figures.snapshots(replace(record, states=(*record.states[:2], state, *record.states[3:])), [2])
+    (axes,) = figure.axes
+    discs = [c for c in axes.collections if isinstance(c, PathCollection) and c.get_zorder() >= 4]
+    fills = [to_hex(np.asarray(c.get_facecolor())[0]) for c in discs]
+    assert fills[:2] == [NOT_BEGUN.fill.lower(), WITHOUT_PLAN.fill.lower()]
+    said = [text.get_text() for text in axes.texts if text.get_zorder() >= 6]
+    assert len(said) == 6, "a letter and a number for each of the three robots with a plan, and no bare number"
+    assert "has not begun yet" in words(figure) and "robot without a plan" in words(figure)
+    assert "dashed rim" not in words(figure)
+
+
+def test_dashed_rims_are_in_the_legend_where_there_are_any(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=9, rounds=1, agree=False))
+    assert "dashed rim: another plan, its colour used again" in words(figures.snapshots(record, [1]))
+
+
+def test_words_cross_a_ring_a_way_or_a_wall_only_where_all_room_is_crossed() -> None:
+    disc, word, bounds = np.array([[50.0, 50.0]]), [(8.0, 6.0)], (0.0, 100.0, 0.0, 100.0)
+    plain, *_ = beside(disc, 5.0, word, bounds)
+    assert plain is not None and plain[1] > 0, "above the disc"
+    way = np.array([[[50.0, 50.0], [50.0, 90.0]], [[20.0, 38.0], [80.0, 38.0]]])
+    outlines = Outlines(np.array([[50.0, 50.0, 7.0]]), way)
+    moved, *_ = beside(disc, 5.0, word, bounds, outlines=outlines)
+    assert moved is not None and not outlines.cross(box_at(np.array(moved) + 50.0, word[0]))
+    assert np.hypot(*moved) > 7.0, "outside the ring of the goal"
+    walls = Outlines(np.empty((0, 3)), np.array([[[0.0, y], [100.0, y]] for y in range(0, 100, 4)], dtype=float))
+    assert beside(disc, 5.0, word, bounds, outlines=walls) == [plain], "rather on a line than nowhere"
+
+
+@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10], [5, 6, 7, 8, 9, 10]])
 def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
     mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
     states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)

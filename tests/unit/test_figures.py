@@ -38,12 +38,13 @@ def test_snapshots_at_chosen_rounds_show_paths_plans_influence_and_links(record:
     start, second, last = figure.axes
     assert all(axes.get_aspect() == 1.0 for axes in figure.axes)
     names = [[t.get_text() for t in axes.texts] for axes in figure.axes]
-    # Numbers, then plan and influence of each; nobody has a plan at the start, and all have the first at the end.
+    # Numbers, then plan and influence of each; nobody has a plan at the start, and no number stands alone there, and
+    # all have the first at the end.
     assert all(shown[:5] == ["0", "1", "2", "3", "4"] for shown in names)
     shares = [[short(share) for share in record.states[k].influence] for k in (0, 2, 10)]
-    assert names[0][5:] == shares[0]
-    assert names[1][5:] == [f"{name} {share}" for name, share in zip("AACDA", shares[1], strict=True)]
-    assert names[2][5:] == [f"A {share}" for share in shares[2]]
+    assert names[0][5:] == []
+    assert names[1][5:] == [text for pair in zip("AACDA", shares[1], strict=True) for text in pair]
+    assert names[2][5:] == [text for share in shares[2] for text in ("A", share)]
     links, paths = (c for c in last.collections if isinstance(c, LineCollection))
     assert links.get_zorder() > paths.get_zorder()
     ends = {tuple(np.round(p, 6)) for p in record.positions[10]}
@@ -62,9 +63,9 @@ def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record
     real = replace(record, run=record.run.model_copy(update={"simulated": False}))
     assert "simulated language models" not in words(figures.snapshots(real))
     assert "simulated language models" in model_names([real, record])
-    rules = {"protocol": {"consensus": "provenance", "assignment": "auction"}}
+    rules = {"protocol": {"protocol": "paper", "consensus": "influence", "assignment": "nearest", "shield": False}}
     ruled = replace(record, run=record.run.model_copy(update={"config": rules}))
-    assert heading(ruled, 10).startswith("circle · 5 robots · provenance + auction · simulated:ideal")
+    assert heading(ruled, 10).startswith("circle · 5 robots · protocol: paper · simulated:ideal")
     assert max(len(line) for line in heading(ruled, 3).splitlines()) <= 45
 
 
@@ -164,7 +165,7 @@ def test_the_dead_keep_their_numbers(record: RunRecord) -> None:
     states = tuple(state.model_copy(update={"phases": ["idle", "dead", *["idle"] * 3]}) for state in record.states)
     (axes,) = figures.snapshots(replace(record, states=states), [10]).axes
     assert [text.get_text() for text in axes.texts].count("1") == 1
-    assert "dead robot" in words(axes.figure)  # type: ignore[arg-type]
+    assert "dead (\u00d7), with its number" in words(axes.figure)  # type: ignore[arg-type]
 
 
 def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> None:

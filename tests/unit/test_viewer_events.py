@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sample_records import FakeRun
 
 from llm_flock.protocol.events import NOTES
 from llm_flock.record.schema import ProtocolEvent
+from llm_flock.viewer.data import event_lines
 from llm_flock.viewer.events import in_words, told_kinds
+from llm_flock.viewer.recording import Recording
 
 VALUES: dict[str, Any] = {
     "plan": "ab12", "asked": "ab12", "slot": 3, "before": None, "from": 2, "by": "model", "question": "step",
@@ -80,3 +83,20 @@ def test_every_kind_of_event_of_a_flight_is_a_sentence() -> None:
 
 def test_what_is_not_known_is_told_all_the_same() -> None:
     assert words("swerved", battery_v=3.2) == "reports: swerved; battery v 3.2"
+
+
+@pytest.mark.parametrize(
+    ("reason", "end"), [("it is too far", "far."), ("it is too far.", "far."), ("why?", "why?"), ("cut …", "cut …")]
+)
+def test_an_event_ends_with_one_sign(reason: str, end: str) -> None:
+    run = Recording("1", "test", None, live=False)
+    FakeRun(n=3, rounds=1).write(run)
+    detail = {"question": "step", "by": "geometry", "cause": "refused", "reason": reason}
+    run.write(ProtocolEvent(round=1, comm_round=0, robot=2, kind="fallback", detail=detail))
+    who, said = event_lines(run, 1)["lines"][-1]
+    assert who == "robot 2" and said.endswith(end) and not said.endswith("..")
+    vacant = ProtocolEvent(
+        round=1, comm_round=0, robot=2, kind="search", detail={"begun": True, "vacant": [*range(20)]}
+    )
+    run.write(vacant)
+    assert event_lines(run, 1)["lines"][-1][1].endswith("11, …")

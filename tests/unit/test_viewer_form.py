@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.runtime.config import RunConfig
+from llm_flock.viewer import launcher
+from llm_flock.viewer.launcher import Launcher
+from llm_flock.viewer.library import Library
 from llm_flock.viewer.mission_text import MissionReader, draft_of
+from llm_flock.viewer.orders import PageOrders
 from llm_flock.viewer.steered_run import FIELDS, config_of
 
 
@@ -44,6 +52,29 @@ def test_a_page_reaches_no_file_no_module_and_no_other_address(field: str, value
         config_of({field: value})
 
 
+def asked(tmp_path: Path, **fields: object) -> dict[str, Any]:
+    library = Library()
+    orders = PageOrders(library, Launcher(library, tmp_path))
+    given = {"shape": "circle", "n_robots": 10, "center": [50, 50], "model": "simulated:ideal", "rounds": 1}
+    return asyncio.run(orders.carry_out({"order": "start", "pace": 100, "fields": {**given, **fields}}))
+
+
+@pytest.mark.parametrize(
+    "center", ["abc", "50 50", [50], [50, 50, 50], [50, "x"], [True, 1], [float("nan"), 1], {"x": 1}]
+)
+def test_a_centre_is_asked_for_in_the_words_of_the_form(tmp_path: Path, center: object) -> None:
+    assert asked(tmp_path, center=center) == {"error": "Two numbers, such as 50, 50", "field": "center"}
+
+
+def test_errors_name_what_the_form_has(tmp_path: Path) -> None:
+    found = asked(tmp_path, center=[5, 5])
+    assert found["field"] == "center"
+    assert found["error"].startswith(
+        "The formation reaches beyond the walls of the arena: expected at least 16.18 units"
+    )
+    assert asked(tmp_path, spacing=1) == {"error": "Expected at least the safe distance, 3", "field": "spacing"}
+
+
 def test_models_that_the_operator_named_may_be_asked() -> None:
     assert config_of({"model": "openai:gpt-5"}, ["openai:gpt-5"]).model.model == "openai:gpt-5"
 
@@ -79,3 +110,22 @@ def test_an_answer_that_cannot_be_flown_is_refused(answer: str) -> None:
 def test_a_stand_in_cannot_read() -> None:
     with pytest.raises(InputError, match="cannot read"):
         MissionReader("simulated:ideal")
+
+
+def test_the_first_run_finds_the_simulation_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    began: list[tuple[float, object]] = []
+
+    class Timer:
+        def __init__(self, after: float, act: object) -> None:
+            began.append((after, act))
+
+        def start(self) -> None:
+            pass
+
+    monkeypatch.setattr(launcher.threading, "Timer", Timer)
+    one = Launcher(Library(), tmp_path)
+    one.warm()
+    one.warm()
+    assert began == [(launcher.WARM_AFTER_S, launcher.fly_nothing)], "once"
+    launcher.fly_nothing()
+    assert not list(tmp_path.iterdir()), "nothing is recorded"

@@ -10,6 +10,7 @@ from sample_records import FakeRun, llm_entry, make_record
 
 import llm_flock
 from llm_flock.record.schema import MissionInfo, ProtocolEvent, RoundEnd, State, SummaryMessage
+from llm_flock.record.words import formed_in
 from llm_flock.viewer.data import frames, news
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.outcome import mission_parts, outcome
@@ -34,9 +35,11 @@ def test_one_hopeless_model_is_named_and_shown_first(tmp_path: Path) -> None:
     found = outcome(run)
     assert (found["tone"], found["headline"]) == ("bad", "Not formed: all 15 rounds were used up")
     assert found["guilty"] == [3] and found["protocol"] == "flock"
-    assert found["why"].startswith("Robot 3: its model gave no usable answer in 45 of 45 calls. The last reason: ")
+    said = "Robot 3: its model (simulated:malformed) gave no usable answer in 45 of 45 calls. The last reason: "
+    assert found["why"].startswith(said) and not found["why"].endswith("..")
     assert found["interesting"] == {"robot": 3, "why": "it kept the team from forming"}
     row = run_row(run)
+    assert row["why"] == "Robot 3: its model (simulated:malformed) gave no usable answer in 45 of 45 calls."
     assert row["tone"] == "bad" and row["ratio"] is None and len(row["thumbnail"]) == 6 and row["deletable"]
 
 
@@ -60,7 +63,10 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     assert (second.first, second.last, second.text) == (14, None, "line of 8")
     assert second.formed == told[1]["formed"] == 13 + run.result["rounds_to_formed"]
     took = run.result["rounds_to_formed"]
-    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took}, after {took} rounds"
+    assert outcome(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took} (given in round 14)"
+    # Figures, notebooks and tables count as this page does.
+    assert formed_in(run.result) == 13 + took == second.formed
+    assert formed_in({"formed": True, "rounds_to_formed": 4}) == 4 and formed_in({"missions": [{"formed": 3}]}) is None
     # While it flies there is no result: what was measured says the same.
     run.result, run.open = None, True
     assert [part.formed for part in mission_parts(run)] == [told[0]["formed"], told[1]["formed"]]
@@ -113,7 +119,8 @@ def test_a_robot_that_was_accused_of_lying_comes_first(tmp_path: Path) -> None:
     run.write(ProtocolEvent(round=3, comm_round=0, robot=0, kind="accused", detail=said))
     found = outcome(run)
     assert found["guilty"] == [2] == [found["interesting"]["robot"]]
-    assert found["why"] == "Robot 2 was accused of sending what no honest robot sends: two plans of one name."
+    said = "Robot 2 was accused of sending what no honest robot sends: two plans of one name. The team did not agree: "
+    assert found["why"].startswith(said)
 
 
 def test_a_run_without_a_round_is_nobodys_fault(tmp_path: Path) -> None:
@@ -192,6 +199,7 @@ def test_a_summary_that_is_not_as_it_should_be_breaks_nothing(tmp_path: Path) ->
 def test_a_rule_that_lets_nobody_agree_is_to_blame_and_no_robot(tmp_path: Path) -> None:
     found = outcome(flown(tmp_path / "alone", model="simulated:ideal", protocol="baseline", rounds=6))
     assert found["why"] == (
-        "No robot: this protocol has no consensus, so each robot kept its own plan. 6 plans were in use at the end."
+        "No robot is to blame: this protocol has no consensus, so each robot kept its own plan. 6 plans were in use at "
+        "the end."
     )
-    assert found["guilty"] == [] and found["interesting"] == {"robot": 0, "why": "nothing stands out"}
+    assert found["guilty"] == [] and found["interesting"] == {"robot": 5, "why": "it kept a plan of its own"}

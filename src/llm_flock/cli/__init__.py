@@ -286,7 +286,7 @@ def _rounds(text: str) -> list[int]:
 
 
 def _labels(runs: list[Any]) -> list[str]:
-    """Labels of runs: their rules."""
-    from llm_flock.viz.style import rules
+    """Labels of runs: their protocols."""
+    from llm_flock.record.words import protocol_text
 
-    return [rules(r.run.config) or "unknown rules" for r in runs]
+    return [protocol_text(r.run.config) or "unknown protocol" for r in runs]

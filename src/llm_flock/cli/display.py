@@ -16,7 +16,7 @@ from rich.text import Text
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
-from llm_flock.record.words import verdict, work_text
+from llm_flock.record.words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record.reader import RecordEnd, RunRecord
@@ -84,7 +84,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     table.add_column(style="dim")
     table.add_column()
     rows = [
-        ("protocol", f"{summary.consensus} + {summary.assignment}, shield {'on' if summary.shield else 'off'}"),
+        ("protocol", rules_text(summary.consensus, summary.assignment, shield=summary.shield)),
         ("formed", _formed(summary)),
         ("stopped", f"{summary.stopped}, after {summary.rounds} rounds"),
         ("plans in use", str(summary.plans_in_use)),
@@ -119,10 +119,12 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
 
 def _formed(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
-    last = " of the last mission" if len(summary.missions) > 1 else ""
     if summary.formed:
         alone = "" if summary.formed_by_models else ", [bold]with help for the models[/]"
-        return f"[bold green]yes[/], in round {summary.rounds_to_formed}{bound}{last}{alone}"
+        # Bounds count from when the last mission was given, as do rounds to the formation.
+        several = len(summary.missions) > 1
+        took = f", in {summary.rounds_to_formed} rounds of the last mission" if several else ""
+        return f"[bold green]yes[/], in round {formed_in(summary.to_dict())}{took}{bound}{alone}"
     return f"[bold red]no[/]{bound}"
 
 

@@ -34,6 +34,7 @@ from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
 from llm_flock.foxglove.options import Service, with_foxglove
+from llm_flock.record.words import rules_text
 
 if TYPE_CHECKING:
     from llm_flock.runtime.network.config import SwarmConfig
@@ -162,7 +163,7 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     plan = f"robot {result.plan_robot}, by {result.plan_by}" if result.plan_robot is not None else "none in force"
     separation, limit = result.min_separation, settings.mission.safe_distance
     rows = [
-        ("protocol", f"{rules.consensus} + {rules.assignment}, shield {'on' if rules.shield else 'off'}"),
+        ("protocol", rules_text(rules.consensus, rules.assignment, shield=rules.shield)),
         ("formed", f"[bold green]yes[/], after {result.mission_s or 0.0:.1f} s" if result.formed else NOT_FORMED),
         ("stopped", result.stopped),
         ("plan", escape(plan)),

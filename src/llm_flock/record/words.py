@@ -1,15 +1,63 @@
-"""Describes in a sentence how a language model's answer was used, or why it was not."""
+"""How a run, its protocol, and the answers of its models are called in words: the same in figures, pages and tables."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
+from llm_flock.printable import one_line
+
 if TYPE_CHECKING:
     from llm_flock.record.schema import LlmEntry
 
 MOST_PLACES = 12
 """Number of places of a plan that are listed."""
+
+
+PRESET_RULES: Mapping[str, tuple[str, str, bool]] = {
+    "flock": ("provenance", "auction", True),
+    "paper": ("influence", "nearest", False),
+    "baseline": ("none", "index", False),
+}
+"""The protocols by name: rules of consensus and of assignment, and whether the shield is on."""
+
+
+def protocol_text(config: Mapping[str, Any]) -> str:
+    """The protocol of a run by its name, and what differs from it, such as: flock with index assignment.
+
+    Without a name, its rules; empty where the configuration does not say.
+    """
+    fields = cast("Mapping[str, Any]", config.get("protocol") or {})
+    name, given = str(fields.get("protocol") or ""), [fields.get("consensus"), fields.get("assignment")]
+    if name not in PRESET_RULES:
+        return name or " + ".join(str(rule) for rule in given if rule)
+    *usual, shield = PRESET_RULES[name]
+    words = zip(("consensus", "assignment"), given, usual, strict=True)
+    other = [f"{'no' if rule == 'none' else rule} {word}" for word, rule, own in words if rule and rule != own]
+    if isinstance(fields.get("shield"), bool) and fields["shield"] != shield:
+        other.append("no shield" if shield else "a shield")
+    return f"{name} with {', '.join(other)}" if other else name
+
+
+def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | None) -> str:
+    """Rules in words, after the name of the protocol that they are, where they are one: flock (provenance + ...)."""
+    rules = f"{consensus} + {assignment}, shield {'on' if shield else 'off'}"
+    name = next((name for name, usual in PRESET_RULES.items() if usual == (consensus, assignment, shield)), "")
+    return f"{name} ({rules})" if name else rules
+
+
+def formed_in(result: Mapping[str, Any]) -> int | None:
+    """The round of the run in which its last mission was formed, by its result; None if it was not.
+
+    `rounds_to_formed` of a result counts from when the last mission was given.
+    """
+    if not result.get("formed"):
+        return None
+    missions = result.get("missions")
+    last = cast("list[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
+    told = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
+    found = told if isinstance(told, int) else result.get("rounds_to_formed")
+    return found if isinstance(found, int) else None
 
 
 def verdict(entry: LlmEntry) -> str:
@@ -39,8 +87,14 @@ def work_text(result: Mapping[str, Any]) -> str:
 
 def robots_text(robots: Sequence[int]) -> str:
     """Some robots by their ids, twelve at most."""
-    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", ..." if len(robots) > MOST_PLACES else "")
+    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", …" if len(robots) > MOST_PLACES else "")
     return f"robot{'s' if len(robots) > 1 else ''} {some}"
+
+
+def sentence(text: str, most: int) -> str:
+    """A text of at most `most` letters in one line, with one sign at its end."""
+    text = one_line(text, most).rstrip()
+    return text if text.endswith((".", "!", "?", "…")) else f"{text}."
 
 
 def counted(count: object, what: str) -> str:

@@ -19,7 +19,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments import tables
 from llm_flock.experiments.compare import TOLERANCE
 from llm_flock.experiments.sweep import PLAN_NAME, SWEEP_NAME
-from llm_flock.runtime.rules import PRESETS
+from llm_flock.record.words import PRESET_RULES, protocol_text
 
 OUTCOMES: Mapping[str, str] = {
     "formed": "the formation was built",
@@ -148,13 +148,12 @@ class Results:
         """Every trial, in the order of the table."""
         rows = list(self.frame.iter_rows(named=True))
         axes = [name for name in self.frame.columns if name.startswith(tables.AXIS)]
-        names = _protocol_names(rows)
         return tuple(
             TrialRow(
                 id=row["trial"],
                 cell=ResultCell(
                     team=Team(row["n_robots"], row["shape"]),
-                    protocol=names[_rules(row)],
+                    protocol=protocol_text({"protocol": row}),
                     model=row["model"] or "",
                     condition=", ".join(
                         f"{name.removeprefix(tables.AXIS)} {row[name]}" for name in axes if row[name] is not None
@@ -189,7 +188,7 @@ class Results:
     def protocols(self) -> tuple[str, ...]:
         """Every protocol, presets in their own order."""
         seen = dict.fromkeys(trial.cell.protocol for trial in self.trials)
-        known = {name: k for k, name in enumerate(PRESETS)}
+        known = {name: k for k, name in enumerate(PRESET_RULES)}
         return tuple(sorted(seen, key=lambda name: known.get(name.split(" ")[0], len(known))))
 
     @cached_property
@@ -285,20 +284,3 @@ def _planned(folder: Path) -> list[str] | None:
         return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
     except (OSError, msgspec.MsgspecError, RecursionError):
         return None
-
-
-def _rules(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return (row["protocol"], row["consensus"], row["assignment"], row["shield"])
-
-
-def _protocol_names(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[Any, ...], str]:
-    """A name for every set of rules: the preset's, and what differs where a preset was flown with several."""
-    seen = dict.fromkeys(_rules(row) for row in rows)
-    presets = Counter(rules[0] for rules in seen)
-    names: dict[tuple[Any, ...], str] = {}
-    for rules in seen:
-        preset, consensus, assignment, shield = rules
-        several = presets[preset] > 1
-        words = [consensus, assignment, {True: "shield", False: "no shield"}.get(shield, "")] if several else []
-        names[rules] = " ".join(str(word) for word in (preset, *words) if word)
-    return names

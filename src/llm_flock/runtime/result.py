@@ -17,6 +17,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.record.reader import RunRecord, gather_record
 from llm_flock.record.schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
 from llm_flock.record.tables import TableName
+from llm_flock.record.words import formed_in
 from llm_flock.runtime.config import RunConfig
 
 if TYPE_CHECKING:
@@ -255,7 +256,7 @@ class RunResult:
     def __repr__(self) -> str:
         summary = self.summary
         simulated = ", simulated language models" if summary.simulated else ""
-        end = f"formed in round {summary.rounds_to_formed}" if summary.formed else f"not formed: {summary.stopped}"
+        end = f"formed in round {formed_in(summary.to_dict())}" if summary.formed else f"not formed: {summary.stopped}"
         return f"RunResult({summary.shape}, {summary.n_robots} robots, seed {summary.seed}, {end}{simulated})"
 
     def _repr_html_(self) -> str | None:

@@ -16,6 +16,7 @@ from llm_flock.protocol.agreement.assignment import (
 )
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
+from llm_flock.record.words import PRESET_RULES
 
 Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
 """The two rules of an agent."""
@@ -31,28 +32,28 @@ ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
         "auction": AuctionAssignment,
     }
 )
+
+
+def _rules_of(preset: str) -> dict[str, str | bool]:
+    return dict(zip(("consensus", "assignment", "shield"), PRESET_RULES[preset], strict=True))
+
+
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "flock": {
-            "consensus": "provenance",
-            "assignment": "auction",
-            "shield": True,
+            **_rules_of("flock"),
             "verify": True,
             "comm_rounds": 5,
             "fallback": "breaker",
         },
         "paper": {
-            "consensus": "influence",
-            "assignment": "nearest",
-            "shield": False,
+            **_rules_of("paper"),
             "verify": False,
             "comm_rounds": 1,
             "fallback": "hold",
         },
         "baseline": {
-            "consensus": "none",
-            "assignment": "index",
-            "shield": False,
+            **_rules_of("baseline"),
             "verify": False,
             "comm_rounds": 1,
             "fallback": "hold",

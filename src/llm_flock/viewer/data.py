@@ -10,8 +10,9 @@ from typing import Any, cast
 
 from pydantic_core import to_json
 
-from llm_flock.printable import one_line, printable
+from llm_flock.printable import printable
 from llm_flock.record.schema import ASLEEP, DEAD, State
+from llm_flock.record.words import sentence
 from llm_flock.viewer.events import in_words
 from llm_flock.viewer.library import Library
 from llm_flock.viewer.mind import mind, prompt
@@ -149,7 +150,7 @@ def event_lines(run: Recording, number: int, most: int = MOST_WORDS) -> dict[str
     At most MOST_EVENTS of `total` are listed.
     """
     listed = run.events(number)
-    lines = [[f"robot {event.robot}", one_line(in_words(event, run.plan_name), most)] for event in listed[:MOST_EVENTS]]
+    lines = [[f"robot {event.robot}", sentence(in_words(event, run.plan_name), most)] for event in listed[:MOST_EVENTS]]
     return {"round": number, "total": len(listed), "lines": lines}
 
 

@@ -99,7 +99,7 @@ _TRIGGERS = {
     "no_answer": "the last question had no usable answer",
     "new_plan": "its plan is another one",
     "new_goal": "its place is another one",
-    "altered": "it was moved otherwise than the model wanted",
+    "altered": "it was not moved as its model wanted",
     "used_up": "it has flown the model's path to its end",
     "obstacle": "an obstacle is near its path",
     "neighbour": "another robot is near its path",
@@ -244,7 +244,7 @@ def _place(before: str, at: object) -> str:
 
 def _places(slots: Sequence[object]) -> str:
     """Places by number, twelve at most."""
-    some = ", ".join(map(str, slots[:MOST_PLACES])) + (", ..." if len(slots) > MOST_PLACES else "")
+    some = ", ".join(map(str, slots[:MOST_PLACES])) + (", …" if len(slots) > MOST_PLACES else "")
     return f"place{'s' if len(slots) != 1 else ''} {some}"
 
 

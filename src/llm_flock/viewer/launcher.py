@@ -1,8 +1,9 @@
-"""Starts runs from the page. The simulation is loaded with the first run: pages that only show runs do not wait."""
+"""Starts runs from the page. The simulation is loaded once its form is open: pages that only show runs do not wait."""
 
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -26,6 +27,21 @@ MOST_RUNS = 4
 """Runs that fly at the same time: they share the processor with the pages."""
 
 
+WARM_AFTER_S = 0.3
+"""The form is shown first [s]."""
+
+
+def fly_nothing() -> None:
+    """Fly two robots for a round, in memory: that loads all that a run needs."""
+    import asyncio
+
+    from llm_flock.runtime.api import run_async
+    from llm_flock.viewer.steered_run import config_of
+
+    config = config_of({"n_robots": 2, "shape": "line", "rounds": 1})
+    asyncio.run(run_async(config=config, progress=False, trace=False))
+
+
 @dataclass(slots=True)
 class Launcher:
     """Starts runs, and knows those that it started, by key.
@@ -43,6 +59,15 @@ class Launcher:
     base_url: str | None = None
     reader: MissionReader | None = None
     runs: dict[str, SteeredRun] = field(default_factory=lambda: dict[str, "SteeredRun"]())
+    _warmed: bool = False
+
+    def warm(self) -> None:
+        """Load what a run needs beside the page, once: else the first run shows nothing for seconds."""
+        if self._warmed:
+            return
+        self._warmed = True
+        # No daemon: one that is loading a library while the interpreter ends takes the process down.
+        threading.Timer(WARM_AFTER_S, fly_nothing).start()
 
     def start(self, fields: dict[str, Any], *, pace: float, protocols: Sequence[str] | None = None) -> list[SteeredRun]:
         """Start a run, or the same run with each of several protocols; nothing starts unless all of them can.

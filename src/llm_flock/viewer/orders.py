@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 import threading
 from collections.abc import Mapping, Sequence
@@ -59,6 +60,8 @@ class PageOrders:
         except FlockError as error:
             # A form shows what is wrong at the field; what a model made of plain words has none.
             field = error.field if isinstance(error, InputError) and order.get("order") != "read" else None
+            # Neither form has a field for the arena: the centre is what moves a formation away from its walls.
+            field = "center" if field == "arena" else field
             return {"error": printable(_in_form_words(error, at_field=field is not None)), "field": field}
 
     async def _order(self, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -83,6 +86,7 @@ class PageOrders:
         from llm_flock.viewer.steered_run import check_pace
 
         check_pace(pace)
+        _check_center(cast("dict[str, Any]", fields).get("center"), space=False)
         names = None if protocols is None else [str(name) for name in _list(protocols)]
         if names is not None and not 1 <= len(names) <= 2:
             raise FieldError("protocols", None, says="a start needs one protocol or two")
@@ -164,9 +168,21 @@ def _mission_fields(given: object, *, spacing: bool) -> dict[str, Any]:
 
     check_shape(fields.get("shape"))
     found = {name: fields[name] for name in allowed if fields.get(name) not in (None, "")}
+    _check_center(found.get("center"), space=True)
     if not found:
         raise FieldError("fields", None, says=f"another mission needs at least one of {', '.join(allowed)}")
     return found
+
+
+def _check_center(given: object, *, space: bool) -> None:
+    """Refuse a centre that is not written as the form shows it; in `space` it may have three coordinates."""
+    if given in (None, ""):
+        return
+    numbers = _list(given)
+    good = all(isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one) for one in numbers)
+    if not good or len(numbers) not in ((2, 3) if space else (2,)):
+        more = ", or three in space" if space else ""
+        raise FieldError("center", None, says=f"two numbers, such as 50, 50{more}")
 
 
 def _in_form_words(error: FlockError, *, at_field: bool) -> str:
@@ -174,7 +190,9 @@ def _in_form_words(error: FlockError, *, at_field: bool) -> str:
     text = str(error)
     if at_field and isinstance(error, InputError) and error.field in LABELS:
         text = error.says
-    text = _NAME.sub(lambda found: LABELS[found[1]], text)
+    if isinstance(error, InputError) and error.field == "arena":
+        text = f"the formation reaches beyond the walls of the arena: {error.says}"
+    text = _NAME.sub(lambda found: LABELS[found[1]], text).replace("safe_distance = ", "the safe distance, ")
     return text[:1].upper() + text[1:]
 
 

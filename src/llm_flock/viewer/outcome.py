@@ -5,29 +5,18 @@ The first screen answers these three questions with it, before anybody has click
 
 from __future__ import annotations
 
-import math
-from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from llm_flock.record.schema import DEAD, SILENT
-from llm_flock.record.words import MOST_PLACES, counted, robots_text, work_text
+from llm_flock.record.schema import SILENT
+from llm_flock.record.words import counted, protocol_text, work_text
+from llm_flock.viewer.blame import Blame, blame, deaths_text
+from llm_flock.viewer.last_round import IN_SHAPE, begun
 
 if TYPE_CHECKING:
     from llm_flock.viewer.recording import Recording
 
-AT_GOAL, IN_SHAPE = 0.05, 0.1
-"""As shares of the spacing, as in `llm_flock.metrics.agreement`, whose libraries load too slowly for a first page."""
-
 HELD_ROUNDS = 3
-HOPELESS = 0.5
-"""Share of unusable answers from which on a robot's model is blamed."""
-
-MOST_GROUPS = 3
-"""Groups of robots that are listed."""
-
-LONGEST = 160
-"""Most letters of a refusal that is quoted."""
 
 _STOPPED = {
     "rounds": "the rounds were used up",
@@ -46,13 +35,6 @@ class MissionPart(NamedTuple):
     last: int | None
     text: str
     formed: int | None
-
-
-class Blame(NamedTuple):
-    """Why a team did not form, in a sentence, and the robots that it names."""
-
-    why: str
-    robots: tuple[int, ...] = ()
 
 
 def mission_parts(run: Recording) -> list[MissionPart]:
@@ -114,7 +96,7 @@ def outcome(run: Recording) -> dict[str, Any]:
         "headline": _headline(run, parts, over=over),
         "protocol": protocol_name(run),
         "why": found.why,
-        "by": _begun(_work(run)) if last.formed is not None else "",
+        "by": begun(_work(run)) if last.formed is not None else "",
         "guilty": list(found.robots),
         "interesting": interesting(run, found),
         "missions": [
@@ -127,11 +109,11 @@ def _headline(run: Recording, parts: Sequence[MissionPart], *, over: bool) -> st
     last = parts[-1]
     name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
     if last.formed is not None:
-        after = f", after {counted(last.formed - max(0, last.first - 1), 'round')}" if len(parts) > 1 else ""
-        return _begun(f"{name}formed in round {last.formed}{after}{_helped(run)}{_gaps(run)}")
+        given = f" (given in round {last.first})" if len(parts) > 1 else ""
+        return begun(f"{name}formed in round {last.formed}{given}{_helped(run)}{_gaps(run)}")
     if not over:
-        return _begun(f"{name}not formed yet")
-    return _begun(f"{name}not formed: {stop_text(run)}")
+        return begun(f"{name}not formed yet")
+    return begun(f"{name}not formed: {stop_text(run)}")
 
 
 def _helped(run: Recording) -> str:
@@ -149,23 +131,7 @@ def _gaps(run: Recording) -> str:
 def _work(run: Recording) -> str:
     """Who died, and who did the work."""
     work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
-    return " · ".join(part for part in (_deaths_text(run), work) if part)
-
-
-def _deaths_text(run: Recording) -> str:
-    """Who died, and when; empty if all are alive."""
-    dead = _dead(run)
-    rounds = sorted({run.died[robot] for robot in dead if robot in run.died})
-    when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MOST_PLACES]))}" if rounds else ""
-    return f"{robots_text(dead)} died{when}" if dead else ""
-
-
-def _dead(run: Recording) -> list[int]:
-    return [robot for robot, phase in enumerate(run.states[run.rounds].phases) if phase == DEAD]
-
-
-def _begun(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return " · ".join(part for part in (deaths_text(run), work) if part)
 
 
 def stop_text(run: Recording) -> str:
@@ -181,124 +147,24 @@ def stop_text(run: Recording) -> str:
 
 
 def protocol_name(run: Recording) -> str:
-    """The name of the protocol, or its rules where it has none."""
-    config: dict[str, Any] = {} if run.info is None else run.info.config.get("protocol", {})
-    rules = " + ".join(str(config[name]) for name in ("consensus", "assignment") if config.get(name))
-    return str(config.get("protocol") or rules)
-
-
-def blame(run: Recording) -> Blame:
-    """Who or what kept the team from its last mission, by the last round."""
-    if not run.rounds:
-        return Blame("")
-    state, spacing = run.states[run.rounds], float(run.mission_at(run.rounds).mission["spacing"])
-    awake = [robot for robot, phase in enumerate(state.phases) if phase not in SILENT]
-    groups = _groups(run, awake)
-    without = [robot for robot in awake if state.plan_ids[robot] is None]
-    owners = Counter((state.plan_ids[robot], state.slots[robot]) for robot in awake)
-    shared = [
-        robot
-        for robot in awake
-        if state.slots[robot] is not None and owners[state.plan_ids[robot], state.slots[robot]] > 1
-    ]
-    away = [robot for robot in awake if _far(state.positions[robot], state.goals[robot]) > AT_GOAL * spacing]
-    largest = groups[0][1] if groups else []
-    # Where no plan has most of the robots, none of them stands apart from the team.
-    most = 2 * len(largest) > len(awake) - len(without)
-    strays = [robot for _, held in groups[1 if most else 0 :] for robot in held] if len(groups) > 1 else []
-    if run.accused:
-        return Blame(_accused_blame(run), tuple(sorted(run.accused)))
-    bad = sorted({*without, *strays, *shared, *away} & {robot for robot in awake if hopeless(run, robot)})
-    if bad:
-        return Blame(_model_blame(run, bad), tuple(bad))
-    dead = _dead(run)
-    if dead:
-        return Blame(f"{_begun(_deaths_text(run))}, and the others did not fill the formation.", tuple(dead))
-    if without:
-        return Blame(f"{_begun(robots_text(without))} got no plan.", tuple(without))
-    if len(groups) > 1 and _rule(run) == "none":
-        # Nobody is to blame but the rule.
-        own = "each robot kept its own plan" if len(groups) == len(awake) else "robots kept plans of their own"
-        plans = counted(len(groups), "plan")
-        return Blame(f"No robot: this protocol has no consensus, so {own}. {plans} were in use at the end.")
-    if len(groups) > 1:
-        told = [f"{robots_text(held)} had plan {name}" for name, held in groups[:MOST_GROUPS]]
-        held = f"{robots_text(sorted(strays))} held another than most" if most else "; ".join(told)
-        told_all = "" if most or len(groups) <= MOST_GROUPS else "; and so on"
-        plans = f"The team did not agree: {len(groups)} plans were in use at the end; {held}{told_all}."
-        return Blame(plans, tuple(sorted(strays)) if most else ())
-    if shared:
-        return Blame(f"{_begun(robots_text(shared))} claimed a place that another one claimed too.", tuple(shared))
-    if away:
-        return Blame(f"{_begun(robots_text(away))} had not reached the claimed places.", tuple(away))
-    return _plan_blame(run)
-
-
-def _rule(run: Recording) -> str:
-    """The rule by which the team agrees on a plan; empty where the record does not say."""
-    return "" if run.info is None else str(run.info.config.get("protocol", {}).get("consensus") or "")
-
-
-def _groups(run: Recording, awake: Sequence[int]) -> list[tuple[str, list[int]]]:
-    """The robots that hold each plan, by its letters; the largest group first."""
-    held: defaultdict[str, list[int]] = defaultdict(list)
-    plan_ids = run.states[run.rounds].plan_ids
-    for robot in awake:
-        if plan_ids[robot] is not None:
-            held[run.plan_name(plan_ids[robot])].append(robot)
-    return sorted(held.items(), key=lambda one: (-len(one[1]), one[0]))
-
-
-def _accused_blame(run: Recording) -> str:
-    told = [
-        f"Robot {robot} was accused of sending what no honest robot sends: {run.accused[robot]}"
-        for robot in sorted(run.accused)
-    ]
-    return ". ".join(told[:MOST_GROUPS]) + "."
-
-
-def _plan_blame(run: Recording) -> Blame:
-    """All are at their places: then the places are not those of the shape."""
-    steps = run.provenance(0, run.rounds)
-    error = run.rows[run.rounds].procrustes_mean
-    if not steps or error is None:
-        poor = [k for k, phase in enumerate(run.states[run.rounds].phases) if phase not in SILENT and hopeless(run, k)]
-        return Blame(_model_blame(run, poor), tuple(poor)) if poor else Blame("No single robot stands out.")
-    robot = steps[0].robot
-    return Blame(f"Robot {robot} proposed a plan that is {error:.2g} units off the shape, and all flew it.", (robot,))
-
-
-def hopeless(run: Recording, robot: int) -> bool:
-    """Whether at least half of the answers of a robot's model were of no use."""
-    tally = run.tallies.get(robot)
-    return tally is not None and tally.unusable > 0 and tally.unusable >= HOPELESS * tally.asked
-
-
-def _model_blame(run: Recording, robots: Sequence[int]) -> str:
-    tallies = [run.tallies[robot] for robot in robots]
-    unusable, asked = sum(tally.unusable for tally in tallies), sum(tally.asked for tally in tallies)
-    whose = "its model" if len(robots) == 1 else "their models"
-    last = next((tally.last for tally in reversed(tallies) if tally.last), "")
-    quoted = f" The last reason: {last[:LONGEST]}{'…' if len(last) > LONGEST else ''}" if last else ""
-    calls = f"{unusable} of {counted(asked, 'call')}"
-    return f"{_begun(robots_text(robots))}: {whose} gave no usable answer in {calls}.{quoted}"
-
-
-def _far(position: Sequence[float], goal: Sequence[float] | None) -> float:
-    return 0.0 if goal is None else math.dist(position, goal)
+    """The name of the protocol, as everywhere; see `protocol_text`."""
+    return "" if run.info is None else protocol_text(run.info.config)
 
 
 def interesting(run: Recording, found: Blame) -> dict[str, Any]:
     """The robot that the mind panel opens with, and why: the first that is to blame for a run that did not form.
 
-    Without one, the robot with the most refused and failed calls, help by geometry and open circuit breakers; in a run
-    without any trouble, the one that proposed the plan in force; else robot 0.
+    Without one, the robot with the most refused and failed calls, help by geometry and open circuit breakers; without
+    such trouble, one for which something was wrong in the end; else the one that proposed the plan in force, or
+    robot 0.
     """
     if found.robots:
         return {"robot": found.robots[0], "why": "it kept the team from forming"}
     worst = max(run.tallies, key=lambda robot: (run.tallies[robot].trouble, -robot), default=None)
     if worst is not None and run.tallies[worst].trouble:
         return {"robot": worst, "why": run.tallies[worst].words}
+    if found.look is not None:
+        return {"robot": found.look[0], "why": found.look[1]}
     proposer = (run.result or {}).get("plan_robot")
     plans = {plan for plan in run.states[run.rounds].plan_ids if plan is not None}
     if not isinstance(proposer, int) and len(plans) == 1:

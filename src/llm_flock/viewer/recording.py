@@ -26,9 +26,10 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
+from llm_flock.record.words import protocol_text
 from llm_flock.viewer.canvases import TOO_CLOSE
 from llm_flock.viewer.events import breaker_text, track_of_event
-from llm_flock.viz.style import plan_look, rules
+from llm_flock.viz.style import plan_look
 
 logger = logging.getLogger(__name__)
 
@@ -81,6 +82,7 @@ class PlanOrigin(NamedTuple):
 class CallCounts:
     """What became of the calls of one robot's model by now; `last` is the newest reason why an answer was no use."""
 
+    model: str = ""
     asked: int = 0
     refused: int = 0
     failed: int = 0
@@ -138,6 +140,7 @@ class Recording:
         version: of the file as it was read; see `version_of`.
         rounds: last complete round, -1 before the start.
         plan_numbers: number of each plan, in the order in which plans were first seen.
+        plans: the places of each plan, and who proposed it.
         marks: number of marks on each timeline track, by round.
         accused: robots that others accused of lying, each with the last reason.
         died: the round in which each robot died last.
@@ -162,6 +165,7 @@ class Recording:
         self.rows: list[MetricsRow] = []
         self.rounds = -1
         self.plan_numbers: dict[str, int] = {}
+        self.plans: dict[str, PlanInfo] = {}
         self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
         self.accused: dict[int, str] = {}
         self.died: dict[int, int] = {}
@@ -169,6 +173,7 @@ class Recording:
         self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self.extent: list[float] = []
         self.steer: Callable[[], dict[str, Any]] | None = None
+        self._loss: float | None = None
         self._events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
         self._breakers: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
         self._calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)
@@ -183,6 +188,7 @@ class Recording:
                 self.missions.append(entry)
             case PlanInfo():
                 self.plan_numbers.setdefault(entry.plan_id, len(self.plan_numbers))
+                self.plans.setdefault(entry.plan_id, entry)
             case ProtocolEvent():
                 self._events[entry.round].append(entry)
                 self._mark(entry.round, track_of_event(entry))
@@ -195,6 +201,8 @@ class Recording:
                     self.died[entry.robot] = entry.round
                 if entry.kind == "accused" and isinstance(entry.detail.get("robot"), int):
                     self.accused[entry.detail["robot"]] = str(entry.detail.get("reason")).replace("_", " ")
+                if entry.kind == "injected" and isinstance(entry.detail.get("loss"), int | float):
+                    self._loss = float(entry.detail["loss"])
                 if entry.kind == "fallback":
                     self.tallies[entry.robot].helped += 1
                 if entry.kind in ("proposed", "adopted"):
@@ -232,6 +240,7 @@ class Recording:
         self._calls[entry.round, entry.robot].append(entry)
         tally = self.tallies[entry.robot]
         tally.asked += 1
+        tally.model = entry.model
         if entry.error is not None:
             self._mark(entry.round, "faults")
             tally.failed += 1
@@ -282,13 +291,26 @@ class Recording:
         return config.get("model") == "geometry"
 
     @property
+    def rules(self) -> tuple[str, str]:
+        """The rules of consensus and of assignment; empty where the record does not say."""
+        config: Mapping[str, Any] = {} if self.info is None else self.info.config.get("protocol", {})
+        return str(config.get("consensus") or ""), str(config.get("assignment") or "")
+
+    @property
+    def loss(self) -> float:
+        """Share of the messages that were lost in the end, as asked for."""
+        given: Mapping[str, Any] = {} if self.info is None else self.info.config.get("links", {})
+        share = given.get("loss") if self._loss is None else self._loss
+        return float(share) if isinstance(share, int | float) else 0.0
+
+    @property
     def description(self) -> str:
-        """Shape, N, rules, model and seed; empty while they are not known."""
+        """Shape, N, protocol, model and seed; empty while they are not known."""
         if self.info is None or not self.missions:
             return ""
         config, shape = self.info.config, self.missions[0].mission["shape"]
         model = config.get("model", {}).get("model", "")
-        parts = (f"{shape} of {self.n_robots}", rules(config), model, f"seed {self.info.seed}")
+        parts = (f"{shape} of {self.n_robots}", protocol_text(config), model, f"seed {self.info.seed}")
         return printable(" · ".join(str(part) for part in parts if part))
 
     def mission_at(self, number: int) -> MissionInfo:
@@ -330,6 +352,11 @@ class Recording:
             found.append(origin)
             number, holder = origin.round, origin.source
         return found[::-1]
+
+    def made_by_geometry(self, plan_id: str) -> bool:
+        """Whether geometry, and no model, made a plan."""
+        origins = self._origins.get((self.plans[plan_id].proposer, plan_id), ()) if plan_id in self.plans else ()
+        return bool(origins) and origins[0].by == "geometry"
 
     def claims_heard(self, robot: int, number: int) -> list[HeardClaim]:
         """The claims within a robot's radio range in a round, its own first, then the nearest."""

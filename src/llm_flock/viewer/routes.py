@@ -82,6 +82,7 @@ class Routes:
 
     def cockpit(self, request: Request) -> Response:
         """The form that starts runs."""
+        self.launcher.warm()
         return HTMLResponse(html("Cockpit", {"page": "cockpit", **form.options(self.launcher)}))
 
     def shapes(self, request: Request) -> Response:

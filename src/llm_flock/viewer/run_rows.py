@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from llm_flock.printable import one_line
+from llm_flock.record.words import sentence
 from llm_flock.viewer.outcome import outcome, protocol_name
 from llm_flock.viewer.recording import Recording
 from llm_flock.viz.style import plan_look
@@ -47,7 +48,7 @@ def run_row(run: Recording) -> dict[str, Any]:
     return row | {
         "tone": found["tone"],
         "outcome": one_line(str(found["headline"])),
-        "why": one_line(str(found["why"]), 300),
+        "why": sentence(str(found["why"]).partition(". ")[0], 300) if found["why"] else "",
         "date": "" if info is None else one_line(info.created_at[:16].replace("T", " ")),
         "seed": None if info is None else info.seed,
         "protocol": one_line(protocol_name(run)),

@@ -25,8 +25,9 @@ from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
+from llm_flock.viz.key import columns_of, key_of
 from llm_flock.viz.labels import size_of
-from llm_flock.viz.panel import Panel, columns_of
+from llm_flock.viz.panel import Panel
 from llm_flock.viz.style import DANGER, MOST_TITLE, heading, house_style, line_colour, whole_file
 
 STEPS_A_ROUND = 4
@@ -54,7 +55,8 @@ WIDTH = 0.88
 
 DPI = 100
 
-KEY_POINTS = 6.5
+KEY_POINTS, KEY_SCALE = 6.5, 0.72
+"""Size of the letters of the legend, and of its signs in those of figures."""
 
 TITLE_POINTS = 8.0
 """Size of the title; a longer one is smaller, so that it keeps to one line."""
@@ -99,7 +101,7 @@ def last_frame(record: RunRecord) -> Image.Image:
 def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False) -> Iterator[Image.Image]:
     """The run in pictures of one size: the start, then this many `steps` of each round; or only the last of them."""
     panel = Panel(record, width=WIDTH * INCHES * 72)
-    key = panel.key()
+    key = key_of([(panel, range(record.rounds + 1))])
     columns = min(2, columns_of(key, INCHES, KEY_POINTS))
     below = KEY_INCHES + ROW_INCHES * -(-len(key) // columns)
     tall = round((HEAD_INCHES + WIDTH * INCHES + below) * DPI / 2) * 2 / DPI  # video coders want even sizes
@@ -111,7 +113,13 @@ def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False)
         fits = 0.96 * INCHES * 72 / size_of(title, TITLE_POINTS)[0]
         figure.suptitle(title, y=1 - 0.09 / tall, va="top", fontsize=TITLE_POINTS * min(1.0, fits))
         figure.legend(
-            handles=key, loc="lower center", ncols=columns, fontsize=KEY_POINTS, borderaxespad=0.2, labelspacing=0.3
+            handles=key,
+            loc="lower center",
+            ncols=columns,
+            fontsize=KEY_POINTS,
+            borderaxespad=0.2,
+            labelspacing=0.3,
+            markerscale=KEY_SCALE,
         )
         panel.frame(axes)
         axes.set_xlabel("x and y [units]", fontsize=7.0, labelpad=1.0)

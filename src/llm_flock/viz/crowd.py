@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from llm_flock.viz.labels import Rectangle, beside, box_at
+
 ONE_PLACE = 0.9
 """Discs nearer than this many radii hide one another."""
 
@@ -30,10 +32,11 @@ TURNS = 12
 
 
 class Crowd(NamedTuple):
-    """Robots that fan out; their number stands at `middle` [points], which is None where there is no room for it."""
+    """Robots that fan out around `middle`; their number stands at `spot`, None where there is no room [points]."""
 
     members: NDArray[np.intp]
-    middle: NDArray[np.float64] | None
+    middle: NDArray[np.float64]
+    spot: NDArray[np.float64] | None
 
 
 def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float64], list[Crowd]]:
@@ -62,7 +65,35 @@ def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float6
     alone = _gaps(middles, middles) + np.diag(np.full(len(middles), np.inf)) > 2 * ROOM
     clear = _gaps(middles, at) > radius + LEAST_ROOM
     free = [bool(a.all() and b.all()) for a, b in zip(alone, clear, strict=True)]
-    return at, [Crowd(members, middles[k] if free[k] else None) for k, members in enumerate(crowds)]
+    return at, [Crowd(members, middles[k], middles[k] if free[k] else None) for k, members in enumerate(crowds)]
+
+
+def spots(
+    at: NDArray[np.float64], crowds: list[Crowd], radius: float, size: tuple[float, float], bounds: Rectangle
+) -> list[Crowd]:
+    """The same crowds; the number of one without room in its middle stands beside it [points].
+
+    Args:
+        at: where the discs are drawn, shape (n, 2).
+        crowds: as `spread` found them.
+        radius: of all discs.
+        size: width and height of a number.
+        bounds: of the picture: left, right, bottom, top.
+    """
+    used = [box_at(spot, size) for spot in [one.spot for one in crowds] if spot is not None]
+    found: list[Crowd] = []
+    for one in crowds:
+        wide = float(np.linalg.norm(at[one.members] - one.middle, axis=1).max()) + radius
+        if one.spot is None:
+            discs = np.concatenate([one.middle[None], np.delete(at, one.members, axis=0)])
+            (offset,) = beside(discs, radius, [size], bounds, used, reach=wide)
+            if offset is not None:
+                spot = one.middle + np.array(offset)
+                used.append(box_at(spot, size))
+                found.append(one._replace(spot=spot))
+                continue
+        found.append(one)
+    return found
 
 
 def _gaps(some: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,8 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from llm_flock.errors import InputError
@@ -24,8 +22,10 @@ from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
 from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
+from llm_flock.record.words import formed_in
 from llm_flock.viz.charts import DPI, new_figure
-from llm_flock.viz.panel import Box, Panel, close_up, columns_of, key_of, view
+from llm_flock.viz.key import Entry, columns_of, key_of
+from llm_flock.viz.panel import Box, Panel, close_up, view
 from llm_flock.viz.style import (
     GRID,
     INK,
@@ -42,6 +42,9 @@ from llm_flock.viz.style import (
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
+
+BETWEEN_INCHES = 0.3
+"""Between two rows of panels, for the label of an axis and a title."""
 
 ROWS, ROW_INCHES = 2, 0.17
 """Rows of a legend for which there is room anyway, and the height of each further one."""
@@ -70,7 +73,7 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
         columns = -(-len(chosen) // rows)
         whole = view(record)
         width = max(columns * PANEL_INCHES, 5.5)
-        figure = new_figure(width, rows * PANEL_INCHES * _tallness(whole) + 0.85)
+        figure = new_figure(width, rows * PANEL_INCHES * _tallness(whole) + 0.85 + BETWEEN_INCHES * (rows - 1))
         # Two columns a panel: a last row with fewer panels stands in the middle.
         grid = figure.add_gridspec(rows, 2 * columns)
         known = all(record.metrics[k].procrustes_mean is not None for k in chosen)
@@ -90,12 +93,12 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
                 axes.set_ylabel("y [units]")
             panels.append((panel, axes, k))
         figure.suptitle(heading(record, 0.8 * width), fontsize=10)
-        _legend(figure, panels[0][0].key(), width)
+        _legend(figure, key_of((panel, [k]) for panel, _, k in panels), width)
         _draw_teams(figure, panels)
         return figure
 
 
-def _legend(figure: Figure, entries: Sequence[Line2D | Patch], inches: float) -> None:
+def _legend(figure: Figure, entries: Sequence[Entry], inches: float) -> None:
     """A legend below the panels. A long one makes the figure taller: panels and titles keep their room."""
     columns = columns_of(entries, inches, RC["legend.fontsize"])
     rows = -(-len(entries) // columns)
@@ -159,7 +162,7 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
         figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
-        _legend(figure, key_of(panels), width)
+        _legend(figure, key_of((panel, [k]) for panel, _, k in teams), width)
         _draw_teams(figure, teams)
         return figure
 
@@ -192,8 +195,8 @@ def png(figure: Figure) -> bytes:
 def outcome(record: RunRecord) -> str:
     """How a run ended, in a few words."""
     last = record.metrics[-1]
-    formed = (record.result or {}).get("rounds_to_formed")
-    if (record.result or {}).get("formed") and formed is not None:
+    formed = formed_in(record.result or {})
+    if formed is not None:
         return f"formed in round {formed}"
     plans = "1 plan" if last.plans_in_use == 1 else f"{last.plans_in_use} plans"
     goals = "1 goal" if last.distinct_goals == 1 else f"{last.distinct_goals} goals"

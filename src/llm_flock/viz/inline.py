@@ -13,7 +13,7 @@ from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, require
 from llm_flock.printable import one_line
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.words import work_text
+from llm_flock.record.words import formed_in, protocol_text, work_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,12 +96,13 @@ def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
     if record.result is None:
         formed = "not known: the run was stopped"
     elif result.get("formed"):
-        formed = f"yes, in round {result.get('rounds_to_formed')} (lower bound {result.get('lower_bound_rounds')})"
+        formed = f"yes, in round {formed_in(result)} (lower bound {result.get('lower_bound_rounds')})"
     else:
         formed = f"no: {result.get('stopped')}" + (f" ({result['reason']})" if result.get("reason") else "")
     free = record.run.simulated and not result.get("cost_usd")
     cost = "none (simulated)" if free else _number(last.cost_usd, "{:.4f} USD")
     rows = [
+        ("protocol", protocol_text(record.run.config)),
         ("formed", formed),
         ("rounds", str(record.rounds)),
         ("plans in use", str(last.plans_in_use)),

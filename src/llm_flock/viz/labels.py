@@ -1,11 +1,11 @@
-"""Where words stand beside discs: on no disc, on no other word, and within the picture."""
+"""Where words stand beside discs: on no disc and no other word; where there is room, on no ring and no line either."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.font_manager import FontProperties
@@ -24,8 +24,43 @@ STEPS = 6
 HINTED = 1.1
 """Small words on a screen are wider than their outlines by up to this factor."""
 
+LINE = 0.6
+"""Half the width of a ring [points]."""
+
 GAP = 1.0
 """Between a word and whatever is next to it [points]."""
+
+
+class Outlines(NamedTuple):
+    """What words had better not cross [points].
+
+    Attributes:
+        rings: middle and radius of each, shape (m, 3).
+        lines: two ends of each, shape (k, 2, 2).
+    """
+
+    rings: NDArray[np.float64]
+    lines: NDArray[np.float64]
+
+    def cross(self, box: Rectangle) -> bool:
+        """Whether a ring or a line passes through a box."""
+        low, high = np.array([box[0], box[2]]), np.array([box[1], box[3]])
+        if len(self.rings):
+            middles, radii = self.rings[:, :2], self.rings[:, 2]
+            nearest = np.linalg.norm(np.clip(middles, low, high) - middles, axis=1)
+            farthest = np.linalg.norm(np.maximum(abs(middles - low), abs(middles - high)), axis=1)
+            if bool(((nearest < radii + LINE) & (farthest > radii - LINE)).any()):
+                return True
+        if not len(self.lines):
+            return False
+        start, along = self.lines[:, 0], self.lines[:, 1] - self.lines[:, 0]
+        along = np.where(along == 0.0, 1e-12, along)
+        one, other = (low - start) / along, (high - start) / along
+        first = np.maximum(np.minimum(one, other).max(axis=1), 0.0)
+        return bool((first <= np.minimum(np.maximum(one, other).min(axis=1), 1.0)).any())
+
+
+NOTHING = Outlines(np.empty((0, 3)), np.empty((0, 2, 2)))
 
 
 def beside(
@@ -35,6 +70,8 @@ def beside(
     bounds: Rectangle,
     taken: Sequence[Rectangle] = (),
     before: Sequence[tuple[float, float] | None] | None = None,
+    outlines: Outlines = NOTHING,
+    reach: float | None = None,
 ) -> list[tuple[float, float] | None]:
     """From the middle of each disc to that of its word [points]; None where there is no room.
 
@@ -45,6 +82,8 @@ def beside(
         bounds: of the picture [points].
         taken: other places to keep free [points].
         before: where the words stood a moment ago, so that they do not jump about in moving pictures.
+        outlines: rings and lines that words cross only where there is no other room [points].
+        reach: distance from the middle of a disc at which words begin, the radius if left out [points].
     """
     found: list[tuple[float, float] | None] = [None] * len(words)
     used = [*taken]
@@ -52,13 +91,19 @@ def beside(
     # Whoever has the nearest neighbours has the least choice, and chooses first.
     crowd = np.exp(-apart / (4.0 * radius)).sum(axis=1)
     for k in sorted(range(len(words)), key=lambda k: -crowd[k]):
+        taken_by_word: Rectangle = (0.0, 0.0, 0.0, 0.0)
         earlier = [] if before is None else [before[k]]
-        for offset in (*filter(None, earlier), *_offsets(radius, words[k])):
-            box = _box((float(discs[k, 0]) + offset[0], float(discs[k, 1]) + offset[1]), words[k])
-            if _free(box, discs, radius, bounds, used):
-                found[k] = offset
-                used.append(box)
+        for offset in (*filter(None, earlier), *_offsets(radius if reach is None else reach, words[k])):
+            box = box_at((float(discs[k, 0]) + offset[0], float(discs[k, 1]) + offset[1]), words[k])
+            if not _free(box, discs, radius, bounds, used):
+                continue
+            clear = not outlines.cross(box)
+            if clear or found[k] is None:
+                found[k], taken_by_word = offset, box
+            if clear:
                 break
+        if found[k] is not None:
+            used.append(taken_by_word)
     return found
 
 
@@ -81,8 +126,9 @@ def _free(
     return bool(np.linalg.norm(nearest - discs, axis=1).min() >= radius)
 
 
-def _box(middle: tuple[float, float], word: tuple[float, float]) -> Rectangle:
-    (x, y), (width, height) = middle, word
+def box_at(middle: Sequence[float] | NDArray[np.float64], word: tuple[float, float]) -> Rectangle:
+    """The box of a word around its middle."""
+    x, y, (width, height) = float(middle[0]), float(middle[1]), word
     return (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
 
 

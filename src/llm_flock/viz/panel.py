@@ -11,22 +11,20 @@ from typing import Any, TypeAlias
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon, Rectangle
+from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Rectangle as Frame
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from llm_flock import graph
 from llm_flock.arrays import Points
-from llm_flock.record.palette import NO_PLAN
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import ASLEEP, DEAD, SILENT, State
-from llm_flock.viz.crowd import spread
-from llm_flock.viz.labels import beside, size_of
-from llm_flock.viz.style import DANGER, FAINT, INK, PAPER, WITHOUT_PLAN, PlanLook, plan_looks
+from llm_flock.viz.crowd import spots, spread
+from llm_flock.viz.labels import Outlines, Rectangle, beside, box_at, size_of
+from llm_flock.viz.style import DANGER, FAINT, INK, NOT_BEGUN, PAPER, QUIET, PlanLook, plan_looks
 
 Looks: TypeAlias = Sequence[PlanLook]
-Counts: TypeAlias = Sequence[tuple[float, float]]
 
 MOST_LABELLED = 30
 SMALLEST_LABELLED = 6.5
@@ -41,6 +39,12 @@ MOST_OF = 0.7
 ROOM = (1.5, 2.1)
 """Widths of a close-up in widths of what it shows: the second where the first leaves no corner for the inset."""
 
+RING = 1.4
+"""Diameter of the ring of a goal, in discs."""
+
+TAG, TALL = 0.75, 1.35
+"""Room for a tag around its letters, and height of a word, in sizes of letters."""
+
 MARGIN = 0.02
 """Between the inset and the middle of a disc, as a share of the panel's width."""
 
@@ -48,9 +52,6 @@ INSET = 0.24
 """Width and height of the inset that shows the whole view, as a share of the panel's."""
 
 TIMES = "\u00d7"
-
-LEGEND_EMS = 4.2
-"""Width of a sign in a legend with the room around it, in sizes of its letters."""
 
 ROUNDING = 1e-6
 """A pair that is nearer than the safe distance by less than this keeps it [units]; as in the viewer."""
@@ -73,12 +74,21 @@ class Panel:
         self.looks = plan_looks(record)
         self.window = view(record) if window is None else window
         n = record.positions.shape[1]
-        spacing = float(record.mission.mission["spacing"]) * width / (self.window[1] - self.window[0])
+        self._scale = width / (self.window[1] - self.window[0])
+        spacing = float(record.mission.mission["spacing"]) * self._scale
         self._disc = max(3.5, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
         self.labelled = n <= MOST_LABELLED and self._disc >= SMALLEST_LABELLED
         self._path = record.positions[:, :, :2]
         self._offsets: dict[int, tuple[float, float] | None] = {}
+
+    def crowded(self, round_number: int) -> set[bool]:
+        """Whether robots hide one another in a round: True for crowds with a pair too near, False for others."""
+        if not self.labelled:
+            return set()
+        positions, safe = self.record.positions[round_number], float(self.record.mission.mission["safe_distance"])
+        _, crowds = spread(positions[:, :2] * self._scale, self._disc / 2)
+        return {bool(close_pairs(positions[one.members], safe).size) for one in crowds}
 
     def frame(self, axes: Axes) -> None:
         """Prepare the axes: this panel's window, the arena's walls, and the obstacles."""
@@ -91,7 +101,7 @@ class Panel:
         mission = self.record.mission.mission
         (left, bottom, *_), (right, top, *_) = mission["arena"]
         look: dict[str, Any] = {"edgecolor": FAINT, "linewidth": 0.8, "zorder": 0.5}
-        axes.add_patch(Rectangle((left, bottom), right - left, top - bottom, facecolor="none", **look))
+        axes.add_patch(Frame((left, bottom), right - left, top - bottom, facecolor="none", **look))
         for obstacle in mission.get("obstacles", ()):
             if obstacle.get("polygon") is not None:
                 axes.add_patch(Polygon(obstacle["polygon"], closed=True, facecolor=FAINT, **look))
@@ -107,7 +117,7 @@ class Panel:
         small.set_xticks([])
         small.set_yticks([])
         small.scatter(at[:, 0], at[:, 1], s=1.5, c=INK, linewidths=0, zorder=5)
-        small.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, ec=INK, lw=0.7, zorder=6))
+        small.add_patch(Frame((left, bottom), right - left, top - bottom, fill=False, ec=INK, lw=0.7, zorder=6))
 
     def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
         """Draw the team on axes that `frame` has prepared and whose place in the figure is final.
@@ -118,41 +128,48 @@ class Panel:
         before = self.record.positions[max(0, round_number - 1)]
         positions = before + part * (self.record.positions[round_number] - before)
         places = positions[:, :2]
-        looks = [self.looks[plan_id] for plan_id in state.plan_ids]
+        looks = [
+            NOT_BEGUN if phase == ASLEEP else self.looks[plan_id]
+            for plan_id, phase in zip(state.plan_ids, state.phases, strict=True)
+        ]
         self._links(axes, state, positions)
         self._trails(axes, round_number, places)
         self._goals(axes, state, looks)
-        drawn, counts = self._spread(axes, places)
+        drawn, counts = self._spread(axes, places, positions)
         self._too_close(axes, positions, drawn)
         self._robots(axes, state, drawn, looks, counts)
 
-    def _spread(self, axes: Axes, places: Points) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
-        """Where discs are drawn [units], and the middles of crowds, which are counted; small discs stay in place."""
+    def _spread(
+        self, axes: Axes, places: Points, positions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], Sequence[Rectangle]]:
+        """Where discs are drawn [units], and the numbers of crowds [points]; small discs stay in place.
+
+        A crowd is red where two of it are too near in space.
+        """
         if not self.labelled:
-            return places, []
-        points = 72.0 / _dpi(axes)
+            return places, ()
+        points, safe = 72.0 / _dpi(axes), float(self.record.mission.mission["safe_distance"])
         at, crowds = spread(points * np.asarray(axes.transData.transform(places)), self._disc / 2)
         drawn = np.asarray(axes.transData.inverted().transform(at / points))
-        counts: list[tuple[float, float]] = []
-        for members, middle in crowds:
+        size = (2.0 * self._font, 1.4 * self._font)
+        counts: list[Rectangle] = []
+        for members, _, spot in spots(at, crowds, self._disc / 2, size, self._bounds(axes)):
+            colour = DANGER if close_pairs(positions[members], safe).size else QUIET
             ties = np.stack([places[members], drawn[members]], axis=1)
-            axes.add_collection(LineCollection(list(ties), colors=DANGER, linewidths=0.8, zorder=3.4))
-            if middle is None:
+            axes.add_collection(LineCollection(list(ties), colors=colour, linewidths=0.8, zorder=3.4))
+            if spot is None:
                 continue
-            x, y = np.asarray(axes.transData.inverted().transform(middle / points)).tolist()
-            counts.append((x, y))
-            look: dict[str, Any] = {"boxstyle": "square,pad=0.1", "facecolor": DANGER, "edgecolor": "none"}
-            name = f"{len(members)}{TIMES}"
-            axes.annotate(
-                name, (x, y), size=0.9 * self._font, weight="bold", color=PAPER, ha="center", va="center_baseline",
-                bbox=look, zorder=6.5,
-            )  # fmt: skip
+            counts.append(box_at(spot, size))
+            look: dict[str, Any] = {"boxstyle": "square,pad=0.1", "facecolor": colour, "edgecolor": "none"}
+            self._word(
+                axes, f"{len(members)}{TIMES}", spot, bbox=look, weight="bold", color=PAPER, scale=0.9, zorder=6.5
+            )
         return drawn, counts
 
     def _too_close(self, axes: Axes, positions: NDArray[np.float64], drawn: NDArray[np.float64]) -> None:
         """Pairs nearer than the safe distance, in all dimensions, in red."""
         safe = float(self.record.mission.mission["safe_distance"])
-        pairs = np.argwhere(np.triu(graph.distances(positions) < safe - ROUNDING, 1))
+        pairs = close_pairs(positions, safe)
         if not len(pairs):
             return
         axes.add_collection(LineCollection(list(drawn[pairs]), colors=DANGER, linewidths=1.4, zorder=3.5))
@@ -183,20 +200,22 @@ class Panel:
         axes.scatter(start[:, 0], start[:, 1], s=min(3.0, 0.25 * self._disc), c=INK, linewidths=0, zorder=2)
 
     def _goals(self, axes: Axes, state: State, looks: Looks) -> None:
-        rings = [(goal, look.line) for goal, look in zip(state.goals, looks, strict=True) if goal is not None]
+        pairs = zip(state.goals, looks, strict=True)
+        rings = [(goal, look.line, look.rim) for goal, look in pairs if goal is not None]
         if rings:
-            points = np.array([goal[:2] for goal, _ in rings])
+            points = np.array([goal[:2] for goal, *_ in rings])
             axes.scatter(
                 points[:, 0],
                 points[:, 1],
-                s=(1.4 * self._disc) ** 2,
+                s=(RING * self._disc) ** 2,
                 facecolors="none",
-                edgecolors=[colour for _, colour in rings],
+                edgecolors=[colour for _, colour, _ in rings],
                 linewidths=min(1.0, 0.15 * self._disc),
+                linestyle=[rim for *_, rim in rings],
                 zorder=3,
             )
 
-    def _robots(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Counts) -> None:
+    def _robots(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Sequence[Rectangle]) -> None:
         dead = [robot for robot, phase in enumerate(state.phases) if phase == DEAD]
         if dead:
             for size, colour, marker in ((self._disc, INK, "o"), (0.5 * self._disc, PAPER, "x")):
@@ -224,51 +243,80 @@ class Panel:
             )
         self._words(axes, state, places, looks, counts)
 
-    def _words(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Counts) -> None:
-        """Letter of the plan and influence, beside every robot that has begun; beside a dead one its number."""
-        begun = [robot for robot in range(len(looks)) if state.phases[robot] != ASLEEP]
-        words = {
-            robot: str(robot)
-            if state.phases[robot] == DEAD
-            else f"{looks[robot].name} {short(state.influence[robot])}".strip()
-            for robot in begun
-        }
+    def _words(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Sequence[Rectangle]) -> None:
+        """Letter of the plan on a tag in its colour, then the influence; beside a dead robot its number."""
+        words = {robot: self._said(state, robot, looks[robot]) for robot in range(len(looks))}
+        words = {robot: word for robot, word in words.items() if any(word)}
         points = 72.0 / _dpi(axes)
-        order = [*begun, *(robot for robot in range(len(places)) if robot not in words)]
-        (left, bottom), (right, top) = points * axes.transAxes.transform([(0, 0), (1, 1)])
+        order = [*words, *(robot for robot in range(len(places)) if robot not in words)]
         inset = [points * child.get_window_extent().get_points() for child in axes.child_axes]
         discs = points * np.asarray(axes.transData.transform(places[order]))
+        tags = {robot: size_of(letters, self._font)[0] + TAG * self._font for robot, (letters, _) in words.items()}
+        tags = {robot: wide if words[robot][0] else 0.0 for robot, wide in tags.items()}
         found = beside(
             discs,
-            0.72 * self._disc,  # with the ring of a goal
-            [size_of(word, self._font) for word in words.values()],
-            (left, right, bottom, top),
-            [
-                *((low[0], high[0], low[1], high[1]) for low, high in inset),
-                *(
-                    self._tag(x, y)
-                    for x, y in points * np.asarray(axes.transData.transform(np.reshape(counts, (-1, 2))))
-                ),
-            ],
-            [self._offsets.get(robot) for robot in begun],
+            self._disc / 2 + 2.0,
+            [(tags[robot] + size_of(text, self._font)[0], TALL * self._font) for robot, (_, text) in words.items()],
+            self._bounds(axes),
+            [*((low[0], high[0], low[1], high[1]) for low, high in inset), *counts],
+            [self._offsets.get(robot) for robot in words],
+            self._outlines(axes, state),
         )
-        self._offsets = dict(zip(begun, found, strict=True))
-        for disc, word, offset in zip(discs, words.values(), found, strict=False):
-            if offset is not None:
-                axes.annotate(
-                    word,
-                    (disc[0] + offset[0], disc[1] + offset[1]),
-                    xycoords="figure points",
-                    size=self._font,
-                    ha="center",
-                    va="center",
-                    path_effects=[withStroke(linewidth=0.25 * self._font, foreground=PAPER)],
-                    zorder=6,
-                )
+        self._offsets = dict(zip(words, found, strict=True))
+        for disc, (robot, (letters, text)), offset in zip(discs, words.items(), found, strict=False):
+            if offset is None:
+                continue
+            middle, wide = disc + offset, size_of(text, self._font)[0]
+            if letters:
+                look = {"boxstyle": "square,pad=0.12", "facecolor": looks[robot].fill, "edgecolor": "none"}
+                at = middle - [wide / 2, 0.0]
+                self._word(axes, letters, at, bbox=look, weight="bold", color=looks[robot].ink, zorder=6)
+            if text:
+                halo = [withStroke(linewidth=0.25 * self._font, foreground=PAPER)]
+                self._word(axes, text, middle + [tags[robot] / 2, 0.0], path_effects=halo, zorder=6)
 
-    def _tag(self, x: float, y: float) -> tuple[float, float, float, float]:
-        """The place of a crowd's number [points]."""
-        return x - self._font, x + self._font, y - 0.7 * self._font, y + 0.7 * self._font
+    def _said(self, state: State, robot: int, look: PlanLook) -> tuple[str, str]:
+        """Letters and number beside a robot: none before it has a plan."""
+        if state.phases[robot] == DEAD:
+            return "", str(robot)
+        return (look.name, short(state.influence[robot])) if look.name else ("", "")
+
+    def _word(
+        self, axes: Axes, text: str, at: Sequence[float] | NDArray[np.float64], *, scale: float = 1.0, **look: Any
+    ) -> None:
+        place = (float(at[0]), float(at[1]))
+        axes.annotate(
+            text, place, xycoords="figure points", size=scale * self._font, ha="center", va="center_baseline", **look
+        )  # fmt: skip
+
+    def _bounds(self, axes: Axes) -> Rectangle:
+        """Where words may stand [points]."""
+        (left, bottom), (right, top) = 72.0 / _dpi(axes) * axes.transAxes.transform([(0, 0), (1, 1)])
+        return float(left), float(right), float(bottom), float(top)
+
+    def _outlines(self, axes: Axes, state: State) -> Outlines:
+        """What words cross only where there is no other room: rings, ways, walls and obstacles [points]."""
+        points, mission = 72.0 / _dpi(axes), self.record.mission.mission
+
+        def seen(places: Any) -> NDArray[np.float64]:
+            flat = np.asarray(places, dtype=np.float64)
+            return points * np.asarray(axes.transData.transform(flat.reshape(-1, 2))).reshape(flat.shape)
+
+        goals = seen([goal[:2] for goal in state.goals if goal is not None] or np.empty((0, 2)))
+        rings = [np.column_stack([goals, np.full(len(goals), RING * self._disc / 2)])]
+        (left, bottom, *_), (right, top, *_) = mission["arena"]
+        legs = np.stack([self._path[: state.round], self._path[1 : state.round + 1]], axis=2).reshape(-1, 2, 2)
+        walls = _edges([(left, bottom), (right, bottom), (right, top), (left, top)])
+        lines = [legs[(legs[:, 0] != legs[:, 1]).any(axis=1)], walls]
+        for obstacle in mission.get("obstacles", ()):
+            if obstacle.get("polygon") is not None:
+                lines.append(_edges(obstacle["polygon"]))
+                continue
+            middle, edge = seen(
+                [obstacle["center"][:2], [obstacle["center"][0] + obstacle["radius"], obstacle["center"][1]]]
+            )
+            rings.append(np.array([[*middle, np.linalg.norm(edge - middle)]]))
+        return Outlines(np.concatenate(rings), seen(np.concatenate(lines)))
 
     def _discs(self, axes: Axes, places: Points, looks: Looks, above: float) -> None:
         axes.scatter(
@@ -282,63 +330,16 @@ class Panel:
             zorder=above,
         )
 
-    def key(self) -> list[Line2D | Patch]:
-        """Entries of a legend."""
-        look = next((look for plan_id, look in self.looks.items() if plan_id is not None), WITHOUT_PLAN)
-        what = ", coloured by its plan; beside it: plan, influence" if self.labelled else ", coloured by its plan"
-        phases = {phase for state in self.record.states for phase in state.phases}
-        silent: list[Line2D | Patch] = []
-        if DEAD in phases:
-            named = f"dead robot ({TIMES})"
-            silent.append(Line2D([], [], marker="o", ls="", ms=7, mfc=INK, mec=INK, label=named))
-        if ASLEEP in phases:
-            look_asleep: dict[str, Any] = {"mfc": NO_PLAN, "mec": INK, "mew": 0.8}
-            silent.append(Line2D([], [], marker="o", ls="", ms=7, label="not begun yet", **look_asleep))
-        return [
-            Line2D([], [], marker="o", ls="", ms=7, mfc=look.fill, mec=INK, mew=0.8, label="robot" + what),
-            Line2D([], [], marker="o", ls="", ms=9, mfc="none", mec=look.line, mew=1.1, label="goal"),
-            Line2D(
-                [], [], color=look.line, lw=1.2, marker=".", ms=4, mfc=INK, mec=INK, label="flown path, from the dot"
-            ),
-            Line2D([], [], color=FAINT, lw=1.2, label="within radio range"),
-            *silent,
-            *self._warnings(),
-        ]
 
-    def _warnings(self) -> list[Line2D | Patch]:
-        """Entries for what is in the way, and for robots that are too close."""
-        found: list[Line2D | Patch] = []
-        mission = self.record.mission.mission
-        if mission.get("obstacles"):
-            found.append(Patch(facecolor=FAINT, edgecolor=FAINT, label="obstacle"))
-        safe = float(mission["safe_distance"])
-        if any(row.min_separation is not None and row.min_separation < safe - ROUNDING for row in self.record.metrics):
-            words = "nearer than the safe distance"
-            found.append(
-                Line2D([], [], marker="o", ls="-", c=DANGER, ms=8, mfc="none", mec=DANGER, mew=1.4, label=words)
-            )
-        return found
+def close_pairs(positions: NDArray[np.float64], safe: float) -> NDArray[np.intp]:
+    """Pairs nearer than the safe distance in all dimensions, shape (k, 2)."""
+    return np.argwhere(np.triu(graph.distances(positions) < safe - ROUNDING, 1))
 
 
-def key_of(panels: Sequence[Panel]) -> list[Line2D | Patch]:
-    """Entries of a legend for several panels, each once."""
-    found: dict[str, Line2D | Patch] = {}
-    for panel in panels:
-        for entry in panel.key():
-            found.setdefault(str(entry.get_label()), entry)
-    return list(found.values())
-
-
-def columns_of(entries: Sequence[Line2D | Patch], inches: float, size: float) -> int:
-    """Most columns of a legend with letters of a `size` [points] that fit a width; entries fill column after column."""
-    widths = [size_of(str(entry.get_label()), size)[0] + LEGEND_EMS * size for entry in entries]
-    for columns in range(len(widths), 1, -1):
-        rows, longer = divmod(len(widths), columns)
-        lengths = [rows + (k < longer) for k in range(columns)]
-        firsts = [sum(lengths[:k]) for k in range(columns)]
-        if sum(max(widths[i : i + n]) for i, n in zip(firsts, lengths, strict=True)) <= 72.0 * inches:
-            return columns
-    return 1
+def _edges(corners: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+    """The sides of a polygon, shape (k, 2, 2)."""
+    rows = np.asarray(corners, dtype=np.float64)[:, :2]
+    return np.stack([rows, np.roll(rows, -1, axis=0)], axis=1)
 
 
 def _dpi(axes: Axes) -> float:

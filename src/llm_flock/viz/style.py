@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from llm_flock.printable import one_line
 from llm_flock.record.palette import NO_PLAN, PALETTE
+from llm_flock.record.words import protocol_text
 
 if TYPE_CHECKING:
     from llm_flock.record.reader import RunRecord
@@ -22,6 +23,9 @@ FAINT = "#9A9A9A"
 PAPER = "#FFFFFF"
 DANGER = "#C81E1E"
 """Marks robots that are too close to one another; as in the viewer."""
+
+QUIET = "#56606B"
+"""Marks robots that only hide one another in the picture; as in the viewer."""
 
 BRIGHT = 0.6
 """Relative luminance from which a thin line is hard to see on white."""
@@ -95,6 +99,8 @@ MOST_TITLE = 400
 """Longest title [characters]."""
 
 WITHOUT_PLAN = PlanLook(name="", fill=NO_PLAN, line=FAINT, ink=INK, rim=":")
+NOT_BEGUN = PlanLook(name="", fill=FAINT, line=FAINT, ink=PAPER, rim=":")
+"""A robot that is not awake yet; as in the viewer."""
 
 
 def plan_looks(record: RunRecord) -> dict[str | None, PlanLook]:
@@ -147,11 +153,13 @@ def luminance(colour: str) -> float:
 
 
 def heading(record: RunRecord, inches: float) -> str:
-    """Shape, N, rules and model, and whether the model was simulated; broken to fit a width."""
+    """Shape, N, protocol and model, and whether the model was simulated; broken to fit a width."""
     n = record.mission.mission["n_robots"]
     robots = "1 robot" if n == 1 else f"{n} robots"
     above = "seen from above" if record.positions.shape[2] > 2 else ""
-    parts = (shapes(record), robots, rules(record.run.config), model_names([record]), above)
+    named = protocol_text(record.run.config)
+    protocol = f"protocol: {named}" if named else ""
+    parts = (shapes(record), robots, protocol, model_names([record]), above)
     return fitted(" · ".join(part for part in parts if part), inches)
 
 
@@ -167,12 +175,6 @@ def shapes(record: RunRecord) -> str:
 def fitted(text: str, inches: float) -> str:
     """A title broken into lines of a width."""
     return textwrap.fill(one_line(text, MOST_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
-
-
-def rules(config: Mapping[str, Any]) -> str:
-    """The rules that chose plan and slots, where a run's configuration has them."""
-    protocol = config.get("protocol", {})
-    return " + ".join(str(protocol[key]) for key in ("consensus", "assignment") if protocol.get(key))
 
 
 def model_names(records: Sequence[RunRecord]) -> str:

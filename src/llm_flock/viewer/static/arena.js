@@ -1,9 +1,9 @@
 // The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles.
 import { View } from "llm-flock-viewer/arena_view.js";
-import { closePairs, fanned } from "llm-flock-viewer/crowd.js";
+import { closePairs, fanned, spots, tooNear } from "llm-flock-viewer/crowd.js";
 import { cells, links } from "llm-flock-viewer/geometry.js";
-import { around, placed } from "llm-flock-viewer/labels.js";
-import { beside, bentRim, between, breakerTag, chosenRing, describe, planRim, reach, word } from "llm-flock-viewer/robot_signs.js";
+import { placed } from "llm-flock-viewer/labels.js";
+import { beside, bentRim, between, breakerTag, chosenRing, crowdCounts, crowdTies, describe, planRim, reach, word } from "llm-flock-viewer/robot_signs.js";
 import { FONT, Surface, dash, look, theme } from "llm-flock-viewer/surface.js";
 
 const TRAIL = 24; // rounds
@@ -12,6 +12,11 @@ const MOST_WORDS = [30, MANY]; // robots from which on there is no room for word
 const BODY = 0.8; // of a safety disc: two discs touch before two bodies do
 const SHARE = 0.36; // of the spacing: neighbours in a formation stand apart
 const BUTTONS = [290, 40]; // pixels of the buttons in the corner, which no word is to touch
+
+/** Whether two places can be told apart. */
+function away([ax, ay], [bx, by]) {
+  return Math.abs(ax - bx) + Math.abs(ay - by) > 0.5;
+}
 
 export class Arena {
   constructor(element, run, clock, options, pick) {
@@ -100,7 +105,7 @@ export class Arena {
     const found = run.about ? run.frame(round) : null;
     if (!found) {
       // While a round is on its way, the last picture stays.
-      if (!this.frame || !run.about) this.say(run.failure || "Waiting for the first round …");
+      if (!this.frame || !run.about) this.say(run.failure || "Starting: waiting for the first round …");
       else this.picture(this.frame);
       return;
     }
@@ -136,53 +141,30 @@ export class Arena {
     const { at, crowds } = frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels, this.radius);
     this.at = at;
     // Between two rounds the pairs of a large team are those of the round before: counting takes longer than drawing.
-    if (frame.x.length <= MANY || frame.r !== this.counted) this.near = closePairs(frame.x, about.safe_distance);
-    this.counted = frame.r;
+    if (frame.x.length <= MANY || frame.r !== this.numbered) this.near = closePairs(frame.x, about.safe_distance);
+    this.numbered = frame.r;
+    tooNear(crowds, this.near);
     this.surface.clear();
     pen.lineJoin = "round";
     this.walls(about);
     if (this.layers.cells && !about.space) this.cells(frame, about); // cells of space have no outline from above
     this.linked = [];
+    this.ways = [];
     if (this.layers.links) this.links(frame, about);
     if (this.layers.trails) this.trails(frame);
     if (this.layers.goals) this.goals(frame);
-    this.ties(crowds, pixels);
+    crowdTies(this.surface, crowds, pixels, this.at);
     this.tooClose();
     this.robots(frame);
     this.labels(frame, crowds);
     if (this.layers.safety) this.safety(frame, about); // above the rims, which are wider where the picture is small
-    this.counts(crowds);
+    crowdCounts(this.surface, crowds);
     this.ruler();
     this.surface.canvas.dataset.scale = this.scale.toPrecision(4);
+    this.surface.canvas.dataset.crowds = crowds.map(({ members, near }) => `${members.length}${near ? " too near" : ""}`).join();
     this.surface.canvas.dataset.near = String(this.near.length);
     this.surface.canvas.dataset.links = String(this.linked.length);
     this.surface.canvas.dataset.radius = this.radius.toPrecision(4);
-  }
-
-  /** A disk that fanned out is tied to where its robot is. */
-  ties(crowds, pixels) {
-    const { pen } = this.surface;
-    pen.setLineDash([]);
-    pen.strokeStyle = theme().danger;
-    pen.lineWidth = 1.5;
-    for (const { members } of crowds) for (const k of members) this.surface.line(pixels[k], this.at[k]);
-  }
-
-  /** How many robots are in one place, in its middle. */
-  counts(crowds) {
-    const { pen } = this.surface;
-    pen.font = `700 11px ${FONT}`;
-    pen.textAlign = "center";
-    pen.textBaseline = "middle";
-    for (const { members, middle, counted } of crowds) {
-      if (!counted) continue;
-      const text = `${members.length}×`;
-      const wide = pen.measureText(text).width + 6;
-      pen.fillStyle = theme().danger;
-      pen.fillRect(middle[0] - wide / 2, middle[1] - 7, wide, 14);
-      pen.fillStyle = theme().paper;
-      pen.fillText(text, middle[0], middle[1] + 0.5);
-    }
   }
 
   /** Pairs nearer than the safe distance, in red. */
@@ -202,13 +184,11 @@ export class Arena {
 
   walls(about) {
     const { pen } = this.surface;
-    const [low, high] = about.arena;
-    const [left, bottom] = this.pixel(low);
-    const [right, top] = this.pixel(high);
     pen.strokeStyle = theme().faint;
     pen.lineWidth = 1;
     pen.setLineDash([]);
-    pen.strokeRect(left, top, right - left, bottom - top);
+    this.surface.polygon(this.walled(about));
+    pen.stroke();
     pen.fillStyle = theme().faint;
     for (const obstacle of about.obstacles) {
       if (obstacle.polygon) this.surface.polygon(obstacle.polygon.map((corner) => this.pixel(corner)));
@@ -271,10 +251,12 @@ export class Arena {
     pen.globalAlpha = 0.45;
     frame.x.forEach((at, robot) => {
       pen.strokeStyle = look(this.run, frame.p[robot]).line;
+      const way = [at, ...rounds.map((past) => past.x[robot])].map((place) => this.pixel(place));
       pen.beginPath();
-      pen.moveTo(...this.pixel(at));
-      for (const past of rounds) pen.lineTo(...this.pixel(past.x[robot]));
+      way.forEach((place, k) => pen[k ? "lineTo" : "moveTo"](...place));
       pen.stroke();
+      // Robots that stand have no way; those of a large team leave no room beside them.
+      if (frame.x.length <= MOST_WORDS[0]) for (let k = 1; k < way.length; k += 1) if (away(way[k - 1], way[k])) this.ways.push([way[k - 1], way[k]]);
     });
     pen.globalAlpha = 1;
   }
@@ -361,13 +343,33 @@ export class Arena {
     });
     const disks = this.at.map(([x, y], robot) => [x, y, reach(this.radius,
       { bent: bent.has(robot), opened: opened.has(robot), close: close.has(robot), chosen: this.selected.includes(robot) })]);
-    const taken = [...crowds.filter((crowd) => crowd.counted).map(({ middle }) => around(middle, [26, 16])), [width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, this.run.about.space ? 200 : 110, height]];
+    const corners = [[width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, this.run.about.space ? 200 : 110, height]];
+    const taken = [...corners, ...spots(crowds, disks, this.radius, [width, height], corners)];
     const before = this.offsets && this.offsets.length === words.length ? this.offsets : [];
-    this.offsets = placed(disks, words.map((one) => one && [one.wide, 14]), [width, height], taken, before);
+    this.offsets = placed(disks, words.map((one) => one && [one.wide, 14]), [width, height], taken, before, this.outlines(frame));
     this.offsets.forEach((offset, robot) => {
       if (offset) words[robot].draw(this.at[robot][0] + offset[0], this.at[robot][1] + offset[1]);
     });
     this.surface.canvas.dataset.words = String(this.offsets.filter(Boolean).length);
+  }
+
+  /** What words cross only where there is no other room: rings, ways, walls, ties and what is chosen. */
+  outlines(frame) {
+    const { about } = this.run;
+    const ends = this.walled(about);
+    const edges = (corners) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]);
+    const rings = this.layers.goals ? frame.g.filter(Boolean).map((goal) => [...this.pixel(goal), this.radius * 1.25]) : [];
+    const lines = edges(ends);
+    for (const obstacle of about.obstacles) {
+      if (obstacle.polygon) lines.push(...edges(obstacle.polygon.map((corner) => this.pixel(corner))));
+      else rings.push([...this.pixel(obstacle.center), obstacle.radius * this.scale]);
+    }
+    return { rings, lines: lines.concat(this.ways) };
+  }
+
+  walled(about) {
+    const [[left, bottom], [right, top]] = about.arena;
+    return [[left, bottom], [right, bottom], [right, top], [left, top]].map((corner) => this.pixel(corner));
   }
 
   /** A length to compare with. */
@@ -382,7 +384,11 @@ export class Arena {
     pen.font = `11px ${FONT}`;
     pen.textAlign = "left";
     pen.textBaseline = "bottom";
-    pen.fillText(`${Number(units.toPrecision(3))} units${this.run.about.space ? " · seen from above" : ""}`, 14, height - 15);
+    const text = `${Number(units.toPrecision(3))} units${this.run.about.space ? " · seen from above" : ""}`;
+    pen.strokeStyle = theme().paper;
+    pen.lineWidth = 4;
+    pen.strokeText(text, 14, height - 15);
+    pen.fillText(text, 14, height - 15);
   }
 
   close() {

@@ -79,7 +79,7 @@ export class Banner {
     const found = run.outcome;
     this.element.dataset.tone = found ? found.tone : "open";
     this.sign.textContent = found ? SIGNS[found.tone] : "";
-    this.headline.textContent = found ? found.headline : run.failure || "Waiting for the first round …";
+    this.headline.textContent = found ? found.headline : run.failure || "Starting: waiting for the first round …";
     this.protocol.textContent = found && found.protocol ? [`protocol: ${found.protocol}`, found.missions.length === 1 ? found.missions[0].text : ""].filter(Boolean).join(" · ") : "";
     this.protocol.hidden = !this.protocol.textContent;
     const parts = found ? found.missions : [];

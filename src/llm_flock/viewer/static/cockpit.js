@@ -35,14 +35,20 @@ export function cockpit(options, place) {
   told();
   const on = h("input", { type: "checkbox", checked: true });
   const said = h("div", { class: "flock-error", role: "alert" });
+  const waits = h("span", { class: "flock-hint", role: "status" });
+  const starts = [];
   const launch = async (protocols) => {
     for (const one of Object.values(fields)) one.say("");
     said.textContent = "";
+    waits.textContent = "Starting …";
+    for (const one of starts) one.disabled = true;
     const answer = await order({ order: "start", protocols, pace: paceOf(pace), fields: values(fields, on) });
     if (answer.address) {
       location.href = answer.address;
       return;
     }
+    waits.textContent = "";
+    for (const one of starts) one.disabled = false;
     const wrong = fields[answer.field];
     if (wrong) {
       wrong.say(answer.error);
@@ -50,6 +56,12 @@ export function cockpit(options, place) {
       said.textContent = `Nothing started: look at “${wrong.box.querySelector("label").firstChild.textContent.trim()}”.`;
     } else said.textContent = answer.error;
   };
+  starts.push(button("Start", () => launch(null), { name: "flock-main" }), button("Paper against flock, side by side", () => launch(["paper", "flock"])));
+  // A page that is gone back to is as it was left.
+  addEventListener("pageshow", () => {
+    waits.textContent = "";
+    for (const one of starts) one.disabled = false;
+  });
   const form = h("section", { class: "flock-card", "aria-label": "New run" }, h("h2", { class: "flock-subtitle", text: "Fly a simulated run" }),
     pictures.element, models,
     h("div", { class: "flock-form" }, ...Object.entries(fields).map(([name, one]) => {
@@ -57,8 +69,7 @@ export function cockpit(options, place) {
       return one.box;
     })),
     h("label", { class: "flock-check" }, on, "Keep flying after it has formed"), said,
-    h("div", { class: "flock-row" }, button("Start", () => launch(null), { name: "flock-main" }),
-      button("Paper against flock, side by side", () => launch(["paper", "flock"]))));
+    h("div", { class: "flock-row" }, ...starts, waits));
   const spoken = words(options, (found) => {
     for (const [name, value] of Object.entries(found)) {
       fields[name].control.value = Array.isArray(value) ? value.join(", ") : value;

@@ -1,9 +1,11 @@
-// Robots that stand too close: pairs to be shown in red, and where the disks of a crowd are drawn so that all are seen.
+// Robots in one place of the picture: where their disks are drawn so that all are seen, and which pairs are too near.
 import { links } from "llm-flock-viewer/geometry.js";
+import { around, placed } from "llm-flock-viewer/labels.js";
 
 const ROUNDING = 1e-6; // units; as the server counts pairs
 const COUNT = 13; // pixels between the middle of a crowd and its disks, for the number in it
 const APART = 1.6; // radii, and two pixels of rims, from which on one disk leaves the number of another in sight
+const TAG = [26, 16]; // pixels of the number of a crowd
 const PASSES = 4; // each move may bring a disk near another
 const TURNS = 12; // angles that are tried for a crowd among others
 
@@ -21,8 +23,9 @@ export function fanned(pixels, radius) {
   const at = pixels.map((place) => [...place]);
   const crowds = groups(pixels.length, near.filter((pair) => far(pair) < 0.9 * radius)).map((members) => {
     const middle = [0, 1].map((axis) => members.reduce((sum, k) => sum + pixels[k][axis], 0) / members.length);
-    fan(at, members, middle, Math.max(radius + COUNT, (members.length * (radius + 4)) / Math.PI));
-    return { members, middle };
+    const wide = Math.max(radius + COUNT, (members.length * (radius + 4)) / Math.PI);
+    fan(at, members, middle, wide);
+    return { members, middle, wide };
   });
   // A little aside: less than a robot's radius, and nothing to be told.
   for (let pass = 0; pass < PASSES; pass += 1) {
@@ -41,10 +44,32 @@ export function fanned(pixels, radius) {
       });
     }
   }
-  // A number is left out where there is no room for it: the disks that fan out say the same.
+  // Where other disks leave no room in the middle, the number stands beside the crowd.
   const clear = ({ middle }, k) => at.every((place) => Math.hypot(place[0] - middle[0], place[1] - middle[1]) > radius + COUNT - 3)
     && crowds.every((other, j) => j === k || Math.hypot(other.middle[0] - middle[0], other.middle[1] - middle[1]) > 2 * COUNT);
   return { at, crowds: crowds.map((crowd, k) => ({ ...crowd, counted: clear(crowd, k) })) };
+}
+
+/** Tell crowds in which a pair is too near in space from those that only the picture puts in one place. */
+export function tooNear(crowds, pairs) {
+  for (const crowd of crowds) {
+    const members = new Set(crowd.members);
+    crowd.near = pairs.some(([one, other]) => members.has(one) && members.has(other));
+  }
+}
+
+/** Give the number of each crowd its spot, in its middle or beside it, before any word has one; returns their boxes. */
+export function spots(crowds, disks, radius, window, corners) {
+  const boxes = crowds.filter((crowd) => crowd.counted).map(({ middle }) => around(middle, TAG));
+  const rest = crowds.filter((crowd) => !crowd.counted);
+  const all = [...disks, ...rest.map(({ middle, wide }) => [...middle, wide + radius])];
+  const found = rest.length ? placed(all, all.map((_, k) => (k < disks.length ? null : TAG)), window, [...corners, ...boxes]) : [];
+  for (const crowd of crowds) crowd.spot = crowd.counted ? crowd.middle : null;
+  rest.forEach((crowd, k) => {
+    const offset = found[disks.length + k];
+    if (offset) crowd.spot = crowd.middle.map((part, axis) => part + offset[axis]);
+  });
+  return crowds.filter((crowd) => crowd.spot).map(({ spot }) => around(spot, TAG));
 }
 
 function groups(count, near) {

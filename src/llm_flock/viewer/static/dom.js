@@ -120,11 +120,11 @@ export function header(title, links, extra, help) {
 }
 
 /** A dialog that closes with Escape, its button, or a click beside it; `acts` are more buttons. */
-export function dialog(title, content, acts = []) {
+export function dialog(title, content, acts = [], leave = "Close") {
   const made = h("dialog", { class: "flock-dialog", "aria-label": title });
   const close = () => made.close();
   made.append(h("h2", { text: title }), content, h("div", { class: "flock-row" },
-    ...acts.map(([text, act, name]) => button(text, () => { close(); act(); }, { name })), button("Close", close)));
+    ...acts.map(([text, act, name]) => button(text, () => { close(); act(); }, { name })), button(leave, close)));
   made.addEventListener("click", (event) => { if (event.target === made) close(); });
   made.addEventListener("close", () => made.remove());
   document.body.append(made);

@@ -166,7 +166,7 @@ export class Events {
     const more = total - lines.length;
     return [...title, h("div", { class: "flock-hint", text: `${total} ${total === 1 ? "event" : "events"} in round ${round}` }),
       ...lines.map(([who, what]) => h("div", { class: "flock-event" },
-        h("span", { class: "flock-who", text: who[0].toUpperCase() + who.slice(1) }), " ", h("span", { class: "flock-what", text: `${what}.` }))),
+        h("span", { class: "flock-who", text: who[0].toUpperCase() + who.slice(1) }), " ", h("span", { class: "flock-what", text: what }))),
       ...(more > 0 ? [h("div", { class: "flock-hint", text: `and ${more} more` })] : [])];
   }
 }

@@ -13,7 +13,7 @@ import { Steer } from "llm-flock-viewer/steer.js";
 import { transport } from "llm-flock-viewer/transport.js";
 
 const FITS = { formation: "Show the formation of the last round", way: "Show the whole way of the team", arena: "Show the whole arena" };
-const WIDE = 1100; // pixels from which on there is room for the legend beside the arena
+const NARROW = "(max-width: 860px)"; // windows in which all parts stand one below the other
 
 /** Build the page in an element; `held` answers for a page that holds its run. */
 export function player(options, place, held = null) {
@@ -44,7 +44,7 @@ export function player(options, place, held = null) {
   const plots = h("div", { class: "flock-part" });
   const ends = pair ? new Ends(runs, names, clock) : null;
   const note = h("p", { class: "flock-hint flock-unknown", hidden: true, text: "A line ends with ? where its figure is not known: the shape error while robots are missing." });
-  const help = legend(!pair && innerWidth >= WIDE, layers);
+  const help = legend(!pair, layers);
   minds = held ? null : new Minds(runs, names, clock, (k, robots) => arenas[k].select(robots));
   const happened = new Events(runs, names, clock);
   const steer = held ? null : new Steer(runs, options.runs.map((run) => run.key));
@@ -58,17 +58,11 @@ export function player(options, place, held = null) {
     help.show(name, on);
     for (const one of arenas) one.layer(name, on);
   };
+  const field = fieldOf(options, figures, help, show, all);
   place.replaceChildren(
     header(options.title, held ? [] : [["Runs", "/runs"], ["Cockpit", "/cockpit"]], held ? [] : [exports(options, runs, names, clock)], showKeys),
     h("main", { class: `flock-player${pair ? " flock-pair" : ""}` },
-      h("section", { class: "flock-field", "aria-label": "Arena" },
-        h("div", { class: "flock-layers" }, ...options.layers.map(([name, words, on]) => h("label", {},
-          h("input", { type: "checkbox", checked: on, onchange: (event) => show(name, event.target.checked) }), words)),
-        h("span", { class: "flock-grow" }), help.act),
-        h("div", { class: "flock-arenas" }, help.element, ...figures.map((one) => one.element),
-          h("div", { class: "flock-zoom", role: "group", "aria-label": "What is shown" }, button("−", all((one) => one.view.zoom(0.8)), { words: "Zoom out" }), button("+", all((one) => one.view.zoom(1.25)), { words: "Zoom in" }),
-          ...[["Formation", "formation", "F"], ["Way", "way", "0"], ["Arena", "arena", "A"]].map(([text, what, key]) =>
-            button(text, all((one) => one.view.fit(what)), { words: `${FITS[what]} (${key})` }))))),
+      field,
       h("aside", { class: "flock-side", "aria-label": "Mind, plots and events" }, tabs.element),
       h("section", { class: "flock-time", "aria-label": "Time" }, transport(runs, names, clock), line)));
   runs.forEach((run, k) => {
@@ -78,10 +72,35 @@ export function player(options, place, held = null) {
   });
   const time = new Timeline(line, runs, clock, { tracks: options.tracks, names });
   const charts = new Plots(plots, runs, clock, { charts: options.charts, names, note });
+  clock.listen(() => help.show("repeated", runs.some((run) => run.plans.some((plan) => plan.rim !== "-"))));
   if (steer) clock.listen(() => steered(steer, tabs));
   keys(clock, arenas, help);
   for (const run of runs) clock.attach(run);
   return { clock, arenas, time, charts };
+}
+
+/** The arenas with their banners, layers and legend. In narrow windows what came of the run is first. */
+function fieldOf(options, figures, help, show, all) {
+  const layers = h("div", { class: "flock-layers" }, ...options.layers.map(([name, words, on]) => h("label", {},
+    h("input", { type: "checkbox", checked: on, onchange: (event) => show(name, event.target.checked) }), words)),
+  h("span", { class: "flock-grow" }), help.act);
+  const zoom = h("div", { class: "flock-zoom", role: "group", "aria-label": "What is shown" },
+    button("−", all((one) => one.view.zoom(0.8)), { words: "Zoom out" }), button("+", all((one) => one.view.zoom(1.25)), { words: "Zoom in" }),
+    ...[["Formation", "formation", "F"], ["Way", "way", "0"], ["Arena", "arena", "A"]].map(([text, what, key]) =>
+      button(text, all((one) => one.view.fit(what)), { words: `${FITS[what]} (${key})` })));
+  const arenas = h("div", { class: "flock-arenas" }, ...figures.map((one) => one.element), zoom);
+  const made = h("section", { class: "flock-field", "aria-label": "Arena" });
+  const narrow = matchMedia(NARROW);
+  const fit = () => {
+    if (narrow.matches) made.append(arenas, layers, help.element);
+    else {
+      made.append(layers, arenas);
+      arenas.prepend(help.element);
+    }
+  };
+  fit();
+  narrow.addEventListener("change", fit);
+  return made;
 }
 
 /** Titles without the parts that they share, so that two runs are told apart at a glance. */

@@ -77,7 +77,7 @@ export function bentRim(surface, x, y, radius) {
   }
 }
 
-/** A square with a G at a robot whose circuit breaker is open: geometry answers for its model. */
+/** A square with an exclamation mark at a robot whose circuit breaker is open; a letter would be taken for a plan. */
 export function breakerTag(surface, x, y, radius) {
   const { pen } = surface;
   const half = Math.max(5, radius * 0.45);
@@ -86,7 +86,7 @@ export function breakerTag(surface, x, y, radius) {
   pen.fillRect(left - half, top - half, 2 * half, 2 * half);
   pen.fillStyle = theme().paper;
   pen.font = `700 ${Math.round(half * 1.6)}px ${FONT}`;
-  pen.fillText("G", left, top + 0.5);
+  pen.fillText("!", left, top + 0.5);
 }
 
 /** Marks a selected robot: a ring around the disk, apart from it so that no colour of a plan hides it. */
@@ -100,6 +100,33 @@ export function chosenRing(surface, x, y, radius) {
   }
 }
 
+/** Disks that fanned out are tied to where their robots are: in red where two of them are too near in space. */
+export function crowdTies(surface, crowds, pixels, at) {
+  surface.pen.setLineDash([]);
+  surface.pen.lineWidth = 1.5;
+  for (const { members, near } of crowds) {
+    surface.pen.strokeStyle = near ? theme().danger : theme().soft;
+    for (const k of members) surface.line(pixels[k], at[k]);
+  }
+}
+
+/** How many robots are in one place of the picture, in its middle or beside it. */
+export function crowdCounts(surface, crowds) {
+  const { pen } = surface;
+  pen.font = `700 11px ${FONT}`;
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  for (const { members, spot, near } of crowds) {
+    if (!spot) continue;
+    const text = `${members.length}×`;
+    const wide = pen.measureText(text).width + 6;
+    pen.fillStyle = near ? theme().danger : theme().soft;
+    pen.fillRect(spot[0] - wide / 2, spot[1] - 7, wide, 14);
+    pen.fillStyle = theme().paper;
+    pen.fillText(text, spot[0], spot[1] + 0.5);
+  }
+}
+
 /** A robot in words. */
 export function describe(run, frame, robot) {
   const plan = look(run, frame.p[robot]).name;
@@ -109,7 +136,7 @@ export function describe(run, frame, robot) {
   parts.push(plan ? `plan ${plan}, ${frame.s[robot] === null ? "no place" : `place ${frame.s[robot]}`}` : "no plan");
   parts.push(`heard by ${Math.round(100 * frame.i[robot])} % of the team`);
   if (frame.x[robot].length > 2) parts.push(`height ${frame.x[robot][2].toFixed(1)} units`);
-  if (frame.h.includes(robot)) parts.push("moved otherwise than its model wanted");
+  if (frame.h.includes(robot)) parts.push("not moved as its model wanted");
   if (frame.b.includes(robot)) parts.push("its model is not asked (circuit breaker open)");
   return parts.join(" · ");
 }

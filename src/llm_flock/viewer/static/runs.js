@@ -102,7 +102,7 @@ function ask(row, load) {
       const said = await order({ order: "delete", run: row.key });
       if (said.error) dialog("Not deleted", h("p", { text: said.error }));
       load();
-    }, "flock-danger"]]);
+    }, "flock-danger"]], "Keep it");
 }
 
 /** A number as people read it: 46,810 tokens, and no powers of ten for what is next to nothing. */

@@ -3,7 +3,7 @@
 const DARK = { ink: "#e8eaed", soft: "#a9afb8", faint: "#5b6470", grid: "#2b323b", paper: "#12161b",
   warn: "#ff8b4d", accent: "#5ab0ee", none: "#2b323b", danger: "#ff6b6b", bent: "#ffb000", good: "#56d364" };
 const LIGHT = { ink: "#1d232a", soft: "#56606b", faint: "#9aa3ad", grid: "#e3e6ea", paper: "#ffffff",
-  warn: "#c2410c", accent: "#0063a8", none: "#ffffff", danger: "#c81e1e", bent: "#ffb000", good: "#1a7f37" };
+  warn: "#b93a08", accent: "#0063a8", none: "#ffffff", danger: "#c81e1e", bent: "#ffb000", good: "#1a6f33" };
 
 export const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
 

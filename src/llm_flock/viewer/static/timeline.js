@@ -73,7 +73,7 @@ export class Timeline {
     }).filter(Boolean);
     const missions = this.runs.flatMap((run) => run.missions.filter((one) => one.round === round && round > 0));
     const given = missions.length ? [`another mission: ${missions[0].text}`] : [];
-    return [`Round ${round}`, ...counted, ...given].join(" · ") + (counted.length ? ` (${track.about})` : "");
+    return [`Round ${round}`, ...counted, ...given].join(" · ") + (counted.length ? ` (${track.about[0].toLowerCase()}${track.about.slice(1)})` : "");
   }
 
   draw() {
