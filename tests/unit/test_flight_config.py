@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import flight_config
+from flights import STARTS, flight_config
 from pydantic import BaseModel
 
 from llm_flock.errors import InputError
@@ -49,6 +49,14 @@ def test_field_names_are_unique_and_described() -> None:
     assert len(names) == len(set(names))
 
 
+def called(*uris: str) -> list[dict[str, Any]]:
+    """Drones in the corners, of which the first have these addresses."""
+    drones: list[dict[str, Any]] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
+    for k, uri in enumerate(uris):
+        drones[k] |= {"uri": uri, "system_id": k + 1}
+    return drones
+
+
 @pytest.mark.parametrize(
     ("fields", "field", "says"),
     [
@@ -72,6 +80,12 @@ def test_field_names_are_unique_and_described() -> None:
         ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "two drones have this uri"),
         ({"drones": [{"name": f"d{k}", "start": [k / 5, 0]} for k in range(4)]}, "drones", "at least 0.3 m apart"),
         ({"crazyflies": "crazyflies.yaml"}, "drones", "either drones, or crazyflies"),
+        ({"drones": [{"name": f"d{k}", "start": [k, 0]} for k in range(4)]}, "drones", "d2 at (2, 0) m"),
+        ({"mission": {"obstacles": [{"center": [27, 3], "radius": 2}]}}, "drones", "(here in an obstacle)"),
+        ({"mission": {"obstacles": [{"center": [24, 3], "radius": 2}]}}, "drones", "(here 0.10 m from an obstacle)"),
+        ({"drones": called("udp://127.0.0.1:1", "udp://LOCALHOST:1/")}, "drones", "in other words"),
+        ({"robot": "mavlink", "drones": called("udp://0.0.0.0:1", "udpin://[::]:1")}, "drones", "d1"),
+        ({"robot": "mavlink", "drones": called("serial:///dev/a", "serial:///dev/a:9600")}, "drones", "in other words"),
     ],
 )
 def test_a_flight_that_cannot_be_safe_is_refused(fields: dict[str, Any], field: str, says: str) -> None:
@@ -220,7 +234,7 @@ def test_a_vehicle_needs_an_address_and_keeps_its_parameters() -> None:
     with pytest.raises(InputError, match="a uri for each drone"):
         build_fleet(mavlink_config([{"name": f"d{k}", "system_id": k + 1} for k in range(4)]))
     one = {"name": "d0", "uri": "udp://0.0.0.0:14540", "start": [0, 0], "parameters": {"a.b": 1.0}}
-    rest = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}", "start": [k, k]} for k in range(1, 4)]
+    rest = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}", "start": [k / 2, k / 2]} for k in range(1, 4)]
     with pytest.raises(InputError, match="cannot be set by MAVLink"):
         build_fleet(mavlink_config([one, *rest]))
 
@@ -242,6 +256,6 @@ def test_a_missing_library_is_named_when_a_vehicle_is_called(monkeypatch: pytest
 @pytest.mark.parametrize(("stall_s", "link_timeout_s"), [(0.5, 1.0), (1.5, 1.5)])
 def test_a_link_is_not_given_up_before_the_flight_gives_it_up(stall_s: float, link_timeout_s: float) -> None:
     pytest.importorskip("cflib")
-    drones = [{"name": f"d{k}", "uri": f"udp://127.0.0.1:{19850 + k}", "start": [k, k]} for k in range(4)]
+    drones = [{"name": f"d{k}", "uri": f"udp://127.0.0.1:{19850 + k}", "start": [k / 2, k / 2]} for k in range(4)]
     robots = build_fleet(flight_config(robot="crazyflie", stall_s=stall_s, drones=drones))
     assert {vars(robot)["_link_timeout_s"] for robot in robots} == {link_timeout_s}

@@ -176,7 +176,10 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
             say(f"warning: {warning}", error=True)
         for fault in plan.faults:
             say(f"error: {fault}", error=True)
-        say(f"{sum(len(step.targets) for step in plan.steps)} set-points, {len(plan.faults)} faults")
+        if not plan.result.formed:
+            say("warning: the formation is not formed", error=True)
+        count = sum(len(step.targets) for step in plan.steps)
+        say(f"{count} set-points, {plan.air_s:.0f} s in the air and more while models think, {len(plan.faults)} faults")
     if plan.faults:
         raise typer.Exit(EXIT_FAILED)
 
@@ -287,6 +290,8 @@ def _plan(plan: DryRun) -> dict[str, Any]:
         ],
         "landing": [[{"robot": d.robot, "spot_m": d.spot} for d in group] for group in plan.landing],
         "formed": plan.result.formed,
+        "air_s": plan.air_s,
+        "not_home": [plan.drones[robot].name for robot in plan.away_m],
         "faults": plan.faults,
     }
 

@@ -10,6 +10,8 @@ from pydantic import Field, model_validator
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
+from llm_flock.obstacles import clearance
+from llm_flock.robots.addresses import one_spelling
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
 from llm_flock.robots.crazyflie.radios import plan_radios, traffic_of
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
@@ -227,6 +229,7 @@ class FlightConfig(RunConfig):
         self._check_distances()
         self._check_speed()
         self._check_fence()
+        self._check_starts()
         return self
 
     def _check_positions(self) -> None:
@@ -253,11 +256,19 @@ class FlightConfig(RunConfig):
         called = [(drone.name, drone.uri) for drone in drones if drone.uri is not None]
         for fault in plan_radios(called, traffic_of(round_s=self.safety.round_s)).faults:
             raise InputError("drones", None, says=fault)
+        spelt: dict[str, tuple[str, str]] = {}
+        for name, uri in called:
+            first, as_it = spelt.setdefault(one_spelling(uri), (name, uri))
+            if uri != as_it:
+                raise InputError("drones", name, says=f"{uri} is the address of {first}, {as_it}, in other words")
         links = [(drone.uri, drone.system_id or 1) for drone in drones if shared]
-        for drone in drones:
-            if links.count((drone.uri, drone.system_id or 1)) > 1:
-                raise InputError("system_id", drone.system_id or 1, f"one that no other drone at {drone.uri} has")
-        starts = [(drone.name, drone.start[:2]) for drone in drones if drone.start is not None]
+        for uri, number in links:
+            if links.count((uri, number)) > 1:
+                raise InputError("system_id", number, f"one that no other drone at {uri} has")
+
+    def _check_starts(self) -> None:
+        """Starts are apart, and the places above them in the arena and clear of obstacles: all return to there."""
+        starts = [(drone.name, drone.start[:2]) for drone in self.fleet.drones if drone.start is not None]
         for k, (one, here) in enumerate(starts):
             for two, there in starts[:k]:
                 apart = math.dist(here, there)
@@ -267,6 +278,9 @@ class FlightConfig(RunConfig):
                         f"{two} and {one}",
                         f"starts at least {self.safe_distance_m:g} m apart, the safe distance (here {apart:.3f} m)",
                     )
+            if (wrong := self.wrong_place(*here)) is not None:
+                who = "{} at ({:g}, {:g}) m".format(one, *here)
+                raise InputError("drones", who, f"a start {self.good_place} (here {wrong})")
 
     def _check_distances(self) -> None:
         """The safe distance must hold the smallest distance of two drones and twice the tracking error."""
@@ -329,6 +343,26 @@ class FlightConfig(RunConfig):
                 )
         if self.world.floor_m < low[2]:
             raise InputError("floor_m", self.world.floor_m, f"within the geofence, which begins at z = {low[2]:g} m")
+
+    def wrong_place(self, x_m: float, y_m: float) -> str | None:
+        """Why no drone may fly above a place on the floor, in words; None where it may."""
+        mission, place = self.mission, self.frame.to_mission((x_m, y_m, self.world.altitude_m))
+        slack = ROUNDING_M / self.world.scale_m
+        if not all(
+            a - slack <= v <= b + slack for v, (a, b) in zip(place, zip(*mission.arena, strict=True), strict=True)
+        ):
+            return "outside the arena"
+        free = clearance(place, mission.obstacles)
+        if free >= mission.body_radius - slack:
+            return None
+        return "in an obstacle" if free <= 0 else f"{free * self.world.scale_m:.2f} m from an obstacle"
+
+    @property
+    def good_place(self) -> str:
+        """What `wrong_place` asks for, in words."""
+        radius_m = self.mission.body_radius * self.world.scale_m
+        clear = f", at least {radius_m:.3g} m from its obstacles" if self.mission.obstacles else ""
+        return f"in the mission's arena{clear}"
 
     @property
     def safe_distance_m(self) -> float:

@@ -175,9 +175,9 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
         off, most = math.dist(start[:2], (x, y)), safety.start_tolerance_m
         yield off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
 
-    row = config.frame.to_mission((x, y, world.altitude_m))
-    inside = all(a <= value <= b for value, (a, b) in zip(row, zip(*config.mission.arena, strict=True), strict=True))
-    yield inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
+    wrong_place = config.wrong_place(x, y)
+    said = f"{x:.2f}, {y:.2f} m"
+    yield wrong_place is None, said if wrong_place is None else f"{said}: {wrong_place}", config.good_place
 
     yield True, f"not {', '.join(equipment.unwatched)}" if equipment.unwatched else "all", ""
 
@@ -195,12 +195,19 @@ def _controller(config: FlightConfig, equipment: Equipment) -> tuple[bool, str, 
 
 
 def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
-    """Distances side by side: on the floor, heights do not count."""
+    """Distances side by side: on the floor, heights do not count. Starts of the flight file are apart by themselves."""
     least = config.safe_distance_m
+    starts = [drone.start for drone in config.fleet.drones] or [None] * len(names)
+    here = [state.position[:2] for state in states]
     pairs = [
-        (math.dist(a.position[:2], b.position[:2]), f"{names[j]} and {names[i]}")
-        for i, a in enumerate(states)
-        for j, b in enumerate(states[:i])
+        (math.dist(a, b), f"{names[j]} and {names[i]}") for i, a in enumerate(here) for j, b in enumerate(here[:i])
+    ]
+    # Whoever has no start of its own returns to where it stands.
+    pairs += [
+        (math.dist(start[:2], b), f"the start of {names[i]} and {names[j]}")
+        for i, start in enumerate(starts)
+        for j, b in enumerate(here)
+        if start is not None and starts[j] is None
     ]
     nearest, who = min(pairs, default=(math.inf, ""))
     said = f"{nearest:.2f} m" if pairs else "alone"
