@@ -57,6 +57,11 @@ def called(*uris: str) -> list[dict[str, Any]]:
     return drones
 
 
+def with_start(*start: float, **fields: Any) -> list[dict[str, Any]]:
+    """Drones in the corners, of which the first starts here, or has other fields."""
+    return [{"name": "d0", "start": start or STARTS[0], **fields}, *called()[1:]]
+
+
 @pytest.mark.parametrize(
     ("fields", "field", "says"),
     [
@@ -80,6 +85,16 @@ def called(*uris: str) -> list[dict[str, Any]]:
         ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "two drones have this uri"),
         ({"drones": [{"name": f"d{k}", "start": [k / 5, 0]} for k in range(4)]}, "drones", "at least 0.3 m apart"),
         ({"crazyflies": "crazyflies.yaml"}, "drones", "either drones, or crazyflies"),
+        (
+            {"drones": with_start(-1.2, -1.2, 0.31)},
+            "drones",
+            "within 0.3 m of the floor at z = 0 m (here 0.31 m)",
+        ),
+        ({"altitude_m": 0.26}, "altitude_m", "at least 0.27 m: the lowest place is 0.26 m above the floor"),
+        ({"low_battery_v": 3.9}, "low_battery_v", "at most ready_battery_v, 3.8 V"),
+        ({"drones": with_start(low_battery_v=3.9)}, "low_battery_v", "at most ready_battery_v of d0, 3.8 V"),
+        ({"drones": with_start(parameters={"a.b": math.nan})}, "drones.0.parameters.a.b", "a finite number"),
+        ({"drones": with_start(parameters={"ab": 1})}, "parameters", "names such as stabilizer.controller for d0"),
         ({"drones": [{"name": f"d{k}", "start": [k, 0]} for k in range(4)]}, "drones", "d2 at (2, 0) m"),
         ({"mission": {"obstacles": [{"center": [27, 3], "radius": 2}]}}, "drones", "(here in an obstacle)"),
         ({"mission": {"obstacles": [{"center": [24, 3], "radius": 2}]}}, "drones", "(here 0.10 m from an obstacle)"),
@@ -94,8 +109,20 @@ def test_a_flight_that_cannot_be_safe_is_refused(fields: dict[str, Any], field: 
     assert raised.value.field == field and says in str(raised.value)
 
 
+@pytest.mark.parametrize("robot", ["crazyflie", "mavlink"])
+@pytest.mark.parametrize("uri", ["udp://127.0.0.1", "udp://127.0.0.1:0", "udp://127.0.0.1:65536", "raido://0/80", ""])
+def test_a_dry_run_refuses_the_addresses_that_the_flight_would(robot: str, uri: str) -> None:
+    config = flight_config(
+        robot=robot, drones=called("udp://127.0.0.1:1", "udp://127.0.0.1:2", "udp://127.0.0.1:3", uri)
+    )
+    with pytest.raises(InputError, match="uri = "):
+        asyncio.run(dry_run(config))
+
+
 def test_the_vertical_rule() -> None:
     assert flight_config(3, "points", SPACE, **IN_SPACE).frame.stretch == 2.4
+    with pytest.raises(InputError, match=r"at least 2\.57 m: the lowest place is 0\.15 m above the floor"):
+        flight_config(3, "points", SPACE, **IN_SPACE | {"altitude_m": 2.55})
     with pytest.raises(InputError, match="downwash") as raised:
         flight_config(3, "points", SPACE, **IN_SPACE | {"stretch": 2.0})
     assert raised.value.field == "stretch"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Callable
 from pathlib import Path
-from urllib.parse import urlsplit
 
+from llm_flock.robots.crazyflie.link import host_and_port
 from llm_flock.robots.crazyflie.radios import address_of
 
 NETWORK = {"udp": "udp", "udpin": "udp", "udpout": "udp", "tcp": "tcp"}
@@ -29,14 +29,9 @@ def one_spelling(uri: str, resolve: Callable[[str], str] = str) -> str:
     radio = address_of(uri)
     if radio is not None:
         return f"radio {radio.channel} {radio.address}"
-    try:
-        parts = urlsplit(uri)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host, port = None, None
-    scheme = uri.partition("://")[0].lower()
-    if scheme in NETWORK and host is not None and port is not None:
-        return f"{NETWORK[scheme]} {_host(host, resolve)} {port}"
+    scheme, place = uri.partition("://")[0].lower(), host_and_port(uri)
+    if scheme in NETWORK and place is not None:
+        return f"{NETWORK[scheme]} {_host(place[0], resolve)} {place[1]}"
     if scheme == "serial":
         return f"serial {_device(uri.partition('://')[2])}"
     return uri

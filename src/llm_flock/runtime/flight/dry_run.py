@@ -14,7 +14,7 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
-from llm_flock.runtime.flight.fleet import driver_of, with_drones
+from llm_flock.runtime.flight.fleet import build_fleet, driver_of, with_drones
 from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import Descent, plan_landing
 from llm_flock.runtime.flight.setpoints import SetPointCheck
@@ -105,10 +105,12 @@ async def dry_run(config: FlightConfig) -> DryRun:
     """Fly on paper, with the models that the flight would ask. Call before a flight, to see every set-point.
 
     Raises:
-        InputError: a drone has no start, or there is no such driver.
+        InputError: a drone has no start, or an address that its driver refuses, or there is no such driver.
     """
     config = with_drones(config)
     driver_of(config.fleet.robot)
+    if config.fleet.robot in ("crazyflie", "mavlink"):
+        build_fleet(config)  # which calls nobody, and refuses addresses
     aims = _aims(config)
     team = DryRunTeam(config, aims)
     planners = TeamPlanners(config)

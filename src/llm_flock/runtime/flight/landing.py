@@ -11,7 +11,7 @@ from itertools import product
 
 from llm_flock.robots.base import PEAK_SPEED, Position, RobotError, RobotState, TakenOver
 from llm_flock.robots.segment import Segment
-from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.config import DOWN_M, FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
@@ -37,9 +37,6 @@ LOST = "out of reach"
 
 TAKEN = "flown by a pilot, or by its own failsafe"
 """End of a drone that was taken over: it is neither called down nor cut."""
-
-DOWN_M = 0.12
-"""A drone with an estimate this near to the floor is down [m]."""
 
 LOOK_S = 0.05
 """Time between two checks of a sinking drone [s]."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from llm_flock.robots.base import Equipment, Robot, RobotError, RobotState, SelfChecked
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.drones import ON_FLOOR_M, good_place, wrong_place
 
 SETTLE_S = 3.0
 """Longest time from the connections until all checks pass: batteries are read, links rated [s]."""
@@ -22,9 +23,6 @@ SLOW = ("estimator", "on the floor")
 
 LOOK_S = 0.05
 """Time between two checks [s]."""
-
-ON_FLOOR_M = 0.3
-"""Largest distance of the estimate from the floor for a drone on it [m]."""
 
 CHECKS = (
     "ready",
@@ -175,9 +173,8 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
         off, most = math.dist(start[:2], (x, y)), safety.start_tolerance_m
         yield off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
 
-    wrong_place = config.wrong_place(x, y)
-    said = f"{x:.2f}, {y:.2f} m"
-    yield wrong_place is None, said if wrong_place is None else f"{said}: {wrong_place}", config.good_place
+    wrong, said = wrong_place(config, x, y), f"{x:.2f}, {y:.2f} m"
+    yield wrong is None, said if wrong is None else f"{said}: {wrong}", good_place(config)
 
     yield True, f"not {', '.join(equipment.unwatched)}" if equipment.unwatched else "all", ""
 
