@@ -27,7 +27,7 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
-from llm_flock.cli.terminal import Screen, say
+from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
 from llm_flock.extras import require_posix
 from llm_flock.foxglove.options import Service, with_foxglove
@@ -122,10 +122,11 @@ async def _fly(
     live = not quiet and not as_json
 
     def on_stage(stage: str) -> None:
-        if live:
-            say(stage, error=True)
         if stage == TAKING_OFF:  # until then the terminal belongs to the question
             keyboard.listen()
+        if live:
+            say(stage, error=True)
+        if stage == TAKING_OFF:
             stack.enter_context(bar)
 
     def on_connect(check: Check) -> None:
@@ -141,7 +142,13 @@ async def _fly(
         sink = both(sink, await stack.enter_async_context(showing_flight(settings)))
         fleet, poses = build_fleet(settings), poses_of(settings)
         flight = Flight(
-            settings, fleet, on_round=on_round, on_stage=on_stage, on_connect=on_connect, sink=sink, poses=poses
+            settings,
+            fleet,
+            on_round=while_shown(on_round),
+            on_stage=while_shown(on_stage),
+            on_connect=while_shown(on_connect),
+            sink=sink,
+            poses=poses,
         )
         with Keyboard(flight) as keyboard:
             try:

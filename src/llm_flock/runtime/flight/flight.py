@@ -220,8 +220,10 @@ class Flight:
             try:
                 await self._mission(supervisor, team, trial, log)
             finally:
-                self._enter("landing")
-                await landing.land_all()
+                try:
+                    self._enter("landing")
+                finally:  # whoever is told of it may fail
+                    await landing.land_all()
                 await supervisor.cuts_done()
                 for task in watchers:
                     task.cancel()

@@ -241,11 +241,12 @@ class Landing:
         floor = self._config.world.floor_m + DOWN_M
         lowest, sank_s = math.inf, told_s
         while True:
-            state = self._team.robots[robot].state()
+            state, now = self._team.robots[robot].state(), time.monotonic()
             if state.position[2] < lowest - SINKS_M:
-                lowest, sank_s = state.position[2], time.monotonic()
-            late = time.monotonic() >= max(until_s, sank_s + SINKS_S)
-            fresh = state.stamp_s > told_s and not state.link_lost
+                lowest, sank_s = state.position[2], now
+            late = now >= max(until_s, sank_s + SINKS_S)
+            # A link that was given up in a pause may have brought the order, and news of it, after all.
+            fresh = state.stamp_s > told_s and now - state.stamp_s <= self._config.safety.stall_s
             if fresh and (not state.flying or (late and state.position[2] <= floor)):
                 return True
             if late:
