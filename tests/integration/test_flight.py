@@ -102,6 +102,21 @@ def test_a_drone_that_is_heard_again_is_seen_to_land_and_not_locked() -> None:
     assert flight.ended == "link_lost" and set(flight.ends.values()) == {"landed"} and flight.safe
 
 
+@pytest.mark.parametrize("late_s", [1.1, 3.0])
+def test_a_drone_that_is_slow_to_take_the_order_to_land_is_landed(late_s: float) -> None:
+    def slow(flight: Flight, robots: Robots) -> None:
+        plain = robots[1].land
+
+        async def land(height_m: float, duration_s: float) -> None:
+            await asyncio.sleep(late_s)
+            await plain(height_m, duration_s)
+
+        robots[1].land = land
+
+    flight = figures(flown(flight_config(), slow))
+    assert flight.ended == "mission" and set(flight.ends.values()) == {"landed"}
+
+
 def stall(flight: Flight, robots: Robots) -> None:
     """No estimate comes any more."""
     robot = robots[2]

@@ -53,6 +53,9 @@ AGAIN_S = 0.5
 CONNECT_S = 3.0
 """Longest wait for one connection to a drone out of reach; the deadman's first [s]."""
 
+MOST_SEND_S = 4.0
+"""Longest wait for a drone that is called down to take the order [s]."""
+
 CALL_S = 0.5
 """Time between two calls of the deadman to drones that do not answer [s]."""
 
@@ -185,8 +188,8 @@ class Landing:
             return False
         return True
 
-    async def _sink(self, robot: int) -> None:
-        """Land straight down, and see the motors off."""
+    async def _sink(self, robot: int, send_s: float = SEND_S) -> None:
+        """Land straight down, and see the motors off; wait for `send_s` for the order to be taken."""
         world, safety = self._config.world, self._config.safety
         began = time.monotonic()
         body = self._team.robots[robot]
@@ -195,7 +198,7 @@ class Landing:
             self._team.aloft.discard(robot)
             self.ends[robot] = FELL
             return
-        async with asyncio.timeout(SEND_S):
+        async with asyncio.timeout(send_s):
             await body.land(world.floor_m, safety.land_s)
         self._told.add(robot)
         x, y, z = self._team.set_points()[robot]
@@ -257,13 +260,14 @@ class Landing:
         """Call a drone that hovers out of reach until it answers, then land it."""
         robot, safety = descent.robot, self._config.safety
         body = self._team.robots[robot]
-        until = time.monotonic() + safety.reach_s
+        until, send_s = time.monotonic() + safety.reach_s, SEND_S
         while time.monotonic() < until:
+            send_s = min(2.0 * send_s, MOST_SEND_S)  # one that is slow to answer is given longer each time
             try:
                 await body.close()
                 await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))
                 self._log.note("landing", robot, spot=list(descent.spot))
-                await self._sink(robot)
+                await self._sink(robot, max(SEND_S, min(send_s, until - time.monotonic())))
             except TakenOver as error:
                 self._taken(robot, error)
                 return
