@@ -127,6 +127,7 @@ def _row(
         "landed": set(summary.flight.ends.values()) == {"landed"},
         "ended": summary.flight.ended,
         "reason": summary.flight.reason,
+        "ends": summary.flight.ends,
         "rounds": summary.rounds,
         "air_s": summary.flight.air_s,
         "nearest_m": summary.flight.min_separation_m if nearest_m is None else nearest_m,

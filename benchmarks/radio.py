@@ -61,6 +61,8 @@ async def measure(n_radios: int) -> Figures:
         made = await asyncio.gather(*(robot.connect(60.0) for robot in team), return_exceptions=True)
         connected_s = time.monotonic() - began
         up = [k for k, result in enumerate(made) if result is None]
+        if not up:
+            raise SystemExit(f"{n_radios} radios: nobody was connected in {connected_s:.0f} s; is it too busy here?")
         await asyncio.gather(*(team[k].arm() for k in up), return_exceptions=True)
         await asyncio.gather(*(team[k].take_off(0.5, 1.0) for k in up), return_exceptions=True)
         await asyncio.sleep(1.5)

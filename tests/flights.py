@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -101,3 +102,21 @@ def flown(
 def one_by_one(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
     """A driver as a user may write one."""
     return [SimulatedRobot(drone.name, start_of(config, drone)) for drone in drones]
+
+
+def telling(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
+    """Drones that write their names to the file LANDED once they are told to land, in whatever process."""
+    robots, file = one_by_one(config, drones), os.open(os.environ["LANDED"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+    def tell(robot: SimulatedRobot) -> None:
+        plain = robot.land
+
+        async def land(height_m: float, duration_s: float) -> None:
+            os.write(file, f"{robot.name}\n".encode())
+            await plain(height_m, duration_s)
+
+        robot.land = land
+
+    for robot in robots:
+        tell(robot)
+    return robots

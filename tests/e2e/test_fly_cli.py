@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from command_line import Done, flock
 
+from llm_flock.record.reader import read_record
+
 ROOT = Path(__file__).parents[2]
 FLY = ["fly", "--config", str(ROOT / "examples" / "flight.toml"), "--no-record"]
 COMMAND = [sys.executable, "-m", "llm_flock", *FLY]
@@ -98,3 +100,33 @@ def test_keys_of_the_terminal(key: bytes, end: str) -> None:
     assert out.count(end) >= 4 and (key != b"r" or re.search(r"ended by\W+return", out))
     os.close(ours)
     os.close(theirs)
+
+
+def test_a_flight_whose_output_nobody_reads_goes_on() -> None:
+    """As with `2>&1 | head`."""
+    out, into = os.pipe()
+    with subprocess.Popen([*COMMAND, *BRISK, "--yes"], stdout=subprocess.PIPE, stderr=into, text=True) as process:
+        os.close(into)
+        with os.fdopen(out) as said:
+            assert any(line.startswith("round 1") for line in said)
+        assert process.stdout is not None and process.stdout.read().count("landed") == 4
+        assert process.wait(10.0) == 0
+
+
+def test_a_terminal_that_is_closed_lands_all_and_cuts_nothing(tmp_path: Path) -> None:
+    """The kernel tells it, and a shell may tell it again; keys are read no more, and nothing can be written."""
+    ours, theirs = pty.openpty()
+    flight = [part for part in COMMAND if part != "--no-record"]
+    arguments = [*flight, *BRISK, *LONG, "--yes", "--out", str(tmp_path / "flight")]
+    with subprocess.Popen(arguments, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True) as process:
+        os.close(theirs)
+        said = b""
+        while b"flying" not in said:
+            said += os.read(ours, 4096)
+        os.close(ours)
+        for _ in range(2):
+            process.send_signal(signal.SIGHUP)
+        process.wait(20.0)
+    record = read_record(tmp_path / "flight" / "run.mcap")
+    assert record.result is not None and record.result["flight"]["ended"] == "abort"
+    assert set(record.result["flight"]["ends"].values()) == {"landed"}

@@ -134,6 +134,42 @@ def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) 
     assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
 
 
+def test_it_lands_whoever_is_up_though_the_terminal_is_gone_too(tmp_path: Path) -> None:
+    """Nobody reads what it says any more, as when a window is closed or a pipe breaks."""
+    out, into = os.pipe()
+    os.close(out)
+    landed = tmp_path / "landed"
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(("src", "tests")), "LANDED": str(landed)}
+    command = [sys.executable, "-c", PARENT.replace("one_by_one", "telling")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=into, text=True, env=env, cwd=ROOT) as parent:
+        os.close(into)
+        assert parent.stdout is not None
+        try:
+            assert int(parent.stdout.readline()) > 0
+        finally:
+            parent.kill()
+        for _ in range(400):
+            if landed.exists() and landed.read_text().split() == ["d0", "d2"]:
+                break
+            time.sleep(0.05)
+        else:
+            raise AssertionError("not landed")
+
+
+def test_a_deadman_that_is_gone_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    async def lose() -> None:
+        config = flight_config(deadman=True, robot="flights:one_by_one", deadman_s=1.0)
+        async with HeartbeatSender(config, lambda: {0}) as heart:
+            assert heart._process is not None
+            heart._process.kill()
+            await asyncio.to_thread(heart._process.wait)
+            heart.beat()
+            heart.beat()
+
+    asyncio.run(lose())
+    assert caplog.text.count("the deadman process is gone") == 1
+
+
 def test_nothing_takes_off_without_a_deadman(monkeypatch) -> None:
     monkeypatch.setattr(heartbeat, "READY_S", 0.01)
 

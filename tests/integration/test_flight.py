@@ -10,6 +10,7 @@ import math
 import resource
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -66,6 +67,20 @@ def test_a_square_is_formed_and_landed(tmp_path) -> None:
     assert all(x <= 0.02 for _, _, x in record.bodies[0].measured)
 
 
+@pytest.mark.parametrize("at", ["taking off", "flying", "landing"])
+def test_a_listener_that_fails_ends_the_flight_and_all_land(at: str) -> None:
+    made: Robots = []
+
+    def fail(flight: Flight, robots: Robots) -> None:
+        made.extend(robots)
+        raise RuntimeError("a display")
+
+    with pytest.raises(RuntimeError, match="a display"):
+        flown(flight_config(), fail, at)
+    assert [robot.body.position(time.monotonic())[2] for robot in made[:4]] == [0.0] * 4
+    assert not any(robot.state().flying for robot in made)
+
+
 def lose_link(flight: Flight, robots: Robots) -> None:
     robots[1].lose_link()
 
@@ -74,6 +89,32 @@ def lose_link_for_a_while(flight: Flight, robots: Robots) -> None:
     robot = robots[1]
     robot.lose_link()
     asyncio.get_running_loop().call_later(1.0, setattr, robot, "_lost", False)
+
+
+def test_a_drone_that_is_heard_again_is_seen_to_land_and_not_locked() -> None:
+    """This computer stood still, and the driver gave the link up; but orders reach the drone, and news come from it."""
+
+    def give_up(flight: Flight, robots: Robots) -> None:
+        plain = robots[1].state
+        robots[1].state = lambda: replace(plain(), link_lost=True)
+
+    flight = figures(flown(flight_config(), give_up))
+    assert flight.ended == "link_lost" and set(flight.ends.values()) == {"landed"} and flight.safe
+
+
+@pytest.mark.parametrize("late_s", [1.1, 3.0])
+def test_a_drone_that_is_slow_to_take_the_order_to_land_is_landed(late_s: float) -> None:
+    def slow(flight: Flight, robots: Robots) -> None:
+        plain = robots[1].land
+
+        async def land(height_m: float, duration_s: float) -> None:
+            await asyncio.sleep(late_s)
+            await plain(height_m, duration_s)
+
+        robots[1].land = land
+
+    flight = figures(flown(flight_config(), slow))
+    assert flight.ended == "mission" and set(flight.ends.values()) == {"landed"}
 
 
 def stall(flight: Flight, robots: Robots) -> None:

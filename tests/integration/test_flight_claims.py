@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +22,8 @@ from llm_flock.runtime.flight.flight import Flight
 
 OWN = "flights:stock"
 RADIOS = [f"radio://0/80/2M/E7E7E7E70{k}" for k in range(4)]
+LISTEN = [f"udp://0.0.0.0:1454{k}" for k in range(4)]
+OTHERS = [f"udp://0.0.0.0:1464{k}" for k in range(3)]
 
 
 @pytest.fixture(autouse=True)
@@ -82,6 +85,17 @@ def test_a_second_flight_of_a_drone_is_refused_and_the_first_goes_on(skipped_wai
         ("crazyflie", RADIOS, RADIOS, True),
         ("crazyflie", RADIOS, [uri.replace("/2M/", "/1M/") for uri in RADIOS], True),
         ("crazyflie", RADIOS, [uri.replace("/80/", "/90/") for uri in RADIOS], False),
+        ("crazyflie", RADIOS, [uri.replace("E7E7E7E7", "e7e7e7e7") + "?safelink=0" for uri in RADIOS], True),
+        ("crazyflie", [f"udp://127.0.0.1:1{k}" for k in range(4)], [f"udp://localhost:1{k}/" for k in range(4)], True),
+        ("crazyflie", [f"udp://127.0.0.1:1{k}" for k in range(4)], [f"tcp://127.0.0.1:1{k}" for k in range(4)], False),
+        ("mavlink", LISTEN, ["udpout://LocalHost:14540", *OTHERS], True),
+        ("mavlink", LISTEN, ["udpin://[::]:14540", *OTHERS], True),
+        (
+            "mavlink",
+            ["serial:///dev/stdin:57600", *OTHERS[1:], LISTEN[0]],
+            ["serial:///proc/self/fd/0", *LISTEN[1:]],
+            True,
+        ),
         ("simulated", RADIOS, RADIOS, False),
         (
             "mavlink",
@@ -107,6 +121,20 @@ def test_which_drones_are_the_same(robot: str, first: list[str], second: list[st
                 pass
     with claimed(config_of(second, robot)):
         pass
+
+
+def test_a_host_by_its_name_is_the_one_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    def resolve(host: str, *_: object) -> list[Any]:
+        if host != "drone1.lan":
+            raise socket.gaierror(socket.EAI_NONAME, "nobody knows it")
+        return [(socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("192.0.2.7", 0))]
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolve)
+    with claimed(config_of(["udpout://Drone1.lan:14550", *OTHERS], "mavlink")):
+        with pytest.raises(InputError), claimed(config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")):
+            pass
+        with claimed(config_of(["udpout://drone2.lan:14550", *LISTEN[1:]], "mavlink")):
+            pass
 
 
 def test_a_claim_ends_with_the_last_process_that_keeps_it() -> None:

@@ -18,6 +18,7 @@ from llm_flock.record.reader import read_record
 from llm_flock.robots.simulated import draw_start
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.bodies import InstantBodies
+from llm_flock.runtime.flight import homing
 from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.homing import WayHome
@@ -104,6 +105,26 @@ def test_a_dry_run_checks_the_way_home() -> None:
     for place, start in zip(back.steps[-1].targets, STARTS, strict=True):
         assert math.dist(place[:2], start) <= 0.05
     assert len(back.landing) == 1
+
+
+def test_whoever_does_not_get_home_is_named(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """A way home of one step is too short for all; on paper that is a fault, in flight a warning."""
+    monkeypatch.setattr(homing, "STEPS", 1)
+    monkeypatch.setattr(homing, "STEPS_EACH", 0)
+    config = flight_config(at_end="return")
+    plan = asyncio.run(dry_run(config))
+    assert [*plan.away_m] == [0, 1, 2, 3] and min(plan.away_m.values()) > 0.05
+    assert plan.faults[0] == f"d0 does not get home: it lands {plan.away_m[0]:.2f} m from its start"
+    _, off = fly_and_look(lambda flight, robots: None, "landing", at_end="return")
+    assert off == pytest.approx([*plan.away_m.values()], abs=0.05)
+    assert "d0, d1, d2, d3: not home, and landed where it is now" in caplog.text
+
+
+def test_a_dry_run_tells_a_flight_that_cannot_end_in_time() -> None:
+    plan = asyncio.run(dry_run(flight_config(at_end="return")))
+    assert not plan.faults
+    late = asyncio.run(dry_run(flight_config(at_end="return", max_flight_s=0.9 * plan.air_s)))
+    assert len(late.faults) == 1 and late.faults[0].startswith("the flight takes")
 
 
 @pytest.mark.parametrize(

@@ -125,8 +125,13 @@ def test_an_address_that_cannot_be_opened():
         asyncio.run(MavlinkRobot("v", "serial:///dev/no-such-line").connect(1.0))
 
 
+TIOCGEXCL = 0x80045440
+"""Linux: asks whether a terminal may be opened by nobody else."""
+
+
 def test_a_serial_line():
     """A pair of pseudo-terminals stands for the cable; bytes come in any pieces."""
+    fcntl = pytest.importorskip("fcntl")
     pty, tty = pytest.importorskip("pty"), pytest.importorskip("tty")
     ours, theirs = pty.openpty()
     path = os.ttyname(theirs)
@@ -148,6 +153,12 @@ def test_a_serial_line():
         await robot.connect(5.0)
         await robot.arm()
         assert robot.state().armed and autopilot.armed
+        second = MavlinkRobot("w", f"serial://{path}:57600")
+        with pytest.raises(RobotError, match="cannot be opened: another program has this line"):
+            await second.connect(5.0)
+        await robot.connect(5.0)  # its own line is free as soon as it was closed
+        exclusive = fcntl.ioctl(theirs, TIOCGEXCL, bytes(4))
+        assert exclusive != bytes(4), "programs without a lock are kept away as well"
         await robot.close()
         await asyncio.sleep(0.2)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import flight_config
+from flights import STARTS, flight_config
 from pydantic import BaseModel
 
 from llm_flock.errors import InputError
@@ -49,6 +49,19 @@ def test_field_names_are_unique_and_described() -> None:
     assert len(names) == len(set(names))
 
 
+def called(*uris: str) -> list[dict[str, Any]]:
+    """Drones in the corners, of which the first have these addresses."""
+    drones: list[dict[str, Any]] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
+    for k, uri in enumerate(uris):
+        drones[k] |= {"uri": uri, "system_id": k + 1}
+    return drones
+
+
+def with_start(*start: float, **fields: Any) -> list[dict[str, Any]]:
+    """Drones in the corners, of which the first starts here, or has other fields."""
+    return [{"name": "d0", "start": start or STARTS[0], **fields}, *called()[1:]]
+
+
 @pytest.mark.parametrize(
     ("fields", "field", "says"),
     [
@@ -72,6 +85,22 @@ def test_field_names_are_unique_and_described() -> None:
         ({"drones": [{"name": f"d{k}", "uri": "udp://x:1"} for k in range(4)]}, "drones", "two drones have this uri"),
         ({"drones": [{"name": f"d{k}", "start": [k / 5, 0]} for k in range(4)]}, "drones", "at least 0.3 m apart"),
         ({"crazyflies": "crazyflies.yaml"}, "drones", "either drones, or crazyflies"),
+        (
+            {"drones": with_start(-1.2, -1.2, 0.31)},
+            "drones",
+            "within 0.3 m of the floor at z = 0 m (here 0.31 m)",
+        ),
+        ({"altitude_m": 0.26}, "altitude_m", "at least 0.27 m: the lowest place is 0.26 m above the floor"),
+        ({"low_battery_v": 3.9}, "low_battery_v", "at most ready_battery_v, 3.8 V"),
+        ({"drones": with_start(low_battery_v=3.9)}, "low_battery_v", "at most ready_battery_v of d0, 3.8 V"),
+        ({"drones": with_start(parameters={"a.b": math.nan})}, "drones.0.parameters.a.b", "a finite number"),
+        ({"drones": with_start(parameters={"ab": 1})}, "parameters", "names such as stabilizer.controller for d0"),
+        ({"drones": [{"name": f"d{k}", "start": [k, 0]} for k in range(4)]}, "drones", "d2 at (2, 0) m"),
+        ({"mission": {"obstacles": [{"center": [27, 3], "radius": 2}]}}, "drones", "(here in an obstacle)"),
+        ({"mission": {"obstacles": [{"center": [24, 3], "radius": 2}]}}, "drones", "(here 0.10 m from an obstacle)"),
+        ({"drones": called("udp://127.0.0.1:1", "udp://LOCALHOST:1/")}, "drones", "in other words"),
+        ({"robot": "mavlink", "drones": called("udp://0.0.0.0:1", "udpin://[::]:1")}, "drones", "d1"),
+        ({"robot": "mavlink", "drones": called("serial:///dev/a", "serial:///dev/a:9600")}, "drones", "in other words"),
     ],
 )
 def test_a_flight_that_cannot_be_safe_is_refused(fields: dict[str, Any], field: str, says: str) -> None:
@@ -80,8 +109,20 @@ def test_a_flight_that_cannot_be_safe_is_refused(fields: dict[str, Any], field: 
     assert raised.value.field == field and says in str(raised.value)
 
 
+@pytest.mark.parametrize("robot", ["crazyflie", "mavlink"])
+@pytest.mark.parametrize("uri", ["udp://127.0.0.1", "udp://127.0.0.1:0", "udp://127.0.0.1:65536", "raido://0/80", ""])
+def test_a_dry_run_refuses_the_addresses_that_the_flight_would(robot: str, uri: str) -> None:
+    config = flight_config(
+        robot=robot, drones=called("udp://127.0.0.1:1", "udp://127.0.0.1:2", "udp://127.0.0.1:3", uri)
+    )
+    with pytest.raises(InputError, match="uri = "):
+        asyncio.run(dry_run(config))
+
+
 def test_the_vertical_rule() -> None:
     assert flight_config(3, "points", SPACE, **IN_SPACE).frame.stretch == 2.4
+    with pytest.raises(InputError, match=r"at least 2\.57 m: the lowest place is 0\.15 m above the floor"):
+        flight_config(3, "points", SPACE, **IN_SPACE | {"altitude_m": 2.55})
     with pytest.raises(InputError, match="downwash") as raised:
         flight_config(3, "points", SPACE, **IN_SPACE | {"stretch": 2.0})
     assert raised.value.field == "stretch"
@@ -220,7 +261,7 @@ def test_a_vehicle_needs_an_address_and_keeps_its_parameters() -> None:
     with pytest.raises(InputError, match="a uri for each drone"):
         build_fleet(mavlink_config([{"name": f"d{k}", "system_id": k + 1} for k in range(4)]))
     one = {"name": "d0", "uri": "udp://0.0.0.0:14540", "start": [0, 0], "parameters": {"a.b": 1.0}}
-    rest = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}", "start": [k, k]} for k in range(1, 4)]
+    rest = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}", "start": [k / 2, k / 2]} for k in range(1, 4)]
     with pytest.raises(InputError, match="cannot be set by MAVLink"):
         build_fleet(mavlink_config([one, *rest]))
 
@@ -242,6 +283,6 @@ def test_a_missing_library_is_named_when_a_vehicle_is_called(monkeypatch: pytest
 @pytest.mark.parametrize(("stall_s", "link_timeout_s"), [(0.5, 1.0), (1.5, 1.5)])
 def test_a_link_is_not_given_up_before_the_flight_gives_it_up(stall_s: float, link_timeout_s: float) -> None:
     pytest.importorskip("cflib")
-    drones = [{"name": f"d{k}", "uri": f"udp://127.0.0.1:{19850 + k}", "start": [k, k]} for k in range(4)]
+    drones = [{"name": f"d{k}", "uri": f"udp://127.0.0.1:{19850 + k}", "start": [k / 2, k / 2]} for k in range(4)]
     robots = build_fleet(flight_config(robot="crazyflie", stall_s=stall_s, drones=drones))
     assert {vars(robot)["_link_timeout_s"] for robot in robots} == {link_timeout_s}

@@ -60,6 +60,24 @@ def test_the_estimator_without_positions_is_refused() -> None:
     assert "complementary" in failed(but_one(equipment=heights))[0]
 
 
+def test_a_drone_that_stands_too_near_to_an_obstacle_is_refused() -> None:
+    """Its start is clear of it by 2 cm; it stands 5 cm nearer, which is near enough to its start."""
+    near: dict[str, Any] = {"obstacles": [{"center": [23.3, 3.0], "radius": 2}]}
+    assert failed(READY, mission=near) == []
+    (said,) = failed(but_one(position=(1.15, -1.2, 0.0)), mission=near)
+    assert said.startswith("d1: in the arena: 1.15, -1.20 m: 0.12 m from an obstacle, in the mission's arena, at least")
+
+
+def test_a_drone_without_a_start_stands_apart_from_the_starts_of_others() -> None:
+    """It returns to where it stands, and another to its start: 5 cm nearer than that one stands."""
+    drones: list[dict[str, Any]] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
+    drones[0] = {"name": "d0"}
+    states = [replace(READY[0], position=(0.92, -1.2, 0.0)), replace(READY[1], position=(1.25, -1.2, 0.0)), *READY[2:]]
+    assert failed(states, drones=drones) == [
+        "team: apart: 0.28 m, at least 0.3 m between the start of d1 and d0",
+    ]
+
+
 def test_a_controller_that_falls_behind_is_refused() -> None:
     assert failed(READY, max_speed_m_s=1.2) == [
         f"{name}: controller: PID, for at most 1 m/s, one for max_speed_m_s, 1.2 m/s" for name in NAMES

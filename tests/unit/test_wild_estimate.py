@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from llm_flock.robots.base import Position, RobotState
+from llm_flock.robots.crazyflie.telemetry import Telemetry
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.lag import LagTracker
@@ -53,3 +56,20 @@ def test_the_next_estimate_confirms_it() -> None:
 def test_a_drone_that_flies_out_is_cut_at_once() -> None:
     places = [(6.98 + 0.04 * k, 0.0, 1.0) for k in range(3)]
     assert [TroubleKind.FAR_OUTSIDE in found for found in kinds(*places)] == [False, True, True]
+
+
+def test_a_crazyflies_estimate_that_is_no_number_grows_old() -> None:
+    """An estimator that diverges says so; what its supervisor says, and the battery, are still read."""
+    log = Telemetry()
+    good = {
+        "stateEstimate.x": 1.0,
+        "stateEstimate.y": 2.0,
+        "stateEstimate.z": 0.5,
+        "supervisor.info": 3,
+        "pm.vbat": 4.0,
+    }
+    log.take_position(good, 5.0)
+    log.take_position({**good, "stateEstimate.y": math.nan, "supervisor.info": 7, "pm.vbat": 3.5}, 6.0)
+    assert (log.position, log.stamp_s, log.info, log.battery_v) == ((1.0, 2.0, 0.5), 5.0, 7, 3.5)
+    log.take_position({**good, "pm.vbat": math.nan}, 7.0)
+    assert log.stamp_s == 7.0 and log.battery_v is None

@@ -27,7 +27,7 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
-from llm_flock.cli.terminal import Screen, say
+from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
 from llm_flock.extras import require_posix
 from llm_flock.foxglove.options import Service, with_foxglove
@@ -122,10 +122,11 @@ async def _fly(
     live = not quiet and not as_json
 
     def on_stage(stage: str) -> None:
-        if live:
-            say(stage, error=True)
         if stage == TAKING_OFF:  # until then the terminal belongs to the question
             keyboard.listen()
+        if live:
+            say(stage, error=True)
+        if stage == TAKING_OFF:
             stack.enter_context(bar)
 
     def on_connect(check: Check) -> None:
@@ -141,7 +142,13 @@ async def _fly(
         sink = both(sink, await stack.enter_async_context(showing_flight(settings)))
         fleet, poses = build_fleet(settings), poses_of(settings)
         flight = Flight(
-            settings, fleet, on_round=on_round, on_stage=on_stage, on_connect=on_connect, sink=sink, poses=poses
+            settings,
+            fleet,
+            on_round=while_shown(on_round),
+            on_stage=while_shown(on_stage),
+            on_connect=while_shown(on_connect),
+            sink=sink,
+            poses=poses,
         )
         with Keyboard(flight) as keyboard:
             try:
@@ -176,7 +183,10 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
             say(f"warning: {warning}", error=True)
         for fault in plan.faults:
             say(f"error: {fault}", error=True)
-        say(f"{sum(len(step.targets) for step in plan.steps)} set-points, {len(plan.faults)} faults")
+        if not plan.result.formed:
+            say("warning: the formation is not formed", error=True)
+        count = sum(len(step.targets) for step in plan.steps)
+        say(f"{count} set-points, {plan.air_s:.0f} s in the air and more while models think, {len(plan.faults)} faults")
     if plan.faults:
         raise typer.Exit(EXIT_FAILED)
 
@@ -287,6 +297,8 @@ def _plan(plan: DryRun) -> dict[str, Any]:
         ],
         "landing": [[{"robot": d.robot, "spot_m": d.spot} for d in group] for group in plan.landing],
         "formed": plan.result.formed,
+        "air_s": plan.air_s,
+        "not_home": [plan.drones[robot].name for robot in plan.away_m],
         "faults": plan.faults,
     }
 

@@ -49,8 +49,9 @@ async def ask(question: str) -> str:
 class Keyboard(contextlib.ExitStack):
     """Handles a terminal's keys and signals while the event loop runs; leaves the terminal as it was.
 
-    Ctrl-C and SIGTERM land all drones, a second one cuts all motors. Before a flight begins they end the program. Call
-    `listen` once the flight has begun: until then, typing answers a question.
+    Ctrl-C and SIGTERM land all drones, a second one cuts all motors. A terminal that is closed lands them, however
+    often that is told. Before a flight begins all of these end the program. Call `listen` once the flight has begun:
+    until then, typing answers a question. From then on no key stops the program or its output.
     """
 
     def __init__(self, flight: Flight) -> None:
@@ -66,6 +67,9 @@ class Keyboard(contextlib.ExitStack):
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._signalled)
             self.callback(loop.remove_signal_handler, number)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+            loop.add_signal_handler(signal.SIGHUP, self._land_or_end)
+            self.callback(loop.remove_signal_handler, signal.SIGHUP)
         return self
 
     def listen(self) -> None:
@@ -76,13 +80,30 @@ class Keyboard(contextlib.ExitStack):
         import tty
 
         number, loop = sys.stdin.fileno(), asyncio.get_running_loop()
-        self.callback(termios.tcsetattr, number, termios.TCSADRAIN, termios.tcgetattr(number))
+        before = termios.tcgetattr(number)
+
+        def restore() -> None:
+            with contextlib.suppress(termios.error):  # it may have been closed
+                termios.tcsetattr(number, termios.TCSANOW, before)
+
+        self.callback(restore)
         tty.setcbreak(number)
+        now = termios.tcgetattr(number)
+        now[0] &= ~termios.IXON  # Ctrl-S
+        now[6][termios.VSUSP] = b"\0"  # Ctrl-Z
+        termios.tcsetattr(number, termios.TCSANOW, now)
         loop.add_reader(number, self._pressed)
         self.callback(loop.remove_reader, number)
 
     def _pressed(self) -> None:
-        for key in os.read(sys.stdin.fileno(), 64).decode(errors="ignore"):
+        try:
+            typed = os.read(sys.stdin.fileno(), 64)
+        except OSError:
+            typed = b""
+        if not typed:  # the terminal is closed, and would be ready to be read for ever
+            asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
+            self._flight.abort()
+        for key in typed.decode(errors="ignore"):
             if key in CUT_KEYS:
                 self._flight.emergency()
             elif key in LAND_KEYS:
@@ -94,5 +115,9 @@ class Keyboard(contextlib.ExitStack):
         self._signals += 1
         if self._signals > 1:
             self._flight.emergency()
-        elif not self._flight.abort():
+        else:
+            self._land_or_end()
+
+    def _land_or_end(self) -> None:
+        if not self._flight.abort():
             self._task.cancel()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import TypeVar
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -13,6 +16,8 @@ from rich.text import Text
 
 from llm_flock.printable import printable
 
+P = TypeVar("P")
+
 
 class Screen(Console):
     """rich's console: its own colours and movements pass, those in the text do not."""
@@ -21,6 +26,15 @@ class Screen(Console):
         """The segments to be written, with cleaned text."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=printable(segment.text))
+
+    def on_broken_pipe(self) -> None:
+        """End the program if nobody reads standard output any more; on standard error raise BrokenPipeError.
+
+        rich would take standard output away in both cases.
+        """
+        if self.stderr:
+            raise BrokenPipeError(errno.EPIPE, "nobody reads standard error")
+        super().on_broken_pipe()
 
     def show(self, table: Table, copied: Collection[str] = ()) -> None:
         """Print a table of texts; where it cannot stand without cutting words, print a list of its rows instead.
@@ -78,3 +92,21 @@ def _widths(
 def say(text: object, *, error: bool = False) -> None:
     """Print a line: to standard output, or to standard error."""
     print(printable(str(text)), file=sys.stderr if error else sys.stdout, flush=True)
+
+
+def while_shown(show: Callable[[P], None]) -> Callable[[P], None]:
+    """A function that shows what `show` does, on standard error, as long as somebody can read it.
+
+    Once the terminal is closed, or the program at the end of a pipe has ended, what is written there vanishes: nothing
+    else may fail for that.
+    """
+
+    def shown(what: P) -> None:
+        try:
+            show(what)
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stderr.fileno())
+            os.close(nowhere)
+
+    return shown

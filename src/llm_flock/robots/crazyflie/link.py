@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from llm_flock.extras import require
 from llm_flock.robots.base import RobotError
@@ -45,6 +46,16 @@ SEND_S = 2.5
 
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
+NETWORK = ("udp://", "tcp://")
+
+
+def host_and_port(uri: str) -> tuple[str, int] | None:
+    """Both of an address; None if it has not both, or a port that can be none."""
+    try:
+        parts = urlsplit(uri)
+        return (parts.hostname, parts.port) if parts.hostname and parts.port else None
+    except ValueError:
+        return None
 
 
 def library() -> Any:

@@ -14,7 +14,7 @@ from llm_flock.errors import InputError
 from llm_flock.robots.base import Commanded, Equipment, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.crazyflie.controllers import READ, equipment
 from llm_flock.robots.crazyflie.lighthouse import LIGHTHOUSE_LOG, LIGHTHOUSE_PERIOD_MS
-from llm_flock.robots.crazyflie.link import SCHEMES, CrazyflieLink, Unusable
+from llm_flock.robots.crazyflie.link import NETWORK, SCHEMES, CrazyflieLink, Unusable, host_and_port
 from llm_flock.robots.crazyflie.telemetry import (
     ARMED,
     FLYING,
@@ -101,6 +101,8 @@ class CrazyflieRobot:
     ) -> None:
         if not uri.startswith(SCHEMES):
             raise InputError("uri", uri, f"one that begins with {', '.join(SCHEMES)}")
+        if uri.startswith(NETWORK) and host_and_port(uri) is None:
+            raise InputError("uri", uri, "a host and a port: udp://127.0.0.1:19850")
         self.uri = uri
         self.name = name
         self._limits = limits or MotionLimits()

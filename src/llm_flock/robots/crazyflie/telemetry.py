@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -81,12 +82,17 @@ class Telemetry:
         self.without_variance = False
 
     def take_position(self, data: Mapping[str, float], now: float) -> None:
-        """Take a packet of `POSITION_LOG` that arrived at `now`."""
-        self.battery_v = float(data["pm.vbat"]) if "pm.vbat" in data else None
+        """Take a packet of `POSITION_LOG` that arrived at `now`.
+
+        An estimate that is no number, as of an estimator that has diverged, is none: it grows old.
+        """
+        volts = float(data.get("pm.vbat", math.nan))
+        self.battery_v = volts if math.isfinite(volts) else None
         self.info = int(data["supervisor.info"])
         self.yaw_deg = float(data.get("stateEstimate.yaw", 0.0))
-        self.position = (float(data["stateEstimate.x"]), float(data["stateEstimate.y"]), float(data["stateEstimate.z"]))
-        self.stamp_s = now
+        position = (float(data["stateEstimate.x"]), float(data["stateEstimate.y"]), float(data["stateEstimate.z"]))
+        if all(map(math.isfinite, position)):
+            self.position, self.stamp_s = position, now
 
     def take_variance(self, data: Mapping[str, float], now: float) -> None:
         """Take a packet of `VARIANCE_LOG` that arrived at `now`."""

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import queue
 import threading
+import time
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 from llm_flock.extras import require
+
+FREE_S = 1.0
+"""A line of our own that was just closed is free within this time [s]."""
 
 LONGEST = 200
 """Packets that may wait to be written; more than that are dropped, as a radio does."""
@@ -63,8 +68,28 @@ def open_serial(path: str, baud: int, came: Callable[[bytes], None]) -> SerialLi
     """
     require("mavlink", "a serial line")
     library: Any = import_module("serial")
-    try:
-        device = library.Serial(path, baud, timeout=0.1, write_timeout=1.0)
-    except (ValueError, OverflowError) as error:
-        raise OSError(str(error)) from error
-    return SerialLine(device, came)
+    end = time.monotonic() + FREE_S
+    while True:
+        try:
+            device = library.Serial(path, baud, timeout=0.1, write_timeout=1.0, exclusive=True)
+        except (ValueError, OverflowError) as error:
+            raise OSError(str(error)) from error
+        except OSError as error:
+            if error.errno not in (errno.EWOULDBLOCK, errno.EBUSY):
+                raise
+            if time.monotonic() >= end:
+                says = "another program has this line, such as a ground station or a flight: end it"
+                raise OSError(error.errno, says) from error
+            time.sleep(0.05)
+        else:
+            _keep_to_ourselves(device)
+            return SerialLine(device, came)
+
+
+def _keep_to_ourselves(device: Any) -> None:
+    """Refuse the line to programs that look at no lock; the system does so as long as it is open."""
+    with contextlib.suppress(ImportError, OSError, AttributeError):
+        import fcntl
+        import termios
+
+        fcntl.ioctl(device.fd, termios.TIOCEXCL)

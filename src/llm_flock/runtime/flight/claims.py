@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ from urllib.parse import quote
 
 from llm_flock.errors import InputError
 from llm_flock.file_lock import lock_file
-from llm_flock.robots.crazyflie.radios import address_of
+from llm_flock.robots.addresses import one_spelling
 from llm_flock.robots.crazyflie.tables import default_folder
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 
@@ -31,14 +32,21 @@ def claims_folder() -> Path:
 def identity(drone: DroneConfig, *, shared: bool) -> str | None:
     """What tells a drone from all others on this computer; None if it has no address.
 
-    A Crazyflie is the same by whatever radio it is called. Where several share an address, each has a system id.
+    It is the same however its address is written. Where several share an address, each has a system id. That a radio, a
+    cable and a port lead to one drone is not known.
     """
     if drone.uri is None:
         return None
-    radio = address_of(drone.uri)
-    if radio is not None:
-        return f"radio {radio.channel} {radio.address}"
-    return f"{drone.uri} {drone.system_id or 1}" if shared else drone.uri
+    address = one_spelling(drone.uri, _resolved)
+    return f"{address} {drone.system_id or 1}" if shared else address
+
+
+def _resolved(host: str) -> str:
+    """The address of a host that has a name; the name itself where nobody knows it."""
+    try:
+        return str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
+    except (OSError, UnicodeError):
+        return host
 
 
 @contextmanager

@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
-from llm_flock.robots.crazyflie.radios import plan_radios, traffic_of
 from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
+from llm_flock.runtime.flight.drones import ROUNDING_M, check_drones, check_starts
 from llm_flock.runtime.flight.frame import MissionFrame
 from llm_flock.runtime.positions_config import PositionsConfig
 from llm_flock.runtime.ros2_config import Ros2Config
@@ -22,11 +22,11 @@ Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
 
+DOWN_M = 0.12
+"""A drone with an estimate this near to the floor is down [m]."""
+
 HEIGHT_TRACKING_M = 0.15
 """Default of `height_tracking_m` in the plane: a Crazyflie's stock controller overshoots a take-off by 8 cm [m]."""
-
-ROUNDING_M = 1e-6
-"""Tolerance of limits on lengths and times [m, s]."""
 
 
 def _length(default: float, description: str) -> Any:
@@ -67,7 +67,7 @@ class DroneConfig(ConfigSection):
     start: tuple[Metres, ...] | None = Field(
         default=None, min_length=2, max_length=3, description="Position before take-off: x, y and z [m]"
     )
-    parameters: dict[str, float] = Field(
+    parameters: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = Field(
         default_factory=dict, description="Firmware parameters to set on connecting, by group.name"
     )
     ready_battery_v: float | None = Field(
@@ -223,10 +223,11 @@ class FlightConfig(RunConfig):
         if not self.protocol.shield:
             raise InputError("shield", self.protocol.shield, says="has to be on in a flight, whatever the protocol")
         self._check_positions()
-        self._check_drones()
+        check_drones(self)
         self._check_distances()
         self._check_speed()
         self._check_fence()
+        check_starts(self)
         return self
 
     def _check_positions(self) -> None:
@@ -237,36 +238,6 @@ class FlightConfig(RunConfig):
             raise InputError("router", None, says="is needed with pose_source = 'ros2'")
         if source != "ros2" and self.ros2.ros_pose_topic is not None:
             raise InputError("ros_pose_topic", self.ros2.ros_pose_topic, says="needs pose_source = 'ros2' in a flight")
-
-    def _check_drones(self) -> None:
-        drones, n = self.fleet.drones, self.mission.n_robots
-        if drones and self.fleet.crazyflies is not None:
-            raise InputError("drones", f"{len(drones)} drones", "either drones, or crazyflies")
-        if drones and len(drones) != n:
-            raise InputError("drones", f"{len(drones)} drones", f"one for each of the mission's {n} robots")
-        shared = self.fleet.robot == "mavlink"  # several autopilots may answer at one address
-        for field in ("name",) if shared else ("name", "uri"):
-            given = [value for drone in drones if (value := getattr(drone, field)) is not None]
-            twice = next((value for value in given if given.count(value) > 1), None)
-            if twice is not None:
-                raise InputError("drones", twice, says=f"two drones have this {field}")
-        called = [(drone.name, drone.uri) for drone in drones if drone.uri is not None]
-        for fault in plan_radios(called, traffic_of(round_s=self.safety.round_s)).faults:
-            raise InputError("drones", None, says=fault)
-        links = [(drone.uri, drone.system_id or 1) for drone in drones if shared]
-        for drone in drones:
-            if links.count((drone.uri, drone.system_id or 1)) > 1:
-                raise InputError("system_id", drone.system_id or 1, f"one that no other drone at {drone.uri} has")
-        starts = [(drone.name, drone.start[:2]) for drone in drones if drone.start is not None]
-        for k, (one, here) in enumerate(starts):
-            for two, there in starts[:k]:
-                apart = math.dist(here, there)
-                if apart < self.safe_distance_m - ROUNDING_M:
-                    raise InputError(
-                        "drones",
-                        f"{two} and {one}",
-                        f"starts at least {self.safe_distance_m:g} m apart, the safe distance (here {apart:.3f} m)",
-                    )
 
     def _check_distances(self) -> None:
         """The safe distance must hold the smallest distance of two drones and twice the tracking error."""
@@ -303,6 +274,14 @@ class FlightConfig(RunConfig):
         height = self.world.altitude_m - self.world.floor_m
         if height <= 0:
             raise InputError("altitude_m", self.world.altitude_m, f"above the floor at z = {self.world.floor_m:g} m")
+        above, lowest = DOWN_M + self.height_tracking_m, min(z for _, _, z in self.corners) - self.world.floor_m
+        if lowest < above - ROUNDING_M:
+            raise InputError(
+                "altitude_m",
+                self.world.altitude_m,
+                f"at least {self.world.altitude_m + above - lowest:.3g} m: the lowest place is {lowest:.3g} m above "
+                f"the floor, and {DOWN_M:g} m + height_tracking_m = {above:g} m are asked for",
+            )
         least = PEAK_SPEED * height / self.safety.max_speed_m_s
         for field in ("take_off_s", "land_s"):
             if getattr(self.safety, field) < least - ROUNDING_M:
@@ -316,9 +295,8 @@ class FlightConfig(RunConfig):
         low, high = self.world.geofence
         if any(a >= b for a, b in zip(low, high, strict=True)):
             raise InputError("geofence", self.world.geofence, "two corners, each number of the first one lower")
-        bounds, frame = list(zip(*self.inner_fence, strict=True)), self.frame
-        for corner in product(*zip(*self.mission.arena, strict=True)):
-            x, y, z = frame.to_world(corner)
+        bounds = list(zip(*self.inner_fence, strict=True))
+        for x, y, z in self.corners:
             if not all(a - ROUNDING_M <= v <= b + ROUNDING_M for v, (a, b) in zip((x, y, z), bounds, strict=True)):
                 raise InputError(
                     "geofence",
@@ -329,6 +307,11 @@ class FlightConfig(RunConfig):
                 )
         if self.world.floor_m < low[2]:
             raise InputError("floor_m", self.world.floor_m, f"within the geofence, which begins at z = {low[2]:g} m")
+
+    @property
+    def corners(self) -> list[Position]:
+        """Corners of the arena in the world [m]."""
+        return [self.frame.to_world(corner) for corner in product(*zip(*self.mission.arena, strict=True))]
 
     @property
     def safe_distance_m(self) -> float:

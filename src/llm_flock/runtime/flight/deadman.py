@@ -115,14 +115,28 @@ def take_over(
     fleet = build_fleet(config)
     robots = [fleet[robot] for robot in aloft]
 
-    def say(text: str) -> None:
-        sys.stderr.write(f"deadman: {text}\n")
-
+    say = _say_while_heard
     say(f"the flight process is gone; calling {', '.join(robot.name for robot in robots)}")
     ends = asyncio.run(_land_with_poses(config, robots, say, source_of))
     for name, end in ends.items():
         say(f"{name}: {end}")
     return ends
+
+
+def _say_while_heard(text: str) -> None:
+    """Tell it the terminal. It may have gone with the flight process: then, and from then on, nobody is told."""
+    try:
+        sys.stderr.write(f"deadman: {text}\n")
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        _to_nowhere(2)
+
+
+def _to_nowhere(handle: int) -> None:
+    """Let everything that is written there vanish: by libraries, too, whose threads a fault would end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, handle)
+    os.close(nowhere)
 
 
 async def _land_with_poses(
@@ -150,6 +164,7 @@ def main(source_of: SourceOf = lambda _: None) -> int:
     config = FlightConfig.model_validate(json.loads(first))
     sys.stdout.write("ready\n")
     sys.stdout.flush()
+    _to_nowhere(1)  # it leads to the flight process, which reads nothing more
     listener = HeartbeatListener(sys.stdin)
     if listener.wait_for_end(config.fleet.deadman_s) or not listener.last.aloft:
         return 0

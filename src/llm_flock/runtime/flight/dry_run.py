@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
-from llm_flock.runtime.flight.fleet import driver_of, with_drones
+from llm_flock.runtime.flight.fleet import build_fleet, driver_of, with_drones
 from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import Descent, plan_landing
 from llm_flock.runtime.flight.setpoints import SetPointCheck
@@ -41,17 +42,34 @@ class PlannedMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """The plan of a whole flight: drones with starts, every motion, groups that land at once, and the trial."""
+    """The plan of a whole flight: drones with starts, every motion, groups that land at once, and the trial.
+
+    Attributes:
+        away_m: how far from their starts those land that should return and do not get there, by robot [m].
+        air_s: time in the air if no model took any time to answer [s].
+        most_s: longest flight that the file allows [s].
+    """
 
     drones: tuple[DroneConfig, ...]
     steps: tuple[PlannedMotion, ...]
     landing: tuple[tuple[Descent, ...], ...]
     result: RunResult
+    away_m: Mapping[int, float]
+    air_s: float
+    most_s: float
 
     @property
     def faults(self) -> list[str]:
-        """Faults of all set-points, with their rounds."""
-        return [f"round {step.round}: {fault}" for step in self.steps for fault in step.faults]
+        """Faults of all set-points, with their rounds; then who does not get home, and a flight that takes too long."""
+        found = [f"round {step.round}: {fault}" for step in self.steps for fault in step.faults]
+        for robot, off in self.away_m.items():
+            found.append(f"{self.drones[robot].name} does not get home: it lands {off:.2f} m from its start")
+        if self.air_s > self.most_s:
+            found.append(
+                f"the flight takes {self.air_s:.0f} s, even if models answer at once; after max_flight_s = "
+                f"{self.most_s:g} s all land where they are"
+            )
+        return found
 
 
 class DryRunTeam(InstantBodies):
@@ -87,10 +105,12 @@ async def dry_run(config: FlightConfig) -> DryRun:
     """Fly on paper, with the models that the flight would ask. Call before a flight, to see every set-point.
 
     Raises:
-        InputError: a drone has no start, or one outside the arena, or there is no such driver.
+        InputError: a drone has no start, or an address that its driver refuses, or there is no such driver.
     """
     config = with_drones(config)
     driver_of(config.fleet.robot)
+    if config.fleet.robot in ("crazyflie", "mavlink"):
+        build_fleet(config)  # which calls nobody, and refuses addresses
     aims = _aims(config)
     team = DryRunTeam(config, aims)
     planners = TeamPlanners(config)
@@ -101,26 +121,29 @@ async def dry_run(config: FlightConfig) -> DryRun:
         await trial.run()
     finally:
         await planners.close()
+    away_m: dict[int, float] = {}
     if config.safety.at_end == "return":
-        await fly_home(config, team, team.fly, homes_of(config, aims))
+        homes = homes_of(config, aims)
+        for robot in await fly_home(config, team, team.fly, homes):
+            away_m[robot] = math.dist(team.places[robot], homes[robot]) * config.world.scale_m
     groups = plan_landing(config, dict(enumerate(team.set_points())), [])
+    safety, ups = config.safety, math.ceil(len(aims) / config.fleet.take_off_group)
     return DryRun(
         drones=config.fleet.drones,
         steps=tuple(team.steps),
         landing=tuple(map(tuple, groups)),
         result=trial.finish(None),
+        away_m=away_m,
+        air_s=ups * safety.take_off_s + len(team.steps) * safety.round_s,
+        most_s=safety.max_flight_s,
     )
 
 
 def _aims(config: FlightConfig) -> Points:
     rows: list[tuple[float, ...]] = []
-    low, high = config.mission.arena
     for drone in config.fleet.drones:
         if drone.start is None:
             raise InputError("drones", drone.name, "a start for each drone: a dry run does not ask the drones")
         x, y = drone.start[:2]
-        row = config.frame.to_mission((x, y, config.world.altitude_m))
-        if not all(a <= value <= b for a, value, b in zip(low, row, high, strict=True)):
-            raise InputError("drones", f"{drone.name} at ({x:g}, {y:g}) m", "a start in the arena of the mission")
-        rows.append(row)
+        rows.append(config.frame.to_mission((x, y, config.world.altitude_m)))
     return np.array(rows, dtype=np.float64)

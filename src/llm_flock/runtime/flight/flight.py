@@ -220,8 +220,10 @@ class Flight:
             try:
                 await self._mission(supervisor, team, trial, log)
             finally:
-                self._enter("landing")
-                await landing.land_all()
+                try:
+                    self._enter("landing")
+                finally:  # whoever is told of it may fail
+                    await landing.land_all()
                 await supervisor.cuts_done()
                 for task in watchers:
                     task.cancel()
@@ -273,7 +275,10 @@ class Flight:
         self._enter("returning")
         log.note("returning")
         away = await fly_home(self._config, team, team.fly_together, homes)
-        log.note("returned", not_home=[team.names[robot] for robot in away])
+        names = [team.names[robot] for robot in away]
+        log.note("returned", not_home=names)
+        if names:
+            logger.warning("%s: not home, and landed where it is now", ", ".join(names))
 
     def _result(
         self, supervisor: FlightSupervisor, landing: Landing, log: FlightLog, feed: PoseFeed | None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -15,6 +16,8 @@ from pydantic import BaseModel, ConfigDict
 
 from llm_flock.errors import FlockError
 from llm_flock.runtime.flight.config import FlightConfig
+
+logger = logging.getLogger(__name__)
 
 HEARTBEATS_PER_TIMEOUT = 5
 """Heartbeats in the silence after which the deadman takes over."""
@@ -58,6 +61,7 @@ class HeartbeatSender:
         self._aloft = aloft
         self._process: subprocess.Popen[bytes] | None = None
         self._beating: asyncio.Task[None] | None = None
+        self._missed = False
 
     async def __aenter__(self) -> Self:
         if self._config.fleet.watched:
@@ -107,8 +111,13 @@ class HeartbeatSender:
     def _send(self, heartbeat: Heartbeat) -> None:
         process = self._process
         assert process is not None and process.stdin is not None
-        with contextlib.suppress(BlockingIOError, BrokenPipeError):
-            os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
+        try:
+            with contextlib.suppress(BlockingIOError):
+                os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
+        except BrokenPipeError:
+            if not self._missed:
+                logger.warning("the deadman process is gone: nobody would land the drones if this process died now")
+            self._missed = True
 
     async def __aexit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Send the farewell; if this process fails with drones in the air, let the deadman take over instead."""

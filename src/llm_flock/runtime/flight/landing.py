@@ -11,7 +11,7 @@ from itertools import product
 
 from llm_flock.robots.base import PEAK_SPEED, Position, RobotError, RobotState, TakenOver
 from llm_flock.robots.segment import Segment
-from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.config import DOWN_M, FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.flight.team import SEND_S, FlyingTeam
@@ -38,9 +38,6 @@ LOST = "out of reach"
 TAKEN = "flown by a pilot, or by its own failsafe"
 """End of a drone that was taken over: it is neither called down nor cut."""
 
-DOWN_M = 0.12
-"""A drone with an estimate this near to the floor is down [m]."""
-
 LOOK_S = 0.05
 """Time between two checks of a sinking drone [s]."""
 
@@ -55,6 +52,9 @@ AGAIN_S = 0.5
 
 CONNECT_S = 3.0
 """Longest wait for one connection to a drone out of reach; the deadman's first [s]."""
+
+MOST_SEND_S = 4.0
+"""Longest wait for a drone that is called down to take the order [s]."""
 
 CALL_S = 0.5
 """Time between two calls of the deadman to drones that do not answer [s]."""
@@ -188,8 +188,8 @@ class Landing:
             return False
         return True
 
-    async def _sink(self, robot: int) -> None:
-        """Land straight down, and see the motors off."""
+    async def _sink(self, robot: int, send_s: float = SEND_S) -> None:
+        """Land straight down, and see the motors off; wait for `send_s` for the order to be taken."""
         world, safety = self._config.world, self._config.safety
         began = time.monotonic()
         body = self._team.robots[robot]
@@ -198,7 +198,7 @@ class Landing:
             self._team.aloft.discard(robot)
             self.ends[robot] = FELL
             return
-        async with asyncio.timeout(SEND_S):
+        async with asyncio.timeout(send_s):
             await body.land(world.floor_m, safety.land_s)
         self._told.add(robot)
         x, y, z = self._team.set_points()[robot]
@@ -244,11 +244,12 @@ class Landing:
         floor = self._config.world.floor_m + DOWN_M
         lowest, sank_s = math.inf, told_s
         while True:
-            state = self._team.robots[robot].state()
+            state, now = self._team.robots[robot].state(), time.monotonic()
             if state.position[2] < lowest - SINKS_M:
-                lowest, sank_s = state.position[2], time.monotonic()
-            late = time.monotonic() >= max(until_s, sank_s + SINKS_S)
-            fresh = state.stamp_s > told_s and not state.link_lost
+                lowest, sank_s = state.position[2], now
+            late = now >= max(until_s, sank_s + SINKS_S)
+            # A link that was given up in a pause may have brought the order, and news of it, after all.
+            fresh = state.stamp_s > told_s and now - state.stamp_s <= self._config.safety.stall_s
             if fresh and (not state.flying or (late and state.position[2] <= floor)):
                 return True
             if late:
@@ -259,13 +260,14 @@ class Landing:
         """Call a drone that hovers out of reach until it answers, then land it."""
         robot, safety = descent.robot, self._config.safety
         body = self._team.robots[robot]
-        until = time.monotonic() + safety.reach_s
+        until, send_s = time.monotonic() + safety.reach_s, SEND_S
         while time.monotonic() < until:
+            send_s = min(2.0 * send_s, MOST_SEND_S)  # one that is slow to answer is given longer each time
             try:
                 await body.close()
                 await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))
                 self._log.note("landing", robot, spot=list(descent.spot))
-                await self._sink(robot)
+                await self._sink(robot, max(SEND_S, min(send_s, until - time.monotonic())))
             except TakenOver as error:
                 self._taken(robot, error)
                 return

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from llm_flock.robots.base import Equipment, Robot, RobotError, RobotState, SelfChecked
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.drones import ON_FLOOR_M, good_place, wrong_place
 
 SETTLE_S = 3.0
 """Longest time from the connections until all checks pass: batteries are read, links rated [s]."""
@@ -22,9 +23,6 @@ SLOW = ("estimator", "on the floor")
 
 LOOK_S = 0.05
 """Time between two checks [s]."""
-
-ON_FLOOR_M = 0.3
-"""Largest distance of the estimate from the floor for a drone on it [m]."""
 
 CHECKS = (
     "ready",
@@ -175,9 +173,8 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
         off, most = math.dist(start[:2], (x, y)), safety.start_tolerance_m
         yield off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
 
-    row = config.frame.to_mission((x, y, world.altitude_m))
-    inside = all(a <= value <= b for value, (a, b) in zip(row, zip(*config.mission.arena, strict=True), strict=True))
-    yield inside, f"{x:.2f}, {y:.2f} m", "in the mission's arena"
+    wrong, said = wrong_place(config, x, y), f"{x:.2f}, {y:.2f} m"
+    yield wrong is None, said if wrong is None else f"{said}: {wrong}", good_place(config)
 
     yield True, f"not {', '.join(equipment.unwatched)}" if equipment.unwatched else "all", ""
 
@@ -195,12 +192,19 @@ def _controller(config: FlightConfig, equipment: Equipment) -> tuple[bool, str, 
 
 
 def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
-    """Distances side by side: on the floor, heights do not count."""
+    """Distances side by side: on the floor, heights do not count. Starts of the flight file are apart by themselves."""
     least = config.safe_distance_m
+    starts = [drone.start for drone in config.fleet.drones] or [None] * len(names)
+    here = [state.position[:2] for state in states]
     pairs = [
-        (math.dist(a.position[:2], b.position[:2]), f"{names[j]} and {names[i]}")
-        for i, a in enumerate(states)
-        for j, b in enumerate(states[:i])
+        (math.dist(a, b), f"{names[j]} and {names[i]}") for i, a in enumerate(here) for j, b in enumerate(here[:i])
+    ]
+    # Whoever has no start of its own returns to where it stands.
+    pairs += [
+        (math.dist(start[:2], b), f"the start of {names[i]} and {names[j]}")
+        for i, start in enumerate(starts)
+        for j, b in enumerate(here)
+        if start is not None and starts[j] is None
     ]
     nearest, who = min(pairs, default=(math.inf, ""))
     said = f"{nearest:.2f} m" if pairs else "alone"
