@@ -147,7 +147,7 @@ def test_figures_are_drawn_with_dead_and_late_robots_and_another_ideal(tmp_path:
     figure = snapshots(record)
     save(figure, tmp_path / "snapshots.png")
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert {"dead robot (×)", "not begun yet"} <= set(labels)
+    assert {"dead (×), with its number", "has not begun yet"} <= set(labels)
     assert "line, then square" in figure.get_suptitle()
     save(comparison([record], ["one"]), tmp_path / "comparison.png")
     with pytest.raises(llm_flock.InputError, match="known after every round"):

@@ -94,14 +94,14 @@ def animate(record: RunRecord, path: Path, *, fps: int = FPS) -> None:
 
 
 def last_frame(record: RunRecord) -> Image.Image:
-    """The team at the end of a record, in the size of all frames."""
+    """The team at the end of a record, without a legend: those of all records of a mission have one size."""
     return next(frames(record, last=True))
 
 
 def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False) -> Iterator[Image.Image]:
     """The run in pictures of one size: the start, then this many `steps` of each round; or only the last of them."""
     panel = Panel(record, width=WIDTH * INCHES * 72)
-    key = key_of([(panel, range(record.rounds + 1))])
+    key = [] if last else key_of([(panel, range(record.rounds + 1))])
     columns = min(2, columns_of(key, INCHES, KEY_POINTS))
     below = KEY_INCHES + ROW_INCHES * -(-len(key) // columns)
     tall = round((HEAD_INCHES + WIDTH * INCHES + below) * DPI / 2) * 2 / DPI  # video coders want even sizes
