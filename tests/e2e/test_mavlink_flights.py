@@ -20,7 +20,7 @@ from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.landing import LANDED, TAKEN
 from llm_flock.testing.mavlink import AutopilotStandIns
 
-pytestmark = pytest.mark.clock(2)
+pytestmark = pytest.mark.clock(1.5)
 
 
 def vehicles_of(flavour: str) -> AutopilotStandIns:
@@ -45,6 +45,7 @@ def test_the_papers_square(flavour):
         done = flown(config_of(vehicles))
         names = [check.name for check in done.report.checks]
         assert names.count("its own fence") == 4
+        assert [check for check in done.report.checks if not check.passed] == []
         assert done.result is not None and done.result.summary.flight is not None
         figures = done.result.summary.flight
         assert figures.reason is None and done.result.summary.formed
