@@ -84,7 +84,7 @@ other: $(STAMP) ## Unit tests on a second Python, the newest that is here; says 
 	  "$$python" -m venv --clear --without-pip "build/python-$$found"; \
 	  $(BIN)/uv pip install --quiet --python "build/python-$$found/bin/python" --no-deps --require-hashes --requirement requirements.txt \
 	    2> build/other.log || { echo "other: uv finds no packages for Python $$found; unit tests were not run on it"; exit 0; }; \
-	  PYTHONPATH=src exec "build/python-$$found/bin/python" -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal -p no:cacheprovider; \
+	  PYTHONPATH=src:$(ADAPTER)/src exec "build/python-$$found/bin/python" -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal -p no:cacheprovider; \
 	done; \
 	echo "other: no Python beside $$mine is here (of $(VERSIONS)); unit tests were not run on a second one"
 
