@@ -11,8 +11,11 @@ from collections.abc import Callable, Sequence
 from driven_team import turned
 from gang import Entries, Gang, Said
 from mangled import mangled
+from signed_team import SignedTeam
+from toy_keys import ToyKeys
 
 from llm_flock.arrays import Point
+from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import (
@@ -363,3 +366,20 @@ def round_of_lies(gang: Gang, lie: str) -> list[Said]:
         return []
     kind = gang.rng.choice(sorted(LIES)) if lie == EVERYTHING else lie
     return [said for member in gang.members for said in LIES[kind](gang, member)]
+
+
+def beside_lies(
+    lie: str, mission: Mission, places: Sequence[Point], *, liars: int, rounds: int, tolerated: int | None = None
+) -> SignedTeam:
+    """A team that has flown beside its last robots, who lie together; their bodies are in a corner."""
+    members = range(mission.n_robots - liars, mission.n_robots)
+    team = SignedTeam(mission, places, liars=liars, tolerated=liars if tolerated is None else tolerated)
+    gang, said = Gang({j: ToyKeys(j) for j in members}, mission), list[bytes]()
+    for _ in range(rounds):
+        team.begin()
+        for _ in range(5):
+            for payload in said:
+                gang.hear(payload)
+            said = team.comm_round(said_by=round_of_lies(gang, lie))
+        team.end(moves={j: (5.0 * j, 2.0) for j in members})
+    return team

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from gang import Gang
-from lies import round_of_lies
+from lies import beside_lies
 from signed_team import SignedTeam, evidence_of, line_up
 from toy_keys import ToyKeys
 
@@ -18,7 +18,6 @@ from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidTable, Message
 from llm_flock.protocol.signed.certificates import (
-    LEFT,
     Certificate,
     Context,
     LastClaim,
@@ -33,7 +32,8 @@ from llm_flock.protocol.signed.certificates import (
     wrap,
 )
 from llm_flock.protocol.signed.departures import MOST_DEPARTURES, Departures
-from llm_flock.protocol.signed.evidence import MOST_PASSED_ON, Evidence
+from llm_flock.protocol.signed.evidence import Evidence
+from llm_flock.protocol.signed.words import MOST_PASSED_ON
 from llm_flock.robots.simulated import start_positions
 
 N, TWO, PLACES = 7, 2, 4
@@ -142,7 +142,7 @@ def test_a_version_of_which_no_words_are_held_is_freed_by_witnesses() -> None:
     evidence._held[free[0], kept[free[0]]] = Certificate(number=1)
     evidence._last[6] = (1, free[0])
     evidence.witness(kept, Occupancy())
-    assert (free[0], 2, NO_OWNER) in evidence._words
+    assert (free[0], 2, NO_OWNER) in evidence._words._said
 
 
 def test_an_honest_robot_that_is_excluded_claims_nothing() -> None:
@@ -185,12 +185,12 @@ def test_who_hears_too_few_to_have_an_honest_one_among_them_blames_nobody() -> N
     evidence, table = evidence_of(team.agents[1]), tables(team)[1]
     evidence._departures._left[6] = {(0, version) for version in range(MOST_DEPARTURES + 1)}
     for alive, stated in ((2 * TWO, NO_OWNER), (2 * TWO + 1, left_by(6))):
-        evidence._words, evidence._departures._words = {}, {}
+        evidence._words._said, evidence._departures._words = {}, {}
         evidence._departures._causes[slot, 0] = LastClaim(slot, 0, -1e-9, 6, 1, b"", None)
         for _ in range(2):
             evidence._departures.outdate(slot, table[slot])
             evidence.witness(table, Occupancy(alive=alive))
-        assert {*evidence._words} == {(slot, 1, stated)}
+        assert {*evidence._words._said} == {(slot, 1, stated)}
         assert bool(evidence._departures.words()) == (stated != NO_OWNER)
 
 
@@ -208,31 +208,16 @@ def spread(mission: Mission) -> list[Point]:
     return [tuple(row) for row in start_positions(mission, None, "connected", rng).tolist()]
 
 
-def with_lies(lie: str, rounds: int, mission: Mission = MISSION, liars: int = TWO) -> SignedTeam:
-    n = mission.n_robots
-    places = line_up(n) if mission is MISSION else spread(mission)
-    team = SignedTeam(mission, places, liars=liars, tolerated=liars)
-    gang = Gang({j: ToyKeys(j) for j in range(n - liars, n)}, mission)
-    said: list[bytes] = []
-    for _ in range(rounds):
-        team.begin()
-        for _ in range(5):
-            for payload in said:
-                gang.hear(payload)
-            said = team.comm_round(said_by=round_of_lies(gang, lie))
-        team.end(moves={j: (5.0 * j, 2.0) for j in gang.members})
-    return team
-
-
 def test_who_moves_on_again_and_again_is_excluded_by_all() -> None:
-    team = with_lies("moves on before others know", 40)
+    team = beside_lies("moves on before others know", MISSION, line_up(N), liars=TWO, rounds=40)
     assert {evidence_of(agent).excluded for agent in team.agents} == {frozenset({5})} and team.settled()
 
 
 @pytest.mark.no_cover
 def test_nobody_is_blamed_for_leaving_a_place_that_a_liar_took_in_secret() -> None:
     """Only the framed robot hears a claim on its place; those out of its radio contact hear of the cause by others."""
-    team = with_lies("frames one robot", 40, Mission(shape="circle", n_robots=10), 3)
+    mission = Mission(shape="circle", n_robots=10)
+    team = beside_lies("frames one robot", mission, spread(mission), liars=3, rounds=40)
     blamed = set[int]().union(*(evidence_of(agent)._departures._left for agent in team.agents))
     assert blamed and blamed <= {7, 8, 9} and None not in team.slots
 
@@ -264,9 +249,9 @@ def test_a_claim_that_counts_no_more_is_passed_on_as_the_cause_why_another_left(
     assert any(unwrap(payload, N)[1].causes == proofs.causes for payload in said)
     team.end()
     team.fly(3)
-    blamed = {LEFT - stated for agent in team.agents for *_, stated in evidence_of(agent)._words if stated <= LEFT}
+    stated = {what[2] for agent in team.agents for what in evidence_of(agent)._words._said}
     freed = [evidence_of(agent)._freed.get((slot, 1, NO_OWNER)) for agent in team.agents]
-    assert all(grant is None or grant.by == 6 for grant in freed) and blamed <= {6}
+    assert all(grant is None or grant.by == 6 for grant in freed) and stated <= {NO_OWNER, left_by(6)}
 
 
 def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_no_more() -> None:
@@ -289,10 +274,10 @@ def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_
     assert not hears(signature=b"x" * 64) and not hears(bid=1.0)
     assert evidence.refused["uncertified"] == 2
     evidence._departures._causes = {(slot, 0): cause}
-    before = len(evidence._good)
+    before = len(evidence._checks._good)
     evidence.admit(message, proofs, table)
     assert (
-        len(evidence._good) == before
+        len(evidence._checks._good) == before
         and (slot, (cause.version, cause.bid, cause.owner)) in evidence._departures._outdated
     )
 
@@ -302,7 +287,7 @@ def test_words_about_a_departure_count_only_of_those_who_may_have_claimed_the_pl
     slot = next(a for a in gang.places if a == team.slots[0])
     words = [gang.word(6, slot, left_by(robot)) for robot in (0, 3)]
     team.comm_round(said_by=[gang.message(6, words=words)])
-    heard = set(evidence_of(team.agents[1])._words)
+    heard = set(evidence_of(team.agents[1])._words._said)
     assert heard == {(slot, 1, left_by(0))}
 
 
@@ -312,7 +297,9 @@ def test_who_left_a_place_has_not_blocked_it() -> None:
     statement = word_statement(gang.about, slot, 1, left_by(0))
     grant = ReleaseGrant(tuple((j, ToyKeys(j).sign(statement)) for j in range(TWO + 1)), 0)
     evidence = evidence_of(team.agents[1])
-    assert evidence._free(slot, 1, NO_OWNER, grant) and not evidence._free(slot, 1, BLOCKED, grant)
+    certificate = Certificate(number=0, grant=grant)
+    assert evidence._holds(slot, (1, 0.0, NO_OWNER), certificate, N)
+    assert not evidence._holds(slot, (1, 0.0, BLOCKED), certificate, N)
 
 
 def test_who_is_silent_claims_nothing() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from benchmarks.lies import fly
 from gang import Gang
-from lies import LIES, round_of_lies
+from lies import LIES, beside_lies, round_of_lies
 from signed_team import SignedTeam, evidence_of, line_up
 from toy_keys import ToyKeys
 
@@ -21,7 +21,7 @@ from llm_flock.protocol.signed.certificates import (
     most_exchanges,
     word_statement,
 )
-from llm_flock.protocol.signed.evidence import MOST_PASSED_ON
+from llm_flock.protocol.signed.words import MOST_PASSED_ON, in_turn
 
 N, TWO = 7, 2
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
@@ -40,17 +40,7 @@ WORST = ("frees every place all the time", "frees every place and takes one", "b
 
 def flown(lie: str, tolerated: int, rounds: int = 30) -> SignedTeam:
     """Five honest robots and two that lie together; their bodies fly to a corner."""
-    team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=tolerated)
-    gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
-    said: list[bytes] = []
-    for _ in range(rounds):
-        team.begin()
-        for _ in range(5):
-            for payload in said:
-                gang.hear(payload)
-            said = team.comm_round(said_by=round_of_lies(gang, lie))
-        team.end(moves={j: (5.0 * j, 2.0) for j in gang.members})
-    return team
+    return beside_lies(lie, MISSION, line_up(N), liars=TWO, tolerated=tolerated, rounds=rounds)
 
 
 @pytest.mark.no_cover
@@ -203,7 +193,7 @@ def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> No
     freed = {team.owners(robot) for robot in range(5)}
     assert len(freed) == 1
     assert all(owner not in (5, 6) for _, owner in team.owners(0))
-    words = [word for agent in team.agents for word in evidence_of(agent)._passed_on()]
+    words = [word for agent in team.agents for word in in_turn(evidence_of(agent)._words.of_others(), 0)]
     assert len(words) <= MOST_PASSED_ON * len(team.agents)
 
 
@@ -211,9 +201,8 @@ def test_many_words_take_turns() -> None:
     team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
     team.fly(3)
     evidence = evidence_of(team.agents[0])
-    evidence._words = {(slot, 9, NO_OWNER): {j: bytes([slot, j]) for j in range(20)} for slot in range(N)}
-    told = list[set[tuple[int, int]]]()
-    for evidence._turn in range(8):
-        told.append({(word.slot, word.witness) for word in evidence._passed_on()})
+    words = evidence._words
+    words._said = {(slot, 9, NO_OWNER): {j: bytes([slot, j]) for j in range(20)} for slot in range(N)}
+    told = [{(word.slot, word.witness) for word in in_turn(words.of_others(), turn)} for turn in range(8)]
     assert all(len(one) == MOST_PASSED_ON for one in told)
     assert len(set[tuple[int, int]]().union(*told)) > 100

@@ -74,14 +74,14 @@ def test_origins_are_remembered_in_bounded_memory(
     team: SignedTeam, liar: Liar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("llm_flock.protocol.signed.channel.REMEMBERED_ORIGINS", 2)
-    monkeypatch.setattr("llm_flock.protocol.signed.evidence.REMEMBERED", 2)
+    monkeypatch.setattr("llm_flock.protocol.signed.checks.REMEMBERED", 2)
     channel, evidence = channel_of(team.agents[0]), evidence_of(team.agents[0])
     for k in range(5):
         plan = good_plan(MISSION, k)
         assert team.tell(0, liar.says(plan=plan, provenance=liar.provenance(epoch=k), table=None), team.liar) == []
         assert evidence.signed_by(1, b"%d" % k, ToyKeys(1).sign(b"%d" % k))
     assert len(channel._origins) <= 2
-    assert len(evidence._good) <= 2
+    assert len(evidence._checks._good) <= 2
 
 
 # ---------------------------------------------------------------- who speaks

@@ -18,6 +18,7 @@ from llm_flock.protocol.signed.certificates import (
     Proofs,
     ReleaseGrant,
     WitnessStatement,
+    acceptance_statement,
     drawn_bid,
     offer_statement,
     unwrap,
@@ -113,9 +114,9 @@ def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> 
     team.tell(1, liar.says(words=[good, good]), team.liar)
     team.comm_round()
     first, second = evidence_of(team.agents[0]), evidence_of(team.agents[1])
-    assert first._words == {}
+    assert first._words._said == {}
     assert first.refused["uncertified"] == 1
-    assert [list(words) for words in second._words.values()] == [[team.liar]]
+    assert [list(words) for words in second._words._said.values()] == [[team.liar]]
 
 
 def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
@@ -213,36 +214,45 @@ def test_offers_without_a_signature_are_not_heard(team: SignedTeam, liar: Liar) 
 
 
 def test_exchanges_need_both(team: SignedTeam, liar: Liar) -> None:
-    """An exchange with oneself, with a forged partner, or of other places than it says."""
+    """An exchange with oneself, with a forged partner, or of other places than it says; one that both signed counts."""
     table = team.agents[0].claim.table
     assert table is not None
-    fields = {
-        "maker": 4,
-        "to": 0,
-        "give": 0,
-        "take": 1,
-        "give_version": table[0][0],
-        "take_version": table[1][0],
-        "bid": 0.0,
-        "number": 1,
-        "signature": bytes(64),
-        "accepted_bid": 0.0,
-        "accepted_number": 1,
-        "accepted": bytes(64),
-    }
+    numbers = itertools.count(max(evidence_of(agent)._number for agent in team.agents) + 1)
 
-    def of(**other: object) -> ExchangeGrant:
-        done = ExchangeGrant(**{**fields, **other})
+    def of(
+        maker: int = team.liar, to: int = 0, give: int = 0, take: int = 1, partner: int = team.liar
+    ) -> ExchangeGrant:
+        versions = table[give][0], table[take][0]
+        done = ExchangeGrant(
+            maker=maker,
+            to=to,
+            give=give,
+            take=take,
+            give_version=versions[0],
+            take_version=versions[1],
+            bid=drawn_bid(team.context, take, versions[1] + 1, maker),
+            number=next(numbers),
+            signature=b"",
+            accepted_bid=drawn_bid(team.context, give, versions[0] + 1, to),
+            accepted_number=next(numbers),
+            accepted=b"",
+        )
         signature = liar.keys.sign(offer_statement(team.context, done.maker, done.offer(), done.number))
-        return msgspec.structs.replace(done, signature=signature)
+        done = msgspec.structs.replace(done, signature=signature)
+        return msgspec.structs.replace(done, accepted=ToyKeys(partner).sign(acceptance_statement(team.context, done)))
 
-    before = team.owners(0)
-    for done in (of(), of(to=4), of(take=0), of(maker=2)):
-        lies = {a: (entry, Certificate(number=number, grant=done)) for a, (entry, number) in done.entries().items()}
-        team.fly(1, lambda lies=lies: [liar.says(lies)])
+    def say(*exchanges: ExchangeGrant) -> list[tuple[int, ...]]:
+        for done in exchanges:
+            lies = {a: (entry, Certificate(number=number, grant=done)) for a, (entry, number) in done.entries().items()}
+            team.fly(1, lambda lies=lies: [liar.says(lies)])
+        return [tuple(team.owners(j)) for j in range(4)]
+
+    before = say()
+    assert say(of(), of(to=4), of(take=0), of(maker=2, partner=0)) == before
     other = {3: ((table[0][0] + 1, 0.0, 4), Certificate(number=1, grant=of()))}
     team.fly(1, lambda: [liar.says(other)])
-    assert team.owners(0) == before
+    assert say() == before
+    assert say(of(partner=0)) != before
 
 
 def test_entries_that_nobody_honest_writes_are_refused(team: SignedTeam, liar: Liar) -> None:

@@ -214,6 +214,21 @@ class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fro
     signature: Signature
     grant: Grant | None
 
+    @classmethod
+    def of(cls, slot: int, entry: BidEntry, certificate: Certificate) -> LastClaim:
+        """A claim as it is shown to others."""
+        return cls(slot, *entry, certificate.number, certificate.signature, certificate.grant)
+
+    @property
+    def entry(self) -> BidEntry:
+        """The claim as an entry of a table."""
+        return (self.version, self.bid, self.owner)
+
+    @property
+    def certificate(self) -> Certificate:
+        """Why the claim holds."""
+        return Certificate(number=self.number, signature=self.signature, grant=self.grant)
+
 
 class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """The certificates of a message."""

@@ -46,7 +46,7 @@ class Departures:
     def explained(self, cause: LastClaim) -> bool:
         """Whether this claim, or a higher one on the same version of the slot, has been noted and checked before."""
         known = self._causes.get((cause.slot, cause.version))
-        return known is not None and rank(entry_of(known)) >= rank(entry_of(cause))
+        return known is not None and rank(known.entry) >= rank(cause.entry)
 
     @property
     def causes(self) -> Sequence[LastClaim]:
@@ -58,14 +58,14 @@ class Departures:
         self._causes = {
             (slot, version): cause
             for (slot, version), cause in self._causes.items()
-            if rank(entry_of(cause)) > rank(table[slot])
+            if rank(cause.entry) > rank(table[slot])
         }
 
     def highest(self, slot: int, version: int, table: BidTable) -> int:
         """Owner of the highest claim known on a version of a slot, whether it counts or not; NO_OWNER if none is."""
         cause = self._causes.get((slot, version))
         claims = [table[slot]] if table[slot][0] == version else []
-        return max(claims if cause is None else [*claims, entry_of(cause)], key=rank, default=UNSAID)[2]
+        return max(claims if cause is None else [*claims, cause.entry], key=rank, default=UNSAID)[2]
 
     def departed(self, table: BidTable) -> Sequence[tuple[int, int, int]]:
         """Slot and version of claims whose owners have others since, and the owner of the highest one there.
@@ -111,8 +111,3 @@ class Departures:
             for robot, words in sorted(self._words.items())
             for witness, signature in sorted(words.items())
         ]
-
-
-def entry_of(claim: LastClaim) -> BidEntry:
-    """The claim as an entry of a table."""
-    return (claim.version, claim.bid, claim.owner)

@@ -6,15 +6,12 @@ robot holds at most one slot and changes no other robot's. `certificates` and th
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Sequence
-from typing import TypeVar
 
 import msgspec.structs
 
 from llm_flock.protocol.agreement.assignment import Claim
-from llm_flock.protocol.agreement.auction import LAST_EXCHANGED, changed, rank
+from llm_flock.protocol.agreement.auction import changed, rank
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.signed.certificates import (
@@ -43,15 +40,9 @@ from llm_flock.protocol.signed.certificates import (
     witnesses,
     word_statement,
 )
-from llm_flock.protocol.signed.departures import Departures, entry_of
-
-T = TypeVar("T")
-
-REMEMBERED = 4096
-"""Most signatures that are remembered as good."""
-
-MOST_PASSED_ON = 32
-"""Most statements of other witnesses in one message; they take turns."""
+from llm_flock.protocol.signed.checks import Checks
+from llm_flock.protocol.signed.departures import Departures
+from llm_flock.protocol.signed.words import Words, in_turn
 
 SPARE = 4
 """Numbers that a robot may use up between the decision to exchange and the exchange."""
@@ -66,13 +57,10 @@ class Evidence:
 
     def __init__(self, robot: int, authenticator: Authenticator, liars: int = LIARS) -> None:
         self.refused: Counter[str] = Counter()
-        self._witnesses = witnesses(liars)
-        # Both signatures under an exchange may be liars', if there may be two.
-        self._exchanges = liars < 2
+        self._checks = Checks(authenticator, liars)
         self._turn = 0
         self._robot = robot
         self._authenticator = authenticator
-        self._good: set[tuple[int, bytes, bytes]] = set()
         self._context: Context | None = None
         self._forget()
 
@@ -85,16 +73,14 @@ class Evidence:
         self._behind: set[int] = set()
         self._offers: dict[Offer, tuple[int, bytes]] = {}
         self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
-        self._words: dict[tuple[int, int, int], dict[int, bytes]] = {}
-        self._own: tuple[tuple[int, int, int], ...] = ()
-        self._table: BidTable = ()
+        self._words = Words(self._robot, self._checks.witnesses)
         self._silent = frozenset[int]()
-        self._departures = Departures(self._witnesses, exchanges=self._exchanges)
+        self._departures = Departures(self._checks.witnesses, exchanges=self._checks.exchanges)
 
     @property
     def liars(self) -> int:
         """Robots that may lie together."""
-        return self._witnesses - 1
+        return self._checks.witnesses - 1
 
     def turn_to(self, context: Context) -> None:
         """Start without evidence unless mission and plan are the same as before."""
@@ -103,16 +89,8 @@ class Evidence:
             self._forget()
 
     def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this; each good signature is checked once."""
-        key = (member, statement, signature)
-        if key in self._good:
-            return True
-        good = self._authenticator.check(member, statement, signature)
-        if good:
-            if len(self._good) >= REMEMBERED:
-                self._good.clear()
-            self._good.add(key)
-        return good
+        """Whether a member signed this."""
+        return self._checks.signed_by(member, statement, signature)
 
     @property
     def _page(self) -> Context:
@@ -126,7 +104,6 @@ class Evidence:
         robot sends a statement that nobody signed, so after the first such one nothing more of a message is looked at:
         whoever signs nothing takes no more than one signature's time.
         """
-        self._table = table
         certificates, entries = proofs.certificates(), [UNSAID] * len(message.table or ())
         offer = None
         try:
@@ -156,9 +133,7 @@ class Evidence:
         last = next((last for last in proofs.last if last.owner == self._robot), None)
         if last is None or not self._number <= last.number < most_claims(places):
             return
-        entry = (last.version, last.bid, last.owner)
-        certificate = Certificate(number=last.number, signature=last.signature, grant=last.grant)
-        if (last.slot, entry) not in self._held and self._holds(last.slot, entry, certificate, places):
+        if (last.slot, last.entry) not in self._held and self._holds(last.slot, last.entry, last.certificate, places):
             self._number = last.number + 1
 
     def _renew(self, slot: int, table: BidTable, certificate: Certificate | None) -> None:
@@ -172,23 +147,20 @@ class Evidence:
 
     def _fit(self, message: Message, slot: int, certificate: Certificate | None, table: BidTable) -> bool:
         entry = (message.table or ())[slot]
-        version, _, owner = entry
+        owner = entry[2]
         certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
             certificate = self._held[slot, entry]
-        elif not (
-            plausible(self._page, slot, entry, certificate.number) and self._holds(slot, entry, certificate, len(table))
-        ):
-            raise _Uncertified
-        elif certificate.number > most_claims(len(table)):
+        else:
+            self._certify(slot, entry, certificate, len(table))
+        if (slot, entry) not in self._held and certificate.number > most_claims(len(table)):
             # Its owner may be honest, and have been driven from place to place by liars.
             self.refused["many_claims"] += 1
             return False
         if owner < 0:
-            if isinstance(certificate.grant, ReleaseGrant):
-                self._keep_freed(slot, version, owner, certificate.grant)
+            self._hear_freed(slot, entry, certificate.grant, table)
             return True
-        claim = _claim_of(slot, entry, certificate)
+        claim = LastClaim.of(slot, entry, certificate)
         if self._counts_not(owner):
             self._departures.explain(claim)
             return False
@@ -201,6 +173,7 @@ class Evidence:
             if owner == message.sender:
                 self._behind.add(owner)
             return False
+        self._hear_freed(slot, entry, certificate.grant, table)
         self._keep(slot, entry, certificate)
         return True
 
@@ -209,67 +182,39 @@ class Evidence:
         owner, place = entry[2], (certificate.number, slot)
         if place >= self._last.get(owner, place):
             self._last[owner] = place
-            self._last_claims[owner] = _claim_of(slot, entry, certificate)
+            self._last_claims[owner] = LastClaim.of(slot, entry, certificate)
         if owner == self._robot:
             self._number = max(self._number, certificate.number)
         if isinstance(certificate.grant, ReleaseGrant):
-            self._keep_freed(slot, entry[0], NO_OWNER, certificate.grant)
+            self._freed[slot, entry[0], NO_OWNER] = certificate.grant
 
-    def _keep_freed(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> None:
-        self._freed[slot, version, owner] = grant
-        if grant.by != NO_OWNER:
-            self._departures.count(grant.by, slot, version, self._table)
+    def _hear_freed(self, slot: int, entry: BidEntry, grant: Grant | None, table: BidTable) -> None:
+        """Keep the words that freed or blocked a slot, and count the departure that they tell of."""
+        version, _, owner = entry
+        if isinstance(grant, ReleaseGrant):
+            self._freed[slot, version, min(owner, NO_OWNER)] = grant
+            if grant.by != NO_OWNER:
+                self._departures.count(grant.by, slot, version, table)
 
     def _holds(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> bool:
-        """Whether the certificate proves the entry."""
-        version, _, owner = entry
-        grant = certificate.grant
-        if isinstance(grant, ExchangeGrant):
-            made, number = grant.entries().get(slot, (UNSAID, 0))
-            if made != entry or not self._exchanged(grant, most_exchanges(places)):
-                return False
-            if certificate.number <= number:
-                return certificate.number == number
-        elif version == 0 and (grant is not None or owner == NO_OWNER):
-            return grant is None
-        elif version > 0 and not (grant is not None and self._free(slot, version, min(owner, NO_OWNER), grant)):
-            return False
-        statement = claim_statement(self._page, slot, entry, certificate.number)
-        return owner < 0 or self.signed_by(owner, statement, certificate.signature)
+        return self._checks.holds(self._page, slot, entry, certificate, places)
 
-    def _free(self, slot: int, version: int, owner: int, grant: ReleaseGrant) -> bool:
-        if grant.by != NO_OWNER and owner != NO_OWNER:
-            return False  # who left it has not blocked it
-        stated = owner if grant.by == NO_OWNER else left_by(grant.by)
-        statement = word_statement(self._page, slot, version, stated)
-        # Exactly as many as are needed: whoever merges the entry has to pass the grant on.
-        return len(grant.words) == len({robot for robot, _ in grant.words}) == self._witnesses and all(
-            self.signed_by(robot, statement, signature) for robot, signature in grant.words
-        )
-
-    def _exchanged(self, done: ExchangeGrant, most: int) -> bool:
-        offer = offer_statement(self._page, done.maker, done.offer(), done.number)
-        return (
-            self._exchanges
-            and done.maker != done.to
-            and done.give != done.take
-            and max(done.give_version, done.take_version) < LAST_EXCHANGED
-            and max(done.number, done.accepted_number) <= most
-            and self.signed_by(done.maker, offer, done.signature)
-            and self.signed_by(done.to, acceptance_statement(self._page, done), done.accepted)
-        )
+    def _certify(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> None:
+        """Raise where no honest robot could write an entry, or its certificate does not prove it."""
+        likely = plausible(self._page, slot, entry, certificate.number)
+        if not likely or not self._holds(slot, entry, certificate, places):
+            raise _Uncertified
 
     def _hear_word(self, word: WitnessStatement, table: BidTable) -> None:
         """Keep a statement about the next version of an entry held; of departures, those of who may have claimed it."""
-        slot, version, owner = what = (word.slot, word.version, word.owner)
-        if slot >= len(table) or version != table[slot][0] + 1 or word.witness in self._words.get(what, {}):
+        slot, version, owner = word.slot, word.version, word.owner
+        if slot >= len(table) or version != table[slot][0] + 1 or self._words.knows(word):
             return
         if owner <= LEFT and LEFT - owner not in (table[slot][2], self._departures.highest(slot, version - 1, table)):
             return
-        if self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
-            self._words.setdefault(what, {})[word.witness] = word.signature
-        else:
+        if not self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
             raise _Uncertified
+        self._words.keep(word)
 
     def _hear_restless(self, word: RestlessWord) -> None:
         """Keep a word about a robot of which a departure is known: others would only fill memory and messages."""
@@ -281,25 +226,21 @@ class Evidence:
 
     def _hear_cause(self, cause: LastClaim, table: BidTable) -> None:
         """Note a claim that does not count any more, but is why the owner in the table has left."""
-        slot, entry, owner = cause.slot, entry_of(cause), cause.owner
+        slot, entry, owner = cause.slot, cause.entry, cause.owner
         if slot >= len(table) or entry[0] != table[slot][0] or rank(entry) <= rank(table[slot]):
             return
         outdated = (cause.number, slot) < self._last.get(owner, (0, 0))
         if not (outdated or self._counts_not(owner)):
             return
         if not self._departures.explained(cause):
-            certificate = Certificate(number=cause.number, signature=cause.signature, grant=cause.grant)
-            if not (
-                plausible(self._page, slot, entry, cause.number) and self._holds(slot, entry, certificate, len(table))
-            ):
-                raise _Uncertified
+            self._certify(slot, entry, cause.certificate, len(table))
             self._departures.explain(cause)
         if outdated:
             self._departures.outdate(slot, entry)
 
     def _counts_not(self, owner: int) -> bool:
         """Whether a robot claims in vain: it is excluded, or does not seem to live."""
-        return owner in self.excluded or owner in self._silent - {self._robot}
+        return owner in self.excluded or (owner in self._silent and owner != self._robot)
 
     @property
     def excluded(self) -> frozenset[int]:
@@ -313,7 +254,7 @@ class Evidence:
             if owner in self.excluded and (version == 0 or self.freed(slot, version)):
                 # Its claim stays the highest there was: whoever it outbid has left with cause.
                 if (certificate := self._held.get((slot, table[slot]))) is not None:
-                    self._departures.explain(_claim_of(slot, table[slot], certificate))
+                    self._departures.explain(LastClaim.of(slot, table[slot], certificate))
                 new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
         return changed(table, new)
 
@@ -327,7 +268,7 @@ class Evidence:
 
     def may_exchange(self, places: int) -> bool:
         """Whether exchanges count in this team, and this robot has not used up its numbers for them."""
-        return self._exchanges and self._number + SPARE <= most_exchanges(places)
+        return self._checks.exchanges and self._number + SPARE <= most_exchanges(places)
 
     def _hear_offer(self, message: Message, proofs: Proofs, places: int) -> Offer | None:
         offer = message.offer
@@ -363,28 +304,19 @@ class Evidence:
                 own = {what for what in own if what[0] != slot} | {(slot, version + 1, BLOCKED)}
             elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
                 own.add((slot, version + 1, NO_OWNER))
-        self._own = tuple(sorted(own))
+        self._words.state(own, lambda stated: self._authenticator.sign(word_statement(self._page, *stated)))
         for robot in self._departures.restless(len(table)) if sure else ():
             if not self._departures.knows(robot, self._robot):
                 signature = self._authenticator.sign(restless_statement(self._page, robot))
                 self._departures.keep(robot, self._robot, signature)
-        for slot, version, owner in self._own:
-            words = self._words.setdefault((slot, version, owner), {})
-            if self._robot not in words:
-                words[self._robot] = self._authenticator.sign(word_statement(self._page, slot, version, owner))
 
     def granted(self, table: BidTable) -> BidTable:
         """Entries that enough robots have stated together, to be merged; UNSAID elsewhere."""
-        self._table, entries = table, [UNSAID] * len(table)
-        for (slot, version, stated), words in list(self._words.items()):
-            if version <= table[slot][0]:
-                del self._words[slot, version, stated]
-            elif len(words) >= self._witnesses:
-                owner, by = (stated, NO_OWNER) if stated > LEFT else (NO_OWNER, LEFT - stated)
-                entry = (version, 0.0, owner)
-                grant = ReleaseGrant(tuple(sorted(words.items())[: self._witnesses]), by)
-                self._keep_freed(slot, version, owner, grant)
-                entries[slot] = max(entry, entries[slot], key=rank)
+        entries: list[BidEntry] = [UNSAID] * len(table)
+        for slot, version, owner, grant in self._words.grants(table):
+            entry = (version, 0.0, owner)
+            self._hear_freed(slot, entry, grant, table)
+            entries[slot] = max(entry, entries[slot], key=rank)
         return tuple(entries)
 
     def attest(self, claim: Claim) -> None:
@@ -443,43 +375,21 @@ class Evidence:
             elif version > 0:
                 certificates[slot] = Certificate(number=0, grant=self._freed[slot, version, owner])
         claims, grants = claims_of(certificates)
-        words = tuple(
-            WitnessStatement(self._robot, *what, self._words[what][self._robot])
-            for what in self._own
-            if what in self._words
-        )
         self._turn += 1
         restless = self._departures.words()
         own = [word for word in restless if word.witness == self._robot]
+        # With few witnesses, enough of them are found among the neighbours.
+        others = self._words.of_others() if self._checks.witnesses > witnesses(LIARS) else ()
         last, self._behind = tuple(self._last_claims[j] for j in sorted(self._behind)), set()
         return Proofs(
             claims=claims,
             grants=grants,
-            words=words + self._passed_on(),
+            words=(*self._words.own(), *in_turn(others, self._turn)),
             offer=self._offer(message.offer),
             last=last,
-            restless=(*own, *self._in_turn([word for word in restless if word not in own])),
-            causes=self._in_turn(self._departures.causes),
+            restless=(*own, *in_turn([word for word in restless if word not in own], self._turn)),
+            causes=in_turn(self._departures.causes, self._turn),
         )
-
-    def _passed_on(self) -> tuple[WitnessStatement, ...]:
-        """Statements of others, where neighbours may not hear enough witnesses themselves; a few in each message."""
-        if self._witnesses <= witnesses(LIARS):  # so few are found among the neighbours
-            return ()
-        others = [
-            WitnessStatement(robot, *what, signature)
-            for what, words in self._words.items()
-            for robot, signature in words.items()
-            if robot != self._robot
-        ]
-        return self._in_turn(others)
-
-    def _in_turn(self, statements: Sequence[T]) -> tuple[T, ...]:
-        """A few of them in each message."""
-        if len(statements) <= MOST_PASSED_ON:
-            return tuple(statements)
-        first = self._turn * MOST_PASSED_ON % len(statements)
-        return tuple(itertools.islice(itertools.cycle(statements), first, first + MOST_PASSED_ON))
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
         """The signed offer; it has a number of its own, which counts as that of a claim if it is accepted."""
@@ -490,8 +400,3 @@ class Evidence:
             statement = offer_statement(self._page, self._robot, offer, self._number)
             self._offers = {offer: (self._number, self._authenticator.sign(statement))}
         return self._offers[offer]
-
-
-def _claim_of(slot: int, entry: BidEntry, certificate: Certificate) -> LastClaim:
-    """A claim as it is shown to others."""
-    return LastClaim(slot, *entry, certificate.number, certificate.signature, certificate.grant)
