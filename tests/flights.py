@@ -15,12 +15,14 @@ from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.preflight import PreflightReport
+from llm_flock.runtime.result import FlightFigures, RunResult
 
 ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}
 BRISK = {"round_s": 0.6, "max_speed_m_s": 6.0, "take_off_s": 0.4, "land_s": 0.4, "settle_s": 0.3, "deadman": False}
 STARTS = ((-1.2, -1.2), (1.2, -1.2), (1.2, 1.2), (-1.2, 1.2))
 
-Sabotage = Callable[[Flight, list[SimulatedRobot]], None]
+Robots = list[SimulatedRobot]
+Sabotage = Callable[[Flight, Robots], None]
 
 
 def flight_config(
@@ -97,6 +99,19 @@ def flown(
 ) -> FlightResult:
     """As `fly`, from start to end."""
     return asyncio.run(fly(config, sabotage, at, sink))
+
+
+def trial(result: FlightResult) -> RunResult:
+    """What was flown; fails where nobody took off."""
+    assert result.result is not None
+    return result.result
+
+
+def figures(result: FlightResult) -> FlightFigures:
+    """The figures of a flight that took place."""
+    found = trial(result).summary.flight
+    assert found is not None
+    return found
 
 
 def one_by_one(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:

@@ -10,12 +10,11 @@ import math
 import resource
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from flights import STOCK, Sabotage, flight_config, flown, fly
+from flights import STOCK, Robots, Sabotage, figures, flight_config, flown, fly, trial
 from slowness import slowness
 
 from llm_flock.errors import RecordError
@@ -29,22 +28,8 @@ from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.landing import FELL, STOPPED
 from llm_flock.runtime.flight.monitors import TroubleKind
-from llm_flock.runtime.result import FlightFigures, RunResult
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")
-
-Robots = list[SimulatedRobot]
-
-
-def trial(result) -> RunResult:
-    assert result.result is not None
-    return result.result
-
-
-def figures(result) -> FlightFigures:
-    found = trial(result).summary.flight
-    assert found is not None
-    return found
 
 
 def test_a_square_is_formed_and_landed(tmp_path) -> None:
@@ -67,20 +52,6 @@ def test_a_square_is_formed_and_landed(tmp_path) -> None:
     assert all(x <= 0.02 for _, _, x in record.bodies[0].measured)
 
 
-@pytest.mark.parametrize("at", ["taking off", "flying", "landing"])
-def test_a_listener_that_fails_ends_the_flight_and_all_land(at: str) -> None:
-    made: Robots = []
-
-    def fail(flight: Flight, robots: Robots) -> None:
-        made.extend(robots)
-        raise RuntimeError("a display")
-
-    with pytest.raises(RuntimeError, match="a display"):
-        flown(flight_config(), fail, at)
-    assert [robot.body.position(time.monotonic())[2] for robot in made[:4]] == [0.0] * 4
-    assert not any(robot.state().flying for robot in made)
-
-
 def lose_link(flight: Flight, robots: Robots) -> None:
     robots[1].lose_link()
 
@@ -89,32 +60,6 @@ def lose_link_for_a_while(flight: Flight, robots: Robots) -> None:
     robot = robots[1]
     robot.lose_link()
     asyncio.get_running_loop().call_later(1.0, setattr, robot, "_lost", False)
-
-
-def test_a_drone_that_is_heard_again_is_seen_to_land_and_not_locked() -> None:
-    """This computer stood still, and the driver gave the link up; but orders reach the drone, and news come from it."""
-
-    def give_up(flight: Flight, robots: Robots) -> None:
-        plain = robots[1].state
-        robots[1].state = lambda: replace(plain(), link_lost=True)
-
-    flight = figures(flown(flight_config(), give_up))
-    assert flight.ended == "link_lost" and set(flight.ends.values()) == {"landed"} and flight.safe
-
-
-@pytest.mark.parametrize("late_s", [1.1, 3.0])
-def test_a_drone_that_is_slow_to_take_the_order_to_land_is_landed(late_s: float) -> None:
-    def slow(flight: Flight, robots: Robots) -> None:
-        plain = robots[1].land
-
-        async def land(height_m: float, duration_s: float) -> None:
-            await asyncio.sleep(late_s)
-            await plain(height_m, duration_s)
-
-        robots[1].land = land
-
-    flight = figures(flown(flight_config(), slow))
-    assert flight.ended == "mission" and set(flight.ends.values()) == {"landed"}
 
 
 def stall(flight: Flight, robots: Robots) -> None:
@@ -244,26 +189,6 @@ def test_a_drone_that_stops_in_the_air_is_named_and_the_others_are_landed() -> N
     flight = figures(flown(flight_config(), stop))
     assert flight.ended == "fault" and flight.reason == "d2: it cannot fly any more: locked"
     assert flight.ends == {name: "landed" if name != "d2" else FELL for name in ("d0", "d1", "d2", "d3")}
-
-
-@pytest.mark.parametrize(
-    ("command", "at", "says"),
-    [
-        ("arm", "taking off", "d1: did not arm within 6 s"),
-        ("take_off", "taking off", "d1: did not take off within 6 s"),
-        ("go_to", "round 1", "d1: did not take its next set-point within 1 s"),
-    ],
-)
-def test_a_driver_that_does_not_answer_ends_the_flight_by_name(command: str, at: str, says: str) -> None:
-    async def never(*_: object) -> None:
-        await asyncio.sleep(3600.0)
-
-    def hang(flight: Flight, robots: Robots) -> None:
-        setattr(robots[1], command, never)
-
-    flight = figures(flown(flight_config(), hang, at))
-    assert (flight.ended, flight.reason) == ("refused", says)
-    assert {flight.ends[name] for name in ("d0", "d2", "d3")} <= {"landed", "never took off", STOPPED}
 
 
 def test_time_is_up() -> None:

@@ -241,7 +241,7 @@ def test_exchanges_need_both(team: SignedTeam, liar: Liar) -> None:
         done = msgspec.structs.replace(done, signature=signature)
         return msgspec.structs.replace(done, accepted=ToyKeys(partner).sign(acceptance_statement(team.context, done)))
 
-    def say(*exchanges: ExchangeGrant) -> list[tuple[int, ...]]:
+    def say(*exchanges: ExchangeGrant) -> list[tuple[tuple[int, int], ...]]:
         for done in exchanges:
             lies = {a: (entry, Certificate(number=number, grant=done)) for a, (entry, number) in done.entries().items()}
             team.fly(1, lambda lies=lies: [liar.says(lies)])
