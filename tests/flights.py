@@ -102,8 +102,8 @@ def flown(
 
 
 def trial(result: FlightResult) -> RunResult:
-    """What was flown; fails where nobody took off."""
-    assert result.result is not None
+    """What was flown; fails where nobody took off, and says why."""
+    assert result.result is not None, [str(check) for check in result.report.checks if not check.passed]
     return result.result
 
 

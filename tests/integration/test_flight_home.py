@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from effort import EFFORT
-from flights import STARTS, STOCK, Sabotage, flight_config, flown
+from flights import STARTS, STOCK, Robots, Sabotage, flight_config, flown
 
 from llm_flock import metrics
 from llm_flock.mission import Mission
 from llm_flock.record.reader import read_record
 from llm_flock.robots.simulated import draw_start
-from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.flight import homing
 from llm_flock.runtime.flight.dry_run import dry_run
@@ -25,8 +24,6 @@ from llm_flock.runtime.flight.homing import WayHome
 from llm_flock.runtime.result import FlightFigures
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")
-
-Robots = list[SimulatedRobot]
 
 
 def order(flight: Flight, robots: Robots) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
-from flights import flight_config, yes
+from flights import figures, flight_config, yes
 
 from llm_flock.errors import InputError
 from llm_flock.robots.positions import Pose, PoseFrame
@@ -18,7 +18,6 @@ from llm_flock.runtime.flight import deadman, positions
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of
 from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.result import FlightFigures
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")
 
@@ -84,13 +83,6 @@ def flown(act: Callable[[Cameras], None], at: str, **fields: Any) -> FlightResul
         return await flight.run(yes)
 
     return asyncio.run(run())
-
-
-def figures(result: FlightResult) -> FlightFigures:
-    assert result.result is not None, [str(check) for check in result.report.checks if not check.passed]
-    found = result.result.summary.flight
-    assert found is not None
-    return found
 
 
 @pytest.mark.parametrize(("hidden", "named"), [({"d2"}, "d2"), ({"d0", "d1", "d2", "d3"}, "d0")])

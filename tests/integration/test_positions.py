@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from flights import figures
 
 from llm_flock.errors import InputError
 from llm_flock.record.reader import read_record
@@ -23,7 +24,6 @@ from llm_flock.robots.positions.datagram import datagram_of
 from llm_flock.robots.positions.mocap import MocapPoses
 from llm_flock.robots.positions.udp import UdpPoses
 from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.result import FlightFigures, RunResult
 from llm_flock.testing.crtp import StandIns
 from llm_flock.testing.poses import PoseStream
 from llm_flock.testing.robots import wait_until
@@ -99,13 +99,6 @@ def flown(
             result = asyncio.run(fly(config_of(drones.uris, port, **fields), stream, act, after_s))
         outsides = [drones[k].firmware.outside for k in range(len(drones))]
         return result, [found.taken for found in outsides if found is not None], stream
-
-
-def figures(result: Any) -> FlightFigures:
-    assert isinstance(result.result, RunResult), [str(check) for check in result.report.checks if not check.passed]
-    found = result.result.summary.flight
-    assert found is not None
-    return found
 
 
 def test_noise_a_short_drop_out_and_a_stranger_s_flood_are_flown_through(tmp_path: Path) -> None:
