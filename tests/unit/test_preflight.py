@@ -115,7 +115,14 @@ def test_what_is_not_watched_is_said() -> None:
 
 
 @pytest.mark.parametrize(
-    ("heard_s", "kind"), [(4.2, TroubleKind.LINK_LOST), (4.95, TroubleKind.ESTIMATE_STALLED), (None, None)]
+    ("heard_s", "kind"),
+    [
+        (4.2, TroubleKind.LINK_LOST),
+        (4.6, TroubleKind.LINK_LOST),
+        (4.8, TroubleKind.ESTIMATE_STALLED),
+        (4.95, TroubleKind.ESTIMATE_STALLED),
+        (None, None),
+    ],
 )
 def test_the_first_cause_is_named(heard_s: float | None, kind: TroubleKind | None) -> None:
     """Where nothing at all comes, it is the link; where only estimates do not come, it is those."""

@@ -1,9 +1,9 @@
-"""Who leaves place after place though nobody outbids it: it may own none any more.
+"""Robots that keep leaving their places though nobody outbids them: their claims come to count for nothing.
 
-With every place that is left, its version rises, and lots are drawn anew. Robots that lie could move on for ever, and
-drive the honest from place to place. So whoever frees a place because its owner left it says so, by name, and these
-departures are counted; of a robot that leaves too often every robot says that it is restless. Once one robot more than
-may lie has said it, the claims of that robot on this plan count for nothing.
+Each time a place is left, its version rises and lots are drawn anew, so robots that lie could keep moving and drive the
+honest from place to place. Witnesses that free a place because its owner left it therefore name the owner, and these
+departures are counted. Every robot says of an owner that leaves too often that it is restless. Once more robots have
+said so than may lie, the claims of the restless robot on this plan count for nothing.
 """
 
 from __future__ import annotations

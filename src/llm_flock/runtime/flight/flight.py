@@ -222,7 +222,7 @@ class Flight:
             finally:
                 try:
                     self._enter("landing")
-                finally:  # whoever is told of it may fail
+                finally:  # a listener may raise
                     await landing.land_all()
                 await supervisor.cuts_done()
                 for task in watchers:

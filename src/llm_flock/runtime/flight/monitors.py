@@ -100,11 +100,10 @@ class Monitors:
             report(TroubleKind.REFUSED, state.taken_over)
             return found  # whoever flies it answers for it: nothing more is asked of it, and its motors are not cut
         old = now - state.stamp_s > safety.stall_s
-        silent = state.heard_s is not None and now - state.heard_s > safety.stall_s
         if state.link_lost:
             report(TroubleKind.LINK_LOST, "its link is lost")
-        elif old and silent and state.heard_s is not None:
-            # Estimates do not come because nothing does.
+        elif old and state.heard_s is not None and now - state.heard_s > safety.stall_s / 2:
+            # Estimates do not come because nothing does; the last to come may have been an answer, just after one.
             report(TroubleKind.LINK_LOST, f"nothing has come from it for {now - state.heard_s:.2f} s")
         elif old:
             report(TroubleKind.ESTIMATE_STALLED, f"its last position estimate is {now - state.stamp_s:.2f} s old")
