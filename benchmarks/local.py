@@ -157,7 +157,7 @@ async def _letters(taught: str, turns: int) -> None:
         for turn in range(-1, turns):  # the first turn loads both engines, and does not count
             asked = questions[TEN * max(0, turn) :][:TEN]
             for name, (text, kind, prompts, frame) in forms.items():
-                model = pool.model(text, robot=0, rng=np.random.default_rng(0))
+                model = pool.model(text, rng=np.random.default_rng(0))
                 seen: list[Attempt] = []
                 planners = [
                     kind(k, model, prompts, max_retries=0, frame=frame, on_attempt=seen.append) for k in range(TEN)

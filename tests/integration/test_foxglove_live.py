@@ -69,6 +69,18 @@ def server(token: str | None = None, orders: Orders | None = None) -> Iterator[F
         yield found
 
 
+def subscribe(live: FoxgloveServer, client: FoxgloveClient, *topics: str) -> None:
+    """Return once the server knows it: what is written before is not for this client."""
+    before = live._channels[topics[-1]].has_sinks()
+    client.subscribe(*topics)
+    client.listen_for(0.1)
+    for _ in range(600):
+        if before or all(live._channels[topic].has_sinks() for topic in topics):
+            return
+        client.listen_for(0.1)
+    pytest.fail("the server does not know of the subscription")
+
+
 def status_of(url: str, origin: str | None = None) -> int:
     with pytest.raises(InvalidStatus) as refused:
         FoxgloveClient(url, origin)
@@ -80,8 +92,7 @@ def test_a_client_gets_the_channels_and_messages_of_the_run() -> None:
     with server() as live, FoxgloveClient(live.url) as client:
         assert client.info["capabilities"] == [] and not client.services
         assert set(CHANNELS) <= set(client.channels)
-        client.subscribe("/state", "/scene", "/round", "/llm")
-        client.listen_for(0.1)
+        subscribe(live, client, "/state", "/scene", "/round", "/llm")
         flown.write(live)
         client.listen_until(lambda: len(client.of("/round")) == 4)
         assert "/robots/3/pose" in client.channels
@@ -215,9 +226,8 @@ def test_a_client_that_reads_nothing_holds_nobody_up() -> None:
     flown = FakeRun(n=4, rounds=2)
     with server() as live, FoxgloveClient(live.url) as good:
         bad = FoxgloveClient(live.url)
-        for client in (bad, good):
-            client.subscribe("/round", "/llm")
-        good.listen_for(0.1)
+        subscribe(live, bad, "/round", "/llm")
+        subscribe(live, good, "/round", "/llm")
         began = time.monotonic()
         flown.write(live)
         for number in range(3, 400):

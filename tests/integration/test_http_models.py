@@ -40,7 +40,7 @@ def pool_for(server: Server | str, timeout_s: float = 5.0) -> ModelPool:
 
 async def ask_once(server: Server | str, timeout_s: float = 5.0) -> Reply | ModelError:
     async with pool_for(server, timeout_s) as pool:
-        model = pool.model("openai-compatible:stand-in", robot=0, rng=np.random.default_rng(0))
+        model = pool.model("openai-compatible:stand-in", rng=np.random.default_rng(0))
         try:
             return await model.ask(call())
         except ModelError as error:
@@ -133,9 +133,7 @@ def test_limits_get_every_answer_through_and_count_every_fault() -> None:
         async with pool_for(server) as pool, asyncio.TaskGroup() as group:
             tasks = [
                 group.create_task(
-                    Limited(
-                        pool.model("openai-compatible:stand-in", robot=i, rng=np.random.default_rng(i)), limits
-                    ).ask(call(i))
+                    Limited(pool.model("openai-compatible:stand-in", rng=np.random.default_rng(i)), limits).ask(call(i))
                 )
                 for i in range(120)
             ]
@@ -161,7 +159,7 @@ def test_two_hundred_calls_run_at_once() -> None:
         limits = CallLimits(rng=np.random.default_rng(0))
         async with pool_for(server) as pool:
             models = [
-                Limited(pool.model("openai-compatible:stand-in", robot=i, rng=np.random.default_rng(i)), limits)
+                Limited(pool.model("openai-compatible:stand-in", rng=np.random.default_rng(i)), limits)
                 for i in range(200)
             ]
             await models[0].ask(call(0))  # the first call pays for imports
@@ -193,7 +191,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
         )
 
         async def think(robot: int, pool: ModelPool) -> tuple[PlanAnswer | NoAnswer, StepAnswer | NoAnswer]:
-            model = pool.model("openai-compatible:stand-in", robot=robot, rng=np.random.default_rng(robot))
+            model = pool.model("openai-compatible:stand-in", rng=np.random.default_rng(robot))
             planner = LanguagePlanner(
                 robot,
                 Limited(model, limits),
@@ -233,7 +231,7 @@ def test_max_calls_is_exact_under_concurrency() -> None:
     async def scenario(server: Server) -> int:
         limits = CallLimits(meter=BudgetMeter(Budget(max_calls=7)), rng=np.random.default_rng(0))
         async with pool_for(server) as pool:
-            model = Limited(pool.model("openai-compatible:stand-in", robot=0, rng=np.random.default_rng(0)), limits)
+            model = Limited(pool.model("openai-compatible:stand-in", rng=np.random.default_rng(0)), limits)
             results = await asyncio.gather(*(model.ask(call(i)) for i in range(30)), return_exceptions=True)
         return sum(isinstance(result, BudgetExceeded) for result in results)
 

@@ -217,11 +217,6 @@ def test_a_response_that_breaks_the_parser_is_garbage(error: Exception) -> None:
     assert failing(error).kind == "garbage"
 
 
-def test_a_stand_in_may_raise_our_own_error() -> None:
-    error = ModelError("server", "pretended", 3.0)
-    assert failing(error) is error
-
-
 @pytest.mark.parametrize(
     ("headers", "seconds"),
     [

@@ -191,7 +191,7 @@ def test_a_reasoning_effort_is_refused(file):
 
 
 def test_the_pool_builds_models_on_board_without_loading_them(file):
-    model = ModelPool(environ={}).model(f"local:{file}", robot=0, rng=np.random.default_rng(0))
+    model = ModelPool(environ={}).model(f"local:{file}", rng=np.random.default_rng(0))
     assert isinstance(model, LocalModel)
     assert engine.ENGINES.running == 0
     name = parse_model(f"local:{file}")

@@ -31,8 +31,8 @@ def test_every_provider_in_the_table_can_be_built(info) -> None:
     async def build() -> str:
         urls = {} if info.base_url else {info.name: "http://localhost:9/v1"}
         async with ModelPool(base_urls=urls, environ={info.key_env: "key-0123456789"}) as pool:
-            first = pool.model(info.example, robot=0, rng=np.random.default_rng(0))
-            second = pool.model(info.example, robot=1, rng=np.random.default_rng(1))
+            first = pool.model(info.example, rng=np.random.default_rng(0))
+            second = pool.model(info.example, rng=np.random.default_rng(1))
             assert isinstance(first, PydanticModel) and isinstance(second, PydanticModel)
             assert first._model is second._model  # one model, one set of connections, for all robots
             assert first._model.model_name == name.model
@@ -114,7 +114,7 @@ def test_settings_per_robot() -> None:
 def test_the_responses_api_is_used_where_there_is_no_other(model: str, own: bool, elsewhere: bool) -> None:
     name = parse_model(model)
     if name.info.base_url and name.provider.startswith("openai"):
-        asked = ModelPool(environ={"OPENAI_API_KEY": "k"}).model(model, robot=0, rng=np.random.default_rng(0))
+        asked = ModelPool(environ={"OPENAI_API_KEY": "k"}).model(model, rng=np.random.default_rng(0))
         assert isinstance(asked, PydanticModel) and isinstance(asked._model, OpenAIResponsesModel) == own
     assert needs_responses(name.provider, name.model, name.info.base_url or "") == own
     assert needs_responses(name.provider, name.model, "http://localhost:9/v1") == elsewhere
@@ -143,15 +143,15 @@ def test_a_missing_key_names_its_variable() -> None:
         pool = ModelPool(environ={}, base_urls={} if info.base_url else {info.name: "http://localhost:9"})
         if info.key_required:
             with pytest.raises(InputError, match=info.key_env):
-                pool.model(info.example, robot=0, rng=RNG)
+                pool.model(info.example, rng=RNG)
         else:
-            assert pool.model(info.example, robot=0, rng=RNG).name == info.example
+            assert pool.model(info.example, rng=RNG).name == info.example
 
 
 def test_no_key_is_needed_at_another_address_and_no_address_is_invented() -> None:
-    ModelPool(environ={}, base_urls={"openai": "http://localhost:9/v1"}).model("openai:o3-mini", robot=0, rng=RNG)
+    ModelPool(environ={}, base_urls={"openai": "http://localhost:9/v1"}).model("openai:o3-mini", rng=RNG)
     with pytest.raises(InputError, match="an address for 'llama'"):
-        ModelPool(environ={}).model("llama:any", robot=0, rng=RNG)
+        ModelPool(environ={}).model("llama:any", rng=RNG)
 
 
 def test_base_urls() -> None:
@@ -210,14 +210,14 @@ def test_a_money_budget_needs_prices() -> None:
         check_priced(1.0, ["openai:o3-mini"], {"openai": "http://localhost/v1"})
 
 
-def test_simulated_models_are_free_and_go_through_the_same_door() -> None:
+def test_simulated_models_and_others_have_doors_of_their_own() -> None:
     pool = ModelPool(environ={})
-    model = pool.model("simulated:ideal", robot=0, rng=np.random.default_rng(0))
+    model = pool.model("simulated:ideal", rng=np.random.default_rng(0))
     assert model.name == "simulated:ideal"
-    assert isinstance(model, PydanticModel) and isinstance(model._model, SimulatedModel)
+    assert isinstance(model, SimulatedModel)
     for text in ("geometry", "replay:x"):
         with pytest.raises(InputError):
-            pool.model(text, robot=0, rng=np.random.default_rng(0))
+            pool.model(text, rng=np.random.default_rng(0))
 
 
 def test_per_robot_names_the_field_it_was_asked_about() -> None:

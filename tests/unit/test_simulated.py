@@ -16,7 +16,6 @@ from simulated_talk import CIRCLE, JSON, PLAN, TEXT, Conversation, plan_talk, re
 
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError, ModelError
-from llm_flock.llm.client import PydanticModel
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.prompting import PromptSet
@@ -231,12 +230,8 @@ def test_one_failures_rate_does_not_shift_anothers_chance() -> None:
 
 
 def ask(profile: str, talk: Conversation, tries: int = 1, **options: Any) -> list[Any]:
-    """Replies and errors of the whole path: pydantic-ai's model inside our client."""
-    model = PydanticModel(
-        SimulatedModel(parse_profile(profile), 3, np.random.default_rng(0), **options),
-        name=f"simulated:{profile}",
-        cost=0,
-    )
+    """Replies and errors, in turn."""
+    model = SimulatedModel(parse_profile(profile), np.random.default_rng(0), **options)
     roles: Any = ("system", "user", "assistant")
     messages = tuple(ChatMessage(roles[roles.index(role)], text) for role, text in talk)
 
@@ -252,7 +247,7 @@ def ask(profile: str, talk: Conversation, tries: int = 1, **options: Any) -> lis
     return asyncio.run(all_tries())
 
 
-def test_the_whole_path_gives_text_and_estimated_tokens() -> None:
+def test_a_reply_has_text_and_estimated_tokens() -> None:
     talk = step_talk()
     (reply,) = ask("ideal", talk)
     assert reply.text == responder().answer(talk) and reply.model == "simulated:ideal"
@@ -283,7 +278,7 @@ def test_slow_models_take_about_a_second() -> None:
 
 def test_a_planner_with_other_prompts_gets_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "step.j2").write_text("Where to?", encoding="utf-8")
-    model = PydanticModel(SimulatedModel(Profile(), 0, np.random.default_rng(0)), name="simulated:ideal")
+    model = SimulatedModel(Profile(), np.random.default_rng(0))
     planner = LanguagePlanner(0, model, PromptSet.load(tmp_path))
     question = StepQuestion(mission=CIRCLE, robot=0, round=1, position=(1.0, 2.0), neighbors=(), plan=PLAN, slot=0)
     with pytest.raises(InputError, match="the only ones understood"):
@@ -291,9 +286,7 @@ def test_a_planner_with_other_prompts_gets_a_clear_error(tmp_path: Path) -> None
 
 
 def test_a_planner_and_a_malformed_model_get_along() -> None:
-    model = PydanticModel(
-        SimulatedModel(parse_profile("malformed@0.5"), 0, np.random.default_rng(3)), name="simulated:malformed@0.5"
-    )
+    model = SimulatedModel(parse_profile("malformed@0.5"), np.random.default_rng(3))
     tries: list[int] = []
     planner = LanguagePlanner(
         0, model, TEXT, max_retries=30, on_attempt=lambda attempt: tries.append(attempt.call.attempt)

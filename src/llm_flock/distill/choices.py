@@ -215,7 +215,7 @@ async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | N
 
     async with ModelPool() as pool:
         settings = CallSettings(max_tokens=LETTER_TOKENS)
-        asked = pool.model(model, robot=0, rng=np.random.default_rng(seed), settings=settings)
+        asked = pool.model(model, rng=np.random.default_rng(seed), settings=settings)
         return list(await asyncio.gather(*(one(asked, choice) for choice in choices)))
 
 

@@ -253,7 +253,7 @@ class Evaluator:
                 return await (planner.plan(question) if isinstance(question, PlanQuestion) else planner.step(question))
 
         async with ModelPool() as pool:
-            model = pool.model(self._text, robot=0, rng=np.random.default_rng(self._seed))
+            model = pool.model(self._text, rng=np.random.default_rng(self._seed))
             return list(await asyncio.gather(*(one(model, question) for question in questions)))
 
 

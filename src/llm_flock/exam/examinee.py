@@ -155,7 +155,7 @@ class Examinee:
             return Limited(self._own, self._limits)
         # The answers to a question must not depend on which others were asked before it.
         rng = np.random.default_rng([self.setup.seed, round_, robot])
-        return Limited(self._pool.model(self.name, robot=robot, rng=rng, settings=self._settings), self._limits)
+        return Limited(self._pool.model(self.name, rng=rng, settings=self._settings), self._limits)
 
     async def __aenter__(self) -> Self:
         return self

@@ -29,7 +29,7 @@ from pydantic_ai.models import Model, ModelRequestParameters
 from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
-from llm_flock.errors import FlockError, ModelError
+from llm_flock.errors import ModelError
 from llm_flock.llm.port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.thoughts import spoken
@@ -71,7 +71,6 @@ class PydanticModel:
         settings: how to sample.
         secrets: keys to remove from every text that leaves this object.
         priced: whether the provider's price list applies.
-        cost: fixed price of every call [US dollars], for models that are free; overrides the price list.
     """
 
     def __init__(
@@ -82,14 +81,12 @@ class PydanticModel:
         settings: CallSettings | None = None,
         secrets: tuple[str, ...] = (),
         priced: bool = False,
-        cost: float | None = None,
     ) -> None:
         self._model = model
         self.name = name
         self._provider = name.partition(":")[0]
         self._secrets = secrets
         self._price_list = self._provider if priced else None
-        self._cost = cost
         settings = settings or CallSettings()
         self._asked = settings.plain()
         self._settings = _model_settings(settings, self._provider)
@@ -105,8 +102,6 @@ class PydanticModel:
                 model_settings=self._settings,
                 model_request_parameters=self._parameters(call.schema),
             )
-        except FlockError:
-            raise  # from a simulated model
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
             retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
             raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
@@ -145,13 +140,12 @@ class PydanticModel:
         # A server may return anything as its model's name, even the key.
         answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH])
         answered_by = answered_by or self.name.partition(":")[2]
-        cost = self._cost if self._cost is not None else cost_usd(self._price_list, answered_by, usage)
         return Reply(
             text=text,
-            model=self.name if self.name.startswith("simulated:") else f"{self._provider}:{answered_by}",
+            model=f"{self._provider}:{answered_by}",
             settings=self._asked,
             usage=usage,
-            cost_usd=cost,
+            cost_usd=cost_usd(self._price_list, answered_by, usage),
             latency_s=latency_s,
             finish_reason=reason,
             thought=said.thought or _thought(response),

@@ -16,6 +16,7 @@ from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
+from llm_flock.llm.simulated.model import SimulatedModel
 from llm_flock.llm.simulated.profiles import parse_profile
 
 if TYPE_CHECKING:
@@ -178,14 +179,11 @@ class ModelPool:
         self._http = None
         self._models.clear()
 
-    def model(
-        self, text: str, *, robot: int, rng: np.random.Generator, settings: CallSettings | None = None
-    ) -> LanguageModel:
+    def model(self, text: str, *, rng: np.random.Generator, settings: CallSettings | None = None) -> LanguageModel:
         """The language model of one robot.
 
         Args:
             text: `provider:model`, `local:MODEL` or `simulated:PROFILE`.
-            robot: its id.
             rng: chance of a simulated model; others do not use it.
             settings: how to sample.
 
@@ -200,15 +198,12 @@ class ModelPool:
             raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
         if name.kind == "provider" and not self._asks:
             return _NeverAsked(name.text)
-        hosted = self._hosted(name) if name.kind == "provider" else None
+        if name.kind == "simulated":
+            return SimulatedModel(parse_profile(name.model), rng, settings)
+        hosted = self._hosted(name)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
         from llm_flock.llm.client import PydanticModel
 
-        if hosted is None:
-            from llm_flock.llm.simulated.model import SimulatedModel
-
-            stand_in = SimulatedModel(parse_profile(name.model), robot, rng)
-            return PydanticModel(stand_in, name=name.text, settings=settings, cost=0.0)
         return PydanticModel(
             hosted,
             name=name.text,

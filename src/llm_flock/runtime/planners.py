@@ -122,7 +122,7 @@ class TeamPlanners:
             elif name.kind == "own":
                 asked = Limited(self._own_model(robot, text), self._limits)
             else:
-                remote = self._pool.model(text, robot=robot, rng=rng, settings=settings[robot])
+                remote = self._pool.model(text, rng=rng, settings=settings[robot])
                 asked = Limited(remote, on_board if name.kind == "local" else self._limits)
             prompts = self._prompts[text]
             kind = LetterPlanner if prompts.letters else LanguagePlanner

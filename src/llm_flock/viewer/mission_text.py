@@ -74,7 +74,7 @@ class MissionReader:
         """
         call = mission_call(text)
         async with ModelPool(base_urls=self._base_urls, timeout_s=2 * TIMEOUT_S) as pool:
-            model = Limited(pool.model(self.model, robot=0, rng=np.random.default_rng(0)), self._limits)
+            model = Limited(pool.model(self.model, rng=np.random.default_rng(0)), self._limits)
             reply = await model.ask(call)
         return draft_of(reply.text)
 

@@ -1,7 +1,6 @@
 """A simulated model in place of a provider's: it reads the prompt, and answers in prose or in JSON.
 
-Everything else, from messages to usage, goes through pydantic-ai as with a real one. All results say that they are
-simulated.
+Limits, retries, records and replay treat it as any other model. All results say that they are simulated.
 """
 
 from __future__ import annotations
@@ -9,20 +8,16 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from pydantic_ai import exceptions as pai
-from pydantic_ai.messages import ModelMessage, ModelResponse, SystemPromptPart, TextPart, UserPromptPart
-from pydantic_ai.models import Model, ModelRequestParameters
-from pydantic_ai.profiles import ModelProfile
-from pydantic_ai.settings import ModelSettings
-from pydantic_ai.usage import RequestUsage
 
 from llm_flock.arrays import Point
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, ModelError
 from llm_flock.llm.answer_forms import REASONING
+from llm_flock.llm.port import Call, CallSettings, Reply, Usage
 from llm_flock.llm.simulated.avoidance import clear_of_robots, keeps_away, step_aside
 from llm_flock.llm.simulated.profiles import FAILURES, Profile
 from llm_flock.llm.simulated.prompt_reader import (
@@ -82,12 +77,12 @@ class Responder:
         median, spread = LATENCIES[profile]
         return median * float(self._rng.lognormal(0.0, spread))
 
-    def fault(self, model: str, robot: int) -> pai.ModelAPIError:
+    def fault(self, robot: int) -> ModelError:
         """Draw the error of a flaky provider."""
         return (
-            pai.ModelRateLimitError(model, f"simulated 429 for robot {robot}", retry_after=0.02),
-            pai.ModelServerError(model, f"simulated 500 for robot {robot}"),
-            pai.ModelTimeoutError(model, f"simulated time-out for robot {robot}"),
+            ModelError("rate_limit", f"simulated 429 for robot {robot}", retry_after_s=0.02),
+            ModelError("server", f"simulated 500 for robot {robot}"),
+            ModelError("timeout", f"simulated time-out for robot {robot}"),
         )[int(self._rng.integers(3))]
 
     def answer(self, conversation: Sequence[tuple[str, str]], failures: frozenset[str] | None = None) -> str:
@@ -264,70 +259,46 @@ def _towards(target: Point, task: Task, prompt: StepPrompt) -> Point:
     )
 
 
-class SimulatedModel(Model[None]):
-    """A simulated model as a model of pydantic-ai.
-
-    The robot's id is for error texts only: the model itself reads it in the prompt.
-    """
+class SimulatedModel:
+    """A `LanguageModel`, named `simulated:PROFILE`. It costs nothing and needs no network."""
 
     def __init__(
         self,
         profile: Profile,
-        robot: int,
         rng: np.random.Generator,
+        settings: CallSettings | None = None,
         *,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        # JSON is asked for as from a provider that knows JSON schemas.
-        super().__init__(profile=ModelProfile(supports_json_schema_output=True, supports_json_object_output=True))
-        self._name = f"simulated:{profile.text}"
-        self._robot = robot
+        self.name = f"simulated:{profile.text}"
         self._responder = Responder(profile, rng)
+        self._settings = (settings or CallSettings()).plain()
         self._sleep = sleep
 
-    @property
-    def model_name(self) -> str:
-        """`simulated:PROFILE`."""
-        return self._name
+    async def ask(self, call: Call) -> Reply:
+        """Answer one call; settings and schema change nothing, for the prompt says it all.
 
-    @property
-    def system(self) -> str:
-        """Stands for the provider."""
-        return "simulated"
-
-    async def request(
-        self,
-        messages: list[ModelMessage],
-        model_settings: ModelSettings | None,
-        model_request_parameters: ModelRequestParameters,
-    ) -> ModelResponse:
-        """Answer a conversation; settings and parameters change nothing, for the prompt says it all."""
+        Raises:
+            ModelError: the failure `flaky`.
+            InputError: for field `prompts`: the question is not in the words of the packaged templates.
+        """
+        started = time.perf_counter()
         failures = self._responder.draw()
         for profile in LATENCIES.keys() & failures:
             await self._sleep(self._responder.latency_s(profile))
         if "flaky" in failures:
-            raise self._responder.fault(self._name, self._robot)
-        conversation = _conversation(messages)
-        text = self._responder.answer(conversation, failures)
-        usage = RequestUsage(
-            input_tokens=_tokens(sum(len(said) for _, said in conversation)), output_tokens=_tokens(len(text))
+            raise self._responder.fault(call.robot)
+        text = self._responder.answer([(message.role, message.text) for message in call.messages], failures)
+        return Reply(
+            text=text,
+            model=self.name,
+            settings=self._settings,
+            usage=Usage(input=_tokens(sum(len(said.text) for said in call.messages)), output=_tokens(len(text))),
+            cost_usd=0.0,
+            latency_s=time.perf_counter() - started,
+            finish_reason="stop",
         )
-        return ModelResponse(parts=[TextPart(text)], usage=usage, model_name=self._name, finish_reason="stop")
 
 
 def _tokens(chars: int) -> int:
     return -(-chars // CHARS_PER_TOKEN)
-
-
-def _conversation(messages: Sequence[ModelMessage]) -> list[tuple[str, str]]:
-    """Role and text of every message."""
-    out: list[tuple[str, str]] = []
-    for message in messages:
-        for part in message.parts:
-            if isinstance(part, UserPromptPart) and isinstance(part.content, str):
-                out.append(("user", part.content))
-            elif isinstance(part, SystemPromptPart):
-                out.append(("system", part.content))
-            elif isinstance(part, TextPart):
-                out.append(("assistant", part.content))
-    return out

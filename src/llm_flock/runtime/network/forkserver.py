@@ -30,19 +30,19 @@ from llm_flock.runtime.roster import load_solvers
 REAP_S = 0.05
 """Time between two checks for children that have ended [s]."""
 
-SHARED = ("genai_prices", "llm_flock.llm.client", "llm_flock.llm.simulated.model")
-"""What is otherwise imported where it is first used: by every robot for itself."""
-
 EXAMPLE = {"mission": {"shape": "circle", "n_robots": 1}}
 """Building its planner loads the prompts that every robot would otherwise read by itself."""
 
 
 def main() -> None:
-    """Serve until the launcher closes standard input."""
+    """Serve until the launcher closes standard input.
+
+    The arguments name modules to import and share beside those of all swarms.
+    """
     end_with_parent()
     children: dict[int, str] = {}
     load_solvers()
-    for name in SHARED:
+    for name in sys.argv[1:]:
         importlib.import_module(name)
     TeamPlanners(SwarmConfig.model_validate(EXAMPLE))
     gc.freeze()  # else a collection in a child would touch, and so copy, every shared page

@@ -15,12 +15,14 @@ import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from llm_flock.errors import FlockError
+from llm_flock.llm.models import parse_models
+from llm_flock.llm.providers import parse_model
 from llm_flock.members import WORLD
 from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.config import warn_of_mission
@@ -261,6 +263,7 @@ async def launched(
         sys.executable,
         "-m",
         "llm_flock.runtime.network.forkserver",
+        *_shared_by(config),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         start_new_session=True,  # Ctrl-C is for the launcher only, and the whole group can be ended at once
@@ -287,6 +290,13 @@ async def launched(
             await forkserver.wait()
             news.cancel()
             await asyncio.gather(news, return_exceptions=True)
+
+
+def _shared_by(config: SwarmConfig) -> Sequence[str]:
+    """What robots that ask providers would otherwise import by themselves, at their first question."""
+    models = parse_models(config.model.model, config.mission.n_robots)
+    hosted = any(parse_model(model).kind == "provider" for model in models)
+    return ("genai_prices", "llm_flock.llm.client", "llm_flock.llm.hosted") if hosted else ()
 
 
 async def run_swarm(
