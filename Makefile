@@ -99,7 +99,6 @@ fuzz: $(STAMP) ## Ten thousand hostile messages, records, files and answers of e
 	LLM_FLOCK_EFFORT=400 $(BIN)/python -m pytest tests/property/test_hostile_bytes.py tests/property/test_answer_fuzz.py \
 	  tests/integration/test_hostile_answers.py --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
 
-e2e: WORKERS := 3
 e2e: $(STAMP) ## End-to-end tests through the command line
 	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
 

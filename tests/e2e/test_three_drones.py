@@ -31,7 +31,14 @@ pytestmark = pytest.mark.clock(1.5)
 STARTS = ((-0.8, -0.6), (0.8, -0.6), (0.0, 0.9))
 VICTIM = 1
 
-STOCK: dict[str, Any] = {"robot": "crazyflie", "take_off_s": 2.5, "round_s": 2.5, "land_s": 2.5, "max_speed_m_s": 1.0}
+STOCK: dict[str, Any] = {
+    "robot": "crazyflie",
+    "take_off_s": 2.5,
+    "round_s": 2.5,
+    "land_s": 2.5,
+    "max_speed_m_s": 1.0,
+    "stall_s": 1.2,
+}
 QUICK: dict[str, Any] = {"reach_s": 3.0, "connect_s": 4.0, "settle_s": 1.0, "model": "geometry", "think_s": 600.0}
 
 Kill = Callable[[], None]
@@ -128,7 +135,7 @@ PHASES: dict[str, tuple[set[str], Sequence[str], Sequence[str]]] = {
 }
 """By phase: how the flight may end, the drone that died, and the others; just off the ground these may stop unseen.
 
-With the long `stall_s` of the tests with MAVLink, a drone that does not arrive is noticed before its silence."""
+With the long `stall_s` of these tests, a drone that does not arrive is noticed before its silence."""
 
 
 @pytest.mark.parametrize("driver", ["crazyflie", "px4"])

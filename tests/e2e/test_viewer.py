@@ -140,6 +140,9 @@ def test_a_conversation_is_read_and_two_robots_are_compared(replay: str, browser
         expect(mind).to_contain_text("300 tokens in, 20 out · 0.25 s")
         mind.get_by_text("Prompt (2 messages)").click()
         expect(mind).to_contain_text("You are a robot.")
+        page.keyboard.press("ArrowRight")
+        expect(mind).to_contain_text("round 2")
+        expect(mind.locator(".flock-prompt")).to_contain_text("You are a robot.")  # it stays open
         page.get_by_label("Compare with").select_option("0:4")
         expect(page.locator(".flock-mind")).to_have_count(2)
         first, second = (page.locator(".flock-mind").nth(k).bounding_box() for k in (0, 1))

@@ -43,6 +43,7 @@ export class Minds {
     this.sizes = "";
     this.asked = 0;
     this.opened = false;
+    this.unfolded = new Set(); // calls whose prompts are shown: the same ones in other rounds, and of other robots
     clock.listen(() => this.offer());
     this.refresh = following(clock, (round) => this.show(round));
   }
@@ -128,8 +129,10 @@ export class Minds {
 
   call(run, found, call, k) {
     const prompt = h("details", { class: "flock-prompt" }, h("summary", { text: `Prompt (${call.messages} ${call.messages === 1 ? "message" : "messages"})` }));
+    prompt.open = this.unfolded.has(k);
     // Conversations are long: they are sent when they are opened.
     prompt.addEventListener("toggle", async () => {
+      this.unfolded[prompt.open ? "add" : "delete"](k);
       if (!prompt.open || prompt.childNodes.length > 1) return;
       const said = await run.get(`prompt?robot=${found.robot}&round=${found.round}&call=${k}`);
       for (const [role, text] of said) prompt.append(h("div", { class: "flock-role", text: role }), h("div", { class: "flock-said", text }));
