@@ -204,7 +204,9 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks flight")
     parser.add_argument("--runs", type=int, default=RUNS, help="random starts of each flight")
     parser.add_argument(
-        "--controller", choices=("pid", "mellinger", "indi", "brescianini", "lee"), help="controller that the flight file sets; else the stock one, PID"
+        "--controller",
+        choices=("pid", "mellinger", "indi", "brescianini", "lee"),
+        help="controller that the flight file sets; else the stock one, PID",
     )
     parser.add_argument("--loss", type=float, default=0.0, help="share of packets lost, in each direction")
     parser.add_argument("--together", type=int, default=TOGETHER, help="flights at once")
