@@ -110,7 +110,10 @@ class Panel:
 
     def inset(self, axes: Axes, round_number: int, whole: Box) -> None:
         """A small map of the whole view in the corner with the fewest robots; shows this window and every robot."""
-        left, right, bottom, top = self.window
+        # A window that reaches beyond the map ends at its edge.
+        edge = 0.02 * (whole[1] - whole[0])
+        left, bottom = max(self.window[0], whole[0] + edge), max(self.window[2], whole[2] + edge)
+        right, top = min(self.window[1], whole[1] - edge), min(self.window[3], whole[3] - edge)
         at = self.record.positions[round_number, :, :2]
         small = axes.inset_axes((*_corner(at, self.window)[0], INSET, INSET), zorder=7)
         Panel(self.record, window=whole).frame(small)
