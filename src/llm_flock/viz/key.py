@@ -82,6 +82,7 @@ def _entries(panel: Panel, rounds: Sequence[int]) -> list[Entry | None]:
         if any(rounds)
         else None,
         Line2D([], [], color=FAINT, lw=1.2, label="radio link"),
+        Patch(facecolor="none", edgecolor=INK, lw=0.7, label="this panel, on the map of all") if panel.mapped else None,
         Line2D([], [], marker="o", ls="", ms=SIGN, mfc=INK, mec=INK, label=f"dead ({TIMES}){number}")
         if DEAD in phases
         else None,

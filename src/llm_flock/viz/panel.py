@@ -67,6 +67,10 @@ class Panel:
         record: the run.
         width: width of the picture [points]; robots and words are sized by it.
         window: the visible area [units]; by default everything that the run touches.
+
+    Attributes:
+        labelled: whether robots have their numbers.
+        mapped: whether a small map shows where the window is.
     """
 
     def __init__(self, record: RunRecord, *, width: float = 165.0, window: Box | None = None) -> None:
@@ -79,6 +83,7 @@ class Panel:
         self._disc = max(3.5, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
         self.labelled = n <= MOST_LABELLED and self._disc >= SMALLEST_LABELLED
+        self.mapped = False
         self._path = record.positions[:, :, :2]
         self._offsets: dict[int, tuple[float, float] | None] = {}
 
@@ -110,6 +115,7 @@ class Panel:
 
     def inset(self, axes: Axes, round_number: int, whole: Box) -> None:
         """A small map of the whole view in the corner with the fewest robots; shows this window and every robot."""
+        self.mapped = True
         # A window that reaches beyond the map ends at its edge.
         edge = 0.02 * (whole[1] - whole[0])
         left, bottom = max(self.window[0], whole[0] + edge), max(self.window[2], whole[2] + edge)
