@@ -34,6 +34,7 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
     wrap,
 )
+from llm_flock.protocol.signed.channel import MOST_PENDING
 from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.protocol.verification.plans import _verdict, check_plan
 
@@ -192,6 +193,24 @@ def test_a_signed_rule_has_the_name_of_the_rule_that_it_decorates() -> None:
 
 
 # ---------------------------------------------------------------- heartbeats
+
+
+def test_heartbeats_of_refused_messages_are_not_kept_and_few_of_others(team: SignedTeam, liar: Liar) -> None:
+    channel = channel_of(team.agents[0])
+
+    def tell(count: int, forged: bytes) -> list[str]:
+        beats = (0, count, 0, 0, 2**39)
+        lie, proofs = unwrap(liar.says(beats=beats), 5)
+        signatures = (b"", ToyKeys(1).sign(beat_statement(1, count)), b"", b"", forged)
+        return team.tell(0, wrap(lie, msgspec.structs.replace(proofs, beats=signatures)), team.liar)
+
+    kept = dict(channel._beats[1])
+    for count in range(10**6, 10**6 + 50):
+        assert tell(count, b"forged") == ["uncertified"]
+    assert channel._beats[1] == kept
+    for count in range(10**6, 10**6 + 50):
+        assert tell(count, b"") == []
+    assert list(channel._beats[1]) == [10**6 + 50 - k for k in range(MOST_PENDING, 0, -1)]
 
 
 def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:

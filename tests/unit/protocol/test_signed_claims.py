@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import msgspec
-from signed_team import Liar, SignedTeam, evidence_of, free_slot, line_up
+from signed_team import Liar, SignedTeam, channel_of, evidence_of, free_slot, line_up
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.events import CommRoundEnded
-from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, Message, Offer
+from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidTable, Message, Offer
 from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Context,
     LastClaim,
     Proofs,
+    ReleaseGrant,
     claim_statement,
     claims_of,
     drawn_bid,
     most_claims,
     most_exchanges,
     plausible,
+    word_statement,
 )
 from llm_flock.protocol.signed.evidence import SPARE, Evidence
 
@@ -181,6 +184,31 @@ def test_whoever_has_used_up_its_numbers_offers_and_accepts_nothing(team: Signed
         team.agents[0].claim.table or (),
     )
     assert not now.exchanges
+
+
+def test_old_claims_on_ever_later_versions_are_no_reasons_for_words(team: SignedTeam, liar: Liar) -> None:
+    """Each would be a word of an honest robot, with it another version could be shown as freed, and so on for ever."""
+    evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table
+    slot = free_slot(team)
+    assert table is not None and table[slot] == UNSAID
+    evidence._last[team.liar] = (1000, 0)
+
+    def shown(version: int, table: BidTable) -> BidTable:
+        words = [(j, ToyKeys(j).sign(word_statement(team.context, slot, version, NO_OWNER))) for j in (1, 2)]
+        entry, certificate = liar.claim(slot, version)
+        freed = dataclasses.replace(certificate, grant=ReleaseGrant(tuple(words)))
+        inbound = channel_of(team.agents[0]).open(liar.says({slot: (entry, freed)}), team.liar)
+        assert isinstance(inbound.message.proofs, Proofs)
+        return evidence.admit(inbound.message, inbound.message.proofs, table).table or ()
+
+    for version in range(1, 9):
+        assert shown(version, table)[slot] == (version, 0.0, NO_OWNER), "its words count"
+        assert evidence.freed(slot, version)
+        assert not evidence._departures.causes and not evidence._departures._outdated
+    # On the version in the table it is one.
+    later = (*table[:slot], (8, -1e9, 0), *table[slot + 1 :])
+    assert shown(8, later)[slot] == UNSAID and len(evidence._departures.causes) == 1
+    assert {a for a, _ in evidence._departures._outdated} == {slot}
 
 
 def test_the_bid_for_a_freed_place_is_drawn(team: SignedTeam, liar: Liar) -> None:

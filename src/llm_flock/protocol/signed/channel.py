@@ -29,6 +29,9 @@ from llm_flock.protocol.signed.certificates import (
 )
 from llm_flock.protocol.signed.evidence import Evidence
 
+MOST_PENDING = 3
+"""Most signed heartbeats of one robot that are kept, the last ones: what is heard counts at the next exchange only."""
+
 REMEMBERED_ORIGINS = 1024
 """Most plan origins whose signatures are kept."""
 
@@ -139,19 +142,17 @@ class SignedChannel(Channel):
         """
         if message.beats is None:
             return None
-        signatures = dict(enumerate(proofs.beats or ()))
-        return tuple(
-            count if count > known and self._is_signed(j, count, signatures.get(j, b"")) else 0
-            for j, (count, known) in enumerate(zip(message.beats, self._liveness.beats, strict=True))
-        )
-
-    def _is_signed(self, robot: int, count: int, signature: bytes) -> bool:
-        if not signature:
-            return False
-        if not self._evidence.signed_by(robot, beat_statement(robot, count), signature):
-            raise MessageError("uncertified", f"robot {robot} has not signed this heartbeat")
-        self._beats.setdefault(robot, {})[count] = signature
-        return True
+        signatures, found = dict(enumerate(proofs.beats or ())), dict[int, tuple[int, bytes]]()
+        for j, (count, known) in enumerate(zip(message.beats, self._liveness.beats, strict=True)):
+            signature = signatures.get(j, b"")
+            if count > known and signature:
+                if not self._evidence.signed_by(j, beat_statement(j, count), signature):
+                    raise MessageError("uncertified", f"robot {j} has not signed this heartbeat")
+                found[j] = count, signature
+        for j, (count, signature) in found.items():
+            kept = {**self._beats.get(j, {}), count: signature}
+            self._beats[j] = dict(sorted(kept.items())[-MOST_PENDING:])
+        return tuple(found[j][0] if j in found else 0 for j in range(len(message.beats)))
 
     def seal(self, payload: bytes) -> bytes:
         """The message together with the certificates of everything in it; signs what is this robot's own."""

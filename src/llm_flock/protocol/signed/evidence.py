@@ -114,8 +114,8 @@ class Evidence:
                     continue
                 if entry == table[slot]:
                     self._renew(slot, table, certificates.get(slot))
-                if rank(entry) > rank(table[slot]) and self._fit(message, slot, certificates.get(slot), table):
-                    entries[slot] = entry
+                if rank(entry) > rank(table[slot]):
+                    entries[slot] = self._fit(message, slot, certificates.get(slot), table)
             for word in proofs.words:
                 self._hear_word(word, table)
             for restless in proofs.restless:
@@ -145,7 +145,8 @@ class Evidence:
         if sum(other[2] == entry[2] for other in table) == 1 and self._holds(slot, entry, certificate, len(table)):
             self._keep(slot, entry, certificate)
 
-    def _fit(self, message: Message, slot: int, certificate: Certificate | None, table: BidTable) -> bool:
+    def _fit(self, message: Message, slot: int, certificate: Certificate | None, table: BidTable) -> BidEntry:
+        """What of an entry may be merged: all of it, that its version was freed, or nothing."""
         entry = (message.table or ())[slot]
         owner = entry[2]
         certificate = certificate or Certificate(number=0)
@@ -156,26 +157,29 @@ class Evidence:
         if (slot, entry) not in self._held and certificate.number > most_claims(len(table)):
             # Its owner may be honest, and have been driven from place to place by liars.
             self.refused["many_claims"] += 1
-            return False
+            return UNSAID
         if owner < 0:
             self._hear_freed(slot, entry, certificate.grant, table)
-            return True
-        claim = LastClaim.of(slot, entry, certificate)
-        if self._counts_not(owner):
-            self._departures.explain(claim)
-            return False
+            return entry
         place = (certificate.number, slot)
         # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
-        if place < self._last.get(owner, place) and not welcome:
-            self._departures.explain(claim)
+        outdated = place < self._last.get(owner, place) and not welcome
+        if not outdated and not self._counts_not(owner):
+            self._hear_freed(slot, entry, certificate.grant, table)
+            self._keep(slot, entry, certificate)
+            return entry
+        if outdated and owner == message.sender:
+            self._behind.add(owner)
+        if entry[0] > table[slot][0] and isinstance(certificate.grant, ReleaseGrant):
+            # Its words count all the same. Were it a cause, or its owner's departure, so would be any number of later
+            # versions of one slot, each a reason for a word of this robot.
+            self._hear_freed(slot, entry, certificate.grant, table)
+            return (entry[0], 0.0, NO_OWNER)
+        self._departures.explain(LastClaim.of(slot, entry, certificate))
+        if outdated:
             self._departures.outdate(slot, entry)
-            if owner == message.sender:
-                self._behind.add(owner)
-            return False
-        self._hear_freed(slot, entry, certificate.grant, table)
-        self._keep(slot, entry, certificate)
-        return True
+        return UNSAID
 
     def _keep(self, slot: int, entry: BidEntry, certificate: Certificate) -> None:
         self._held[slot, entry] = certificate
