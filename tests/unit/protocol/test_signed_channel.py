@@ -217,6 +217,9 @@ def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: Signed
     before = team.agents[0]._liveness.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
+    lie, proofs = unwrap(liar.says(beats=high), 5)
+    forged = tuple(liar.keys.sign(beat_statement(j, high[j])) for j in range(5))
+    assert team.tell(0, wrap(lie, msgspec.structs.replace(proofs, beats=forged)), team.liar) == ["uncertified"]
     team.begin()
     team.comm_round()
     after = team.agents[0]._liveness.beats
