@@ -85,7 +85,7 @@ class Gang:
         self.payloads = [*self.payloads[-20:], payload]
         if message.plan is None or message.provenance is None or not proofs.origin:
             return
-        if self.known is None or message.plan_digest != self.known.plan_digest:
+        if self.known is None or (message.plan, message.provenance) != (self.known.plan, self.known.provenance):
             self.table, self.grants, self.words, self.moves = {}, {}, {}, {}
         self.known, self.origin = message, proofs.origin
         certificates = proofs.certificates()
@@ -104,7 +104,7 @@ class Gang:
     @property
     def about(self) -> Context:
         assert self.known is not None
-        return Context(self.known.mission, self.known.plan_digest or "")
+        return Context(self.known.mission, self.known.plan_digest or "", self.known.provenance)
 
     @property
     def places(self) -> range:

@@ -126,7 +126,7 @@ class SignedTeam:
         """What the first robot's claims are about."""
         agent = self.agents[0]
         assert agent.plan is not None
-        return Context(agent._agreement.stamp, agent.plan.digest)
+        return Context(agent._agreement.stamp, agent.plan.digest, agent.provenance)
 
     def owners(self, robot: int) -> tuple[tuple[int, int], ...]:
         """Version and owner of every place, as one robot has them."""

@@ -84,7 +84,7 @@ class Liar:
         if known is None or known.plan is None or known.provenance is None:
             return []
         count = next(self.counts)
-        about = Context(known.mission, known.plan.digest)
+        about = Context(known.mission, known.plan.digest, known.provenance)
         version, owner = ((0, LIAR), (1, LIAR), (2**39, LIAR), (1, 0))[count % 4]
         entry = (version, -1e-9, owner)
         claims = {

@@ -76,7 +76,7 @@ TRACED = ("another mission", "speaks for others", "a plan in one place", "heartb
 )
 def test_lies_are_shown_and_nothing_is_shown_about_the_honest(lie: str) -> None:
     """Messages are lost, and the mission changes in flight."""
-    team = SignedTeam(MISSION, line_up(N), loss=0.2)
+    team = SignedTeam(MISSION, line_up(N), loss=0.2, seed=1)
     gang = Gang({N - 1: ToyKeys(N - 1)}, MISSION)
     reasons: set[str | None] = set()
     said: list[bytes] = []

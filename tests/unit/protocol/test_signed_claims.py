@@ -245,11 +245,36 @@ def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
     assert table is not None and table[slot][1] >= 2.0
 
 
+def test_a_plan_that_comes_back_is_another_one(team: SignedTeam, liar: Liar) -> None:
+    """Claims of its first time do not count again: robots that start anew would seem to leave place after place."""
+    plan, before = team.agents[0].plan, team.context
+    again = liar.provenance(epoch=3, sequence=1)
+    team.fly(1, lambda: [liar.says(plan=plan, provenance=again, table=None)])
+    assert all((agent.plan, agent.provenance) == (plan, again) for agent in team.agents)
+    team.fly(3)
+    slot = free_slot(team)
+    assert team.settled() and plan is not None and (team.agents[0].claim.table or ())[slot] == UNSAID
+
+    def replayed(context: Context) -> bytes:
+        entry = (0, -1.0, 1)
+        signature = ToyKeys(1).sign(claim_statement(context, slot, entry, 90))
+        return liar.says({slot: (entry, Certificate(number=90, signature=signature))})
+
+    def refused() -> int:
+        return sum(evidence_of(agent).refused["uncertified"] for agent in team.agents)
+
+    owners, refusals = team.owners(0), refused()
+    team.fly(1, lambda: [replayed(before)])
+    assert team.owners(0) == owners and refused() > refusals
+    team.comm_round([replayed(team.context)])
+    assert team.owners(0) != owners, "signed about the plan in force it counts"
+
+
 def test_evidence_is_dropped_for_another_plan_only(team: SignedTeam) -> None:
     evidence, context = evidence_of(team.agents[0]), team.context
     number = evidence._number
     evidence.attest(Claim(slot=None))
-    evidence.turn_to(context)
+    assert not evidence.turn_to(context)
     assert evidence._number == number > 0
-    evidence.turn_to(Context(context.mission, "another"))
+    assert evidence.turn_to(Context(context.mission, "another"))
     assert evidence._number == 0

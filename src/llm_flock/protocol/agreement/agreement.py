@@ -191,6 +191,7 @@ class Agreement:
             heard=[m for m in heard if m.plan == plan],
             sensed=self._sensed,
             mission=self.stamp,
+            origin=self.provenance,
             roadmap=self.mission.roadmap if self.mission.velocity is None else None,
             occupancy=occupancy,
             positions=joint or self.in_touch.positions(self.mission, plan, self.claim.table, silent),

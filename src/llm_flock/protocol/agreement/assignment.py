@@ -19,6 +19,7 @@ from llm_flock.protocol.messages.message import (
     Message,
     MissionStamp,
     Offer,
+    Provenance,
     TeamPositions,
 )
 from llm_flock.protocol.plan import Plan
@@ -48,6 +49,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         position: own believed position [units; frame of the mission].
         spacing: wanted distance between neighbouring robots [units].
+        origin: where the plan comes from; None without provenance.
         roadmap: the ways round obstacles, for lengths; None where straight lines count.
         chosen: the slot that the robot's own model named, None where the model gave no plan.
         adopted: whether the plan is another robot's.
@@ -71,6 +73,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     heard: Sequence[Message]
     sensed: Mapping[int, Point]
     mission: MissionStamp = NO_MISSION
+    origin: Provenance | None = None
     roadmap: Roadmap | None = None
     occupancy: Occupancy | None = None
     positions: TeamPositions | None = None

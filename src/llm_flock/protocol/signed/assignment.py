@@ -27,13 +27,15 @@ class SignedAssignment:
 
     def take(self, now: AssignmentInput) -> Claim:
         """First claim on a plan; evidence about another plan is dropped."""
-        self._evidence.turn_to(Context(now.mission, now.plan.digest))
+        self._evidence.turn_to(_about(now))
         claim = self._rule.take(self._admitted(now, (UNSAID,) * len(now.plan)))
         self._evidence.attest(claim)
         return claim
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
-        """The claim after a communication round."""
+        """The claim after a communication round; a first one if the plan has come back under another origin."""
+        if self._evidence.turn_to(_about(now)):
+            return self.take(now)
         admitted = self._admitted(now, claim.table or ())
         claim = self._allowed(self._rule.update(self._allowed(claim, now.robot), admitted), now.robot)
         self._evidence.attest(claim)
@@ -49,7 +51,11 @@ class SignedAssignment:
     def _admitted(self, now: AssignmentInput, table: BidTable) -> AssignmentInput:
         """What may be merged into a table."""
         evidence = self._evidence
-        heard = [evidence.admit(m, cast("Proofs | None", m.proofs) or NO_PROOFS, table) for m in now.heard]
+        heard = [
+            evidence.admit(m, cast("Proofs | None", m.proofs) or NO_PROOFS, table)
+            for m in now.heard
+            if m.provenance == now.origin
+        ]
         if now.occupancy is not None:
             evidence.witness(table, now.occupancy)
         return replace(
@@ -61,3 +67,7 @@ class SignedAssignment:
             freed=evidence.freed,
             exchanges=evidence.may_exchange(len(now.plan)),
         )
+
+
+def _about(now: AssignmentInput) -> Context:
+    return Context(now.mission, now.plan.digest, now.origin)

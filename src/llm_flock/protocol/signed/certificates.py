@@ -37,7 +37,7 @@ from llm_flock.protocol.messages.message import (
 OPERATOR = -2
 """Member id of the operator, who gives missions."""
 
-WIRE_SIGNED = 6
+WIRE_SIGNED = 8
 """First byte of a message with certificates."""
 
 LIARS = 1
@@ -90,10 +90,14 @@ class Authenticator(Verifier, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """The mission and the plan that a claim is about."""
+    """What a claim is about: the mission, the plan, and where the plan comes from.
+
+    A plan that comes back under another origin is another one: what was signed about it before counts no more.
+    """
 
     mission: MissionStamp
     plan: str
+    origin: Provenance | None = None
 
 
 @lru_cache(maxsize=2**14)
@@ -350,7 +354,10 @@ def mission_statement(stamp: MissionStamp) -> bytes:
 
 
 def _statement(kind: str, context: Context, *values: float) -> bytes:
-    return _ENCODER.encode((kind, context.mission.counter, context.mission.digest, context.plan, *values))
+    origin = context.origin
+    proposal = () if origin is None else (origin.epoch, origin.neighbors, origin.proposer, origin.sequence)
+    about = context.mission.counter, context.mission.digest, context.plan, proposal
+    return _ENCODER.encode((kind, *about, *values))
 
 
 def plausible(context: Context, slot: int, entry: BidEntry, number: int) -> bool:

@@ -82,11 +82,13 @@ class Evidence:
         """Robots that may lie together."""
         return self._checks.witnesses - 1
 
-    def turn_to(self, context: Context) -> None:
-        """Start without evidence unless mission and plan are the same as before."""
-        if context != self._context:
-            self._context = context
-            self._forget()
+    def turn_to(self, context: Context) -> bool:
+        """Start without evidence unless mission, plan and its origin are the same as before; whether one is not."""
+        if context == self._context:
+            return False
+        self._context = context
+        self._forget()
+        return True
 
     def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
         """Whether a member signed this."""

@@ -93,7 +93,7 @@ def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
             return "uncertified"
     if message.plan_digest is None:
         return None
-    about = Context(message.mission, message.plan_digest)
+    about = Context(message.mission, message.plan_digest, message.provenance)
     evidence.turn_to(about)
     evidence.admit(message, msgspec.structs.replace(proofs, words=(), restless=()), (UNSAID,) * message.places)
     words = all(
