@@ -68,9 +68,7 @@ class Panel:
         width: width of the picture [points]; robots and words are sized by it.
         window: the visible area [units]; by default everything that the run touches.
 
-    Attributes:
-        labelled: whether robots have their numbers.
-        mapped: whether a small map shows where the window is.
+    `labelled` says whether robots have their numbers, `mapped` whether a small map shows where the window is.
     """
 
     def __init__(self, record: RunRecord, *, width: float = 165.0, window: Box | None = None) -> None:

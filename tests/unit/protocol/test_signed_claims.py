@@ -246,7 +246,7 @@ def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
 
 
 def test_a_plan_that_comes_back_is_another_one(team: SignedTeam, liar: Liar) -> None:
-    """Claims of its first time do not count again: robots that start anew would seem to leave place after place."""
+    """Its old claims do not count: a robot that begins again would seem to leave one place after another."""
     plan, before = team.agents[0].plan, team.context
     again = liar.provenance(epoch=3, sequence=1)
     team.fly(1, lambda: [liar.says(plan=plan, provenance=again, table=None)])

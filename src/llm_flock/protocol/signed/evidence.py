@@ -151,15 +151,15 @@ class Evidence:
         """What of an entry may be merged: all of it, that its version was freed, or nothing."""
         entry = (message.table or ())[slot]
         owner = entry[2]
-        certificate = certificate or Certificate(number=0)
         if (slot, entry) in self._held:
             certificate = self._held[slot, entry]
         else:
+            certificate = certificate or Certificate(number=0)
             self._certify(slot, entry, certificate, len(table))
-        if (slot, entry) not in self._held and certificate.number > most_claims(len(table)):
-            # Its owner may be honest, and have been driven from place to place by liars.
-            self.refused["many_claims"] += 1
-            return UNSAID
+            if certificate.number > most_claims(len(table)):
+                # Its owner may be honest, and have been driven from place to place by liars.
+                self.refused["many_claims"] += 1
+                return UNSAID
         if owner < 0:
             self._hear_freed(slot, entry, certificate.grant, table)
             return entry
@@ -174,8 +174,8 @@ class Evidence:
         if outdated and owner == message.sender:
             self._behind.add(owner)
         if entry[0] > table[slot][0] and isinstance(certificate.grant, ReleaseGrant):
-            # Its words count all the same. Were it a cause, or its owner's departure, so would be any number of later
-            # versions of one slot, each a reason for a word of this robot.
+            # The words that freed it count all the same. As a cause or a departure, the claim would be a reason for a
+            # word of this robot, and liars could show such claims on any number of later versions.
             self._hear_freed(slot, entry, certificate.grant, table)
             return (entry[0], 0.0, NO_OWNER)
         self._departures.explain(LastClaim.of(slot, entry, certificate))
@@ -191,8 +191,6 @@ class Evidence:
             self._last_claims[owner] = LastClaim.of(slot, entry, certificate)
         if owner == self._robot:
             self._number = max(self._number, certificate.number)
-        if isinstance(certificate.grant, ReleaseGrant):
-            self._freed[slot, entry[0], NO_OWNER] = certificate.grant
 
     def _hear_freed(self, slot: int, entry: BidEntry, grant: Grant | None, table: BidTable) -> None:
         """Keep the words that freed or blocked a slot, and count the departure that they tell of."""
