@@ -27,6 +27,7 @@ from llm_flock.protocol.signed.certificates import (
     Authenticator,
     Certificate,
     Context,
+    Equivocation,
     ExchangeGrant,
     Proofs,
     ReleaseGrant,
@@ -60,6 +61,7 @@ class Gang:
         self.rng = random.Random(seed)
         self.known: Message | None = None
         self.origin = b""
+        self.equivocations: tuple[Equivocation, ...] = ()
         self.payloads: list[bytes] = []
         self.table: dict[int, tuple[BidEntry, Certificate]] = {}
         self.grants: dict[tuple[int, int], ReleaseGrant] = {}
@@ -87,7 +89,7 @@ class Gang:
             return
         if self.known is None or (message.plan, message.provenance) != (self.known.plan, self.known.provenance):
             self.table, self.grants, self.words, self.moves = {}, {}, {}, {}
-        self.known, self.origin = message, proofs.origin
+        self.known, self.origin, self.equivocations = message, proofs.origin, proofs.equivocations
         certificates = proofs.certificates()
         for slot, entry in enumerate(message.table or ()):
             known = self.table.get(slot)
@@ -232,5 +234,13 @@ class Gang:
             own = signed.sign(beat_statement(member, said.beats[member]))
             forged = b"x" * 64 if "beats" in more else b""
             beats = tuple(own if j == member else forged for j in range(self.mission.n_robots))
-        proofs = Proofs(claims=shown, grants=grants, words=words, offer=offer, origin=origin, beats=beats)
+        proofs = Proofs(
+            claims=shown,
+            grants=grants,
+            words=words,
+            offer=offer,
+            origin=origin,
+            beats=beats,
+            equivocations=self.equivocations,
+        )
         return member, wrap(encode(said), proofs), None if hears is None else frozenset(hears)

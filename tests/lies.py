@@ -45,6 +45,9 @@ from llm_flock.protocol.signed.certificates import (
 FRAMES_EACH = 8
 """Communication rounds from one claim that is told to the framed robot alone to the next."""
 
+PLANS_EACH = 35
+"""Communication rounds from one plan to the next."""
+
 MOVES_EACH = 3
 """Communication rounds from one move to the next of those that move on."""
 
@@ -255,6 +258,39 @@ def plans_of_its_own(gang: Gang, member: int) -> list[Said]:
     return [gang.message(member, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))]
 
 
+def _plan(gang: Gang, member: int, number: int, epoch: int, hears: Sequence[int] | None = None) -> Said:
+    """A faultless plan of a member's own, with the most influence, and all proofs that the honest have."""
+    assert gang.known is not None
+    origin = Provenance(
+        mission=gang.known.mission.counter,
+        mission_digest=gang.known.mission.digest,
+        epoch=epoch,
+        neighbors=gang.mission.n_robots - 1,
+        proposer=member,
+        sequence=0,
+    )
+    plan = turned(gang.mission, 7 + number % 9)[-1]
+    return gang.message(member, hears=hears, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))
+
+
+def plan_after_plan(gang: Gang, member: int) -> list[Said]:
+    """As many plans as may count: one an epoch, then a second one for the last, and the next member goes on."""
+    index = gang.members.index(member)
+    turn = gang.rounds // PLANS_EACH
+    first = sum(other + 2 for other in range(index))
+    return [_plan(gang, member, turn, min(turn - first, index))] if first <= turn < first + index + 2 else []
+
+
+def plans_for_ever(gang: Gang, member: int) -> list[Said]:
+    """Another plan of the first epoch every few rounds."""
+    return [_plan(gang, member, gang.rounds // PLANS_EACH, 0)]
+
+
+def another_plan_to_each_half(gang: Gang, member: int) -> list[Said]:
+    half = len(gang.honest) // 2
+    return [_plan(gang, member, k, 0, hears) for k, hears in enumerate((gang.honest[:half], gang.honest[half:]))]
+
+
 def a_plan_in_one_place(gang: Gang, member: int) -> list[Said]:
     assert gang.known is not None
     plan = Plan.of([gang.mission.center] * gang.known.places)
@@ -345,6 +381,9 @@ LIES: dict[str, Callable[[Gang, int], list[Said]]] = {
     "much to check": much_to_check,
     "offers one place to all": offers_to_all,
     "plans of its own": plans_of_its_own,
+    "plan after plan": plan_after_plan,
+    "plans for ever": plans_for_ever,
+    "another plan to each half": another_plan_to_each_half,
     "a plan in one place": a_plan_in_one_place,
     "another mission": another_mission,
     "heartbeats of others": heartbeats,

@@ -112,7 +112,7 @@ class Agent:
         channel = Channel(robot, mission)
         if authenticator is not None:
             evidence = Evidence(robot, authenticator, liars)
-            channel = SignedChannel(robot, mission, authenticator, evidence, liveness)
+            channel = SignedChannel(robot, mission, authenticator, evidence, liveness, replans=gaps == "replan")
             assignment = SignedAssignment(assignment, evidence)
         self._agreement = Agreement(
             robot,
@@ -143,7 +143,7 @@ class Agent:
         }
         self._fallback: Fallback = fallback
         self._seeking = Seeking(robot, 0 if authenticator is None else liars)
-        self._connectivity = ConnectivityRecovery(liveness, all_to_all)
+        self._connectivity = ConnectivityRecovery(liveness, all_to_all, 0 if authenticator is None else liars)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
         self._asked_about: object = None
@@ -302,7 +302,8 @@ class Agent:
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
-        notes: list[Effect] = [*self._agreement.settle(self._messaging.drain())]
+        heard = self._messaging.drain()
+        notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.void)]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()

@@ -14,6 +14,7 @@ LARGEST = 1e12
 _TRACKS = {
     "proposed": "plans",
     "adopted": "plans",
+    "void_plan": "plans",
     "fallback": "fallbacks",
     "no_plan": "fallbacks",
     "breaker": "fallbacks",
@@ -160,6 +161,9 @@ def _clipped(detail: Detail) -> str:
 _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     "enlarged": lambda detail: "proposed its plan a little larger, so that no two places are too close",
     "no_plan": lambda detail: f"has no plan from its model{_because(detail)}",
+    "void_plan": lambda detail: (
+        f"follows the plan of robot {detail.get('proposer')} no more: that robot has signed two different plans"
+    ),
     "fallback": _fallback,
     "breaker": lambda detail: f"has its model asked for a {detail.get('question')} again: its last answer was usable",
     "claimed": _claimed,

@@ -41,7 +41,10 @@ SHOWN = {
     "moves on before others know": {None},  # each claim is as an honest robot would make it
     "much to check": {"uncertified"},
     "offers one place to all": {None, "uncertified"},  # more than an honest robot makes
-    "plans of its own": {None, "unverified_plan"},  # faultless, but for the mission before
+    "plans of its own": {None, "unverified_plan", "many_plans"},  # faultless, but for the mission before
+    "plan after plan": {None, "unverified_plan"},  # two messages together show it
+    "plans for ever": {None, "unverified_plan"},
+    "another plan to each half": {None, "unverified_plan"},
     "a plan in one place": {"unverified_plan"},
     "another mission": {"no_order"},
     "heartbeats of others": {"uncertified"},

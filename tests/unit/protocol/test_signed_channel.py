@@ -59,7 +59,7 @@ def test_a_plan_in_the_name_of_another_is_refused(team: SignedTeam, liar: Liar) 
 
 def test_a_true_plan_of_a_liar_is_a_plan(team: SignedTeam, liar: Liar) -> None:
     plan = good_plan(MISSION, 3)
-    lie = liar.says(plan=plan, provenance=liar.provenance(epoch=1), table=None)
+    lie = liar.says(plan=plan, provenance=liar.provenance(), table=None)
     team.fly(6, lambda: [lie])
     assert team.agents[0].plan == plan
     assert team.settled()
@@ -90,15 +90,17 @@ def test_origins_are_remembered_in_bounded_memory(
 
 @pytest.mark.parametrize("adopted", [False, True])
 def test_the_origin_of_the_plan_in_force_is_kept_whatever_else_comes(
-    team: SignedTeam, liar: Liar, adopted: bool, monkeypatch: pytest.MonkeyPatch
+    adopted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its proposer floods the team with more plans, and falls silent: the others go on to hear each other."""
+    """Its proposer floods the team with earlier plans, and falls silent: the others go on to hear each other."""
     monkeypatch.setattr("llm_flock.protocol.signed.channel.REMEMBERED_ORIGINS", 4)
+    team = SignedTeam(MISSION, line_up(5), gaps="replan")
+    team.fly(2)
+    liar = Liar(team)
     flood = [
-        liar.says(plan=good_plan(MISSION, 40 + k), provenance=liar.provenance(epoch=0, sequence=0), table=None)
-        for k in range(12)
+        liar.says(plan=good_plan(MISSION, 40 + k), provenance=liar.provenance(epoch=k), table=None) for k in range(12)
     ]
-    best = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=1), table=None)
+    best = liar.says(plan=good_plan(MISSION, 3), provenance=liar.provenance(epoch=20), table=None)
     if adopted:
         team.fly(3, lambda: [best])
     team.fly(1, lambda: [best, *flood])

@@ -245,8 +245,11 @@ def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
     assert table is not None and table[slot][1] >= 2.0
 
 
-def test_a_plan_that_comes_back_is_another_one(team: SignedTeam, liar: Liar) -> None:
+def test_a_plan_that_comes_back_is_another_one() -> None:
     """Its old claims do not count: a robot that begins again would seem to leave one place after another."""
+    team = SignedTeam(MISSION, line_up(5), gaps="replan")
+    team.fly(2)
+    liar = Liar(team)
     plan, before = team.agents[0].plan, team.context
     again = liar.provenance(epoch=3, sequence=1)
     team.fly(1, lambda: [liar.says(plan=plan, provenance=again, table=None)])

@@ -67,6 +67,9 @@ class Agreement:
         self._unplaced: set[int] = set()
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
+        self._last_epoch = -1
+        self._own: tuple[PlanAnswer, Literal["model", "geometry"]] | None = None
+        self._void = frozenset[int]()
         self._chosen: int | None = None
         self._sensed: Mapping[int, Point] = {}
         self._knows_blocked = False
@@ -109,9 +112,9 @@ class Agreement:
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         """Pursue another mission: plan and claim of the one before are void."""
         self.mission, self.stamp = mission, stamp
-        self.plan = self.provenance = self._refused_answer = self._chosen = None
+        self.plan = self.provenance = self._refused_answer = self._chosen = self._own = None
         self.claim = Claim(slot=None)
-        self._proposals = 0
+        self._proposals, self._last_epoch, self._void = 0, -1, frozenset()
         self._replanning.reset()
         self.all_to_all.begin()
         self.in_touch.begin()
@@ -124,12 +127,15 @@ class Agreement:
 
     @property
     def _next_epoch(self) -> int:
-        return max(0 if self.provenance is None else self.provenance.epoch + 1, self._proposals)
+        return max(-1 if self.provenance is None else self.provenance.epoch, self._last_epoch) + 1
 
     @property
     def may_propose(self) -> bool:
-        """Whether another plan for this mission can follow on the one in force: there are `MOST_EPOCHS` at most."""
-        return self._next_epoch <= MOST_EPOCHS
+        """Whether another plan for this mission can follow on the one in force: there are `MOST_EPOCHS` at most.
+
+        Nor can one of a robot whose plans are void.
+        """
+        return self._next_epoch <= MOST_EPOCHS and self._robot not in self._void
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
         """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
@@ -147,6 +153,8 @@ class Agreement:
             sequence=self._proposals,
         )
         self._proposals += 1
+        self._last_epoch = origin.epoch
+        self._own = answer, by
         self._chosen = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
@@ -161,6 +169,16 @@ class Agreement:
         notes = fallback_notes("plan", "neighbour", self._refused_answer if self.plan is None else None)
         self._follow(plan, origin, adopted=True, heard=heard)
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
+
+    def _withdraw(self, plan: Plan, proposer: int) -> list[Note]:
+        """Follow a void plan no more; a robot that has proposed one that still fits proposes it again."""
+        self.plan = self.provenance = None
+        self.claim = Claim(slot=None)
+        note = Note("void_plan", {"plan": plan.digest, "proposer": proposer})
+        places = self._replanning.places(self.mission, None, sees_bodies=False)
+        if self._own is None or len(self._own[0].plan) != places:
+            return [note]
+        return [note, *self.propose(*self._own)]
 
     def _follow(self, plan: Plan, origin: Provenance, *, adopted: bool, heard: list[Message]) -> None:
         self.plan, self.provenance, self.claim = plan, origin, Claim(slot=None)
@@ -197,12 +215,17 @@ class Agreement:
             positions=joint or self.in_touch.positions(self.mission, plan, self.claim.table, silent),
         )
 
-    def settle(self, heard: list[Message]) -> list[Note]:
+    def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
-        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved. Rules are pure
-        functions, so they are not asked twice in a row with the same arguments.
+        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved; plans of
+        `void` robots do not count. Rules are pure functions, so they are not asked twice in a row with the same
+        arguments.
         """
+        self._void = void
+        withdrawn = list[Note]()
+        if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
+            withdrawn = self._withdraw(self.plan, self.provenance.proposer)
         standing = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed)
         arguments = (*standing, self.in_touch.known, *heard)
         due = self._occupancy_due or self.all_to_all.collecting
@@ -212,7 +235,7 @@ class Agreement:
         own = Standing(plan=self.plan, provenance=self.provenance, neighbors=self.neighbors, plan_class=own_class)
         before = self.claim
         source = self._consensus.choose(own, heard)
-        notes = [] if source is None else self._adopt(source, heard)
+        notes = withdrawn + ([] if source is None else self._adopt(source, heard))
         if not notes and self.plan is not None:
             claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))
             self.claim = before if claim == before else claim

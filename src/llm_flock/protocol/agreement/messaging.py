@@ -204,13 +204,17 @@ class Messaging:
         self._dissemination.forget_plans()
         return self._agreement.begin_mission(mission, stamp)
 
+    @property
+    def void(self) -> frozenset[int]:
+        """Robots whose plans for the mission in force do not count; without keys there are none."""
+        return self._channel.void(self._agreement.stamp)
+
     def drain(self) -> list[Message]:
         """The newest message of each sender in this communication round, in ascending order of senders.
 
         Call once before a decision: it counts the heartbeats of all messages.
         """
-        heard = [self._newest[sender] for sender in sorted(self._newest)]
-        self._channel.hold(heard)
+        heard = self._channel.hold([self._newest[sender] for sender in sorted(self._newest)])
         self._agreement.liveness.hear(self._beats)
         for message in heard:
             self._heard_ago.pop(message.sender, None)

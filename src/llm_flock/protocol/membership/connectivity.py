@@ -22,11 +22,20 @@ REMEMBERED = 30
 """Rounds for which a body that is out of sight is taken to stand at a place: after that it is looked at again."""
 
 
-class ConnectivityRecovery:
-    """Keeps one robot in touch with its team, or finds robots that it misses."""
+APART = 10
+"""Rounds for which living robots must have no place while others are vacant before they are missed: a team in touch
+gives vacant places to them within a few."""
 
-    def __init__(self, liveness: Liveness, all_to_all: AllToAll) -> None:
+
+class ConnectivityRecovery:
+    """Keeps one robot in touch with its team, or finds robots that it misses.
+
+    Of living robots without a place, `liars` are not missed: they may want none.
+    """
+
+    def __init__(self, liveness: Liveness, all_to_all: AllToAll, liars: int = 0) -> None:
         self._liveness, self._all_to_all, self._search = liveness, all_to_all, Search()
+        self._liars, self._apart_for = liars, 0
         self._gathering = Gathering()
         self._standing: tuple[str, dict[int, int]] = "", {}
 
@@ -97,14 +106,24 @@ class ConnectivityRecovery:
         self._standing = places.digest, {a: since for a, since in (hidden | seen).items() if a in free}
         return {*self._standing[1]}
 
+    def _apart(self, slot: int, table: BidTable) -> frozenset[int]:
+        """Robots that live, but own none of the places although some are vacant: they seem to be on another plan.
+
+        Only heartbeats of theirs get through. Call once a round.
+        """
+        owners = {owner for _, _, owner in table}
+        without = self._liveness.present - owners - {table[slot][2]}
+        missed = NO_OWNER in owners and len(without) > self._liars
+        self._apart_for = self._apart_for + 1 if missed else 0
+        return without if self._apart_for > APART else frozenset()
+
     def _look_for_others(
         self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point, bodies: Sequence[Point]
     ) -> list[Note]:
         """Begin, continue or end the search for robots in vacant slots."""
-        live, before = self._liveness, self._search
-        standing = (
-            self._standing_at(mission, places, table, here, bodies) if live.strangers or live.silent else set[int]()
-        )
+        live, before, apart = self._liveness, self._search, self._apart(slot, table)
+        missed = live.strangers or live.silent or apart
+        standing = self._standing_at(mission, places, table, here, bodies) if missed else set[int]()
         self._search = search = advance(
             before,
             position=here,
@@ -116,14 +135,14 @@ class ConnectivityRecovery:
             at_goal=math.dist(here, places.points[slot]) <= AT_GOAL * mission.spacing,
             strangers=len(live.strangers),
             silent=len(live.silent - live.without_plan),
-            without_plan=len(live.silent & live.without_plan),
+            without_plan=len(live.silent & live.without_plan) + len(apart),
             standing=standing,
         )
         notes = list[Note]()
         if bool(before.way) != bool(search.way):
             notes.append(_search_note(search, begun=bool(search.way)))
         if self.given_up and search.gaps != before.gaps:
-            missing = sorted(live.silent | live.strangers)
+            missing = sorted(live.silent | live.strangers | apart)
             notes.append(Note("gap", {"slots": list(search.gaps), "missing": missing}))
         return notes
 

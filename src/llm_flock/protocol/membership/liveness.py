@@ -86,6 +86,11 @@ class Liveness:
         return len(self._beats) - len(self.silent) - len(self.strangers)
 
     @property
+    def present(self) -> frozenset[int]:
+        """Robots that count as alive, this one included."""
+        return frozenset(range(len(self._beats))) - self.silent - self.strangers
+
+    @property
     def living(self) -> frozenset[int]:
         """Robots whose counter has advanced since they were first heard of, and which are not silent.
 

@@ -74,8 +74,13 @@ class Channel:
         """The operator's signature on the mission in force; empty for the first one, and without keys."""
         return b""
 
-    def hold(self, heard: Sequence[Message]) -> None:
-        """Take note of the messages on which the next decision is made."""
+    def hold(self, heard: Sequence[Message]) -> list[Message]:
+        """The messages on which the next decision is made: without keys, all that were heard."""
+        return list(heard)
+
+    def void(self, mission: MissionStamp) -> frozenset[int]:
+        """Robots whose plans for a mission do not count; without keys there are none."""
+        return frozenset()
 
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
         """Check that a mission was given by the operator; without keys any robot may pass one on."""

@@ -185,6 +185,22 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
             msgspec.structs.force_setattr(self, "table_digest", table_digest(self.table))
 
 
+def without_plan(message: Message) -> Message:
+    """The message as from a robot that follows no plan."""
+    return msgspec.structs.replace(
+        message,
+        plan=None,
+        plan_digest=None,
+        places=0,
+        provenance=None,
+        slot=None,
+        table=None,
+        said=None,
+        table_digest=None,
+        offer=None,
+    )
+
+
 def table_digest(table: BidTable) -> str:
     """16 hexadecimal digits that identify a whole bid table."""
     return hashlib.blake2b(msgspec.msgpack.encode(table), digest_size=8).hexdigest()

@@ -25,6 +25,7 @@ from llm_flock.protocol.messages.codec import max_payload_bytes
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     MAX_BID,
+    MOST_EPOCHS,
     MOST_LOOKS,
     NO_OWNER,
     BidEntry,
@@ -37,7 +38,7 @@ from llm_flock.protocol.messages.message import (
 OPERATOR = -2
 """Member id of the operator, who gives missions."""
 
-WIRE_SIGNED = 8
+WIRE_SIGNED = 9
 """First byte of a message with certificates."""
 
 LIARS = 1
@@ -234,6 +235,23 @@ class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fro
         return Certificate(number=self.number, signature=self.signature, grant=self.grant)
 
 
+class SignedPlan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """A plan by its digest, with what else its proposer has signed about it (`origin_statement`)."""
+
+    plan: Annotated[str, msgspec.Meta(max_length=16)]
+    neighbors: Id
+    sequence: Id
+    signature: Signature
+
+
+class Equivocation(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """Two different plans that one robot has signed for one epoch of the mission: an honest one signs one."""
+
+    proposer: Id
+    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
+    plans: tuple[SignedPlan, SignedPlan]
+
+
 class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """The certificates of a message."""
 
@@ -247,6 +265,7 @@ class Proofs(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
     last: tuple[LastClaim, ...] = ()
     restless: tuple[RestlessWord, ...] = ()
     causes: tuple[LastClaim, ...] = ()
+    equivocations: tuple[Equivocation, ...] = ()
 
     def certificates(self) -> dict[int, Certificate]:
         """By slot; an index of a grant that is missing gives a certificate without grant."""
@@ -271,7 +290,7 @@ _DECODER = msgspec.msgpack.Decoder(_Signed)
 
 def max_signed_bytes(n_robots: int, liars: int = LIARS) -> int:
     """Largest message with certificates that a team of N legitimately needs [bytes]."""
-    return max_payload_bytes(n_robots) + 2048 + (1376 + 80 * witnesses(liars)) * n_robots
+    return max_payload_bytes(n_robots) + 2048 + (1584 + 80 * witnesses(liars)) * n_robots
 
 
 def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...], tuple[Grant, ...]]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -16,7 +17,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import MOST_EPOCHS, Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import MOST_EPOCHS, Message, MissionStamp, Provenance, without_plan
 from llm_flock.protocol.signed.certificates import (
     OPERATOR,
     Authenticator,
@@ -27,6 +28,7 @@ from llm_flock.protocol.signed.certificates import (
     unwrap,
     wrap,
 )
+from llm_flock.protocol.signed.equivocations import Equivocations
 from llm_flock.protocol.signed.evidence import Evidence
 
 MOST_PENDING = 3
@@ -39,16 +41,26 @@ REMEMBERED_ORIGINS = 1024
 class SignedChannel(Channel):
     """The channel of a team with keys.
 
-    `evidence` has the signatures on claims, and `liveness` tells which heartbeats are news: only those are checked.
+    `evidence` has the signatures on claims, and `liveness` tells which heartbeats are news: only those are checked. If
+    the team `replans`, a plan of a later epoch may replace a faultless one.
     """
 
     def __init__(
-        self, robot: int, mission: Mission, authenticator: Authenticator, evidence: Evidence, liveness: Liveness
+        self,
+        robot: int,
+        mission: Mission,
+        authenticator: Authenticator,
+        evidence: Evidence,
+        liveness: Liveness,
+        *,
+        replans: bool,
     ) -> None:
         super().__init__(robot, mission)
         self._authenticator = authenticator
         self._evidence = evidence
         self._liveness = liveness
+        self._replans = replans
+        self._equivocations = Equivocations(authenticator)
         self._origins: dict[tuple[Provenance, str], bytes] = {}
         self._held: dict[tuple[Provenance, str], bytes] = {}
         self._in_force: dict[tuple[Provenance, str], bytes] = {}
@@ -99,16 +111,51 @@ class SignedChannel(Channel):
     def _known_origin(self, origin: Provenance, plan: str) -> bytes | None:
         return self._held.get((origin, plan)) or self._origins.get((origin, plan))
 
-    def hold(self, heard: Sequence[Message]) -> None:
-        """Keep the origins of messages on which the next decision is made, whatever else comes in.
+    def hold(self, heard: Sequence[Message]) -> list[Message]:
+        """The messages on which the next decision is made, without plans that do not count; their origins are kept.
 
         The plan that is adopted has to be passed on with its origin, also if its proposer floods the others with more.
         """
+        heard = [message for message in heard if self._consistent(message)]
         self._held = dict(self._in_force)
+        counting = list[Message]()
         for message in heard:
-            origin, plan, proofs = message.provenance, message.plan_digest, message.proofs
-            if origin is not None and plan is not None and isinstance(proofs, Proofs):
+            origin, plan, proofs = message.provenance, message.plan_digest, cast("Proofs", message.proofs)
+            if origin is None or plan is None:
+                counting.append(message)
+            elif self._counts(origin):
                 self._held[origin, plan] = proofs.origin or b""
+                counting.append(message)
+            else:
+                counting.append(without_plan(message))
+        return counting
+
+    def _consistent(self, message: Message) -> bool:
+        """Take note of who has proposed what; whether the message's own proofs of that hold."""
+        proofs = cast("Proofs", message.proofs)
+        try:
+            self._equivocations.hear(message.mission, proofs)
+        except MessageError as error:
+            self._evidence.refused[error.reason] += 1
+            return False
+        if message.provenance is not None and message.plan_digest is not None:
+            self._equivocations.note(message.provenance, message.plan_digest, proofs.origin or b"")
+        return True
+
+    def _counts(self, origin: Provenance) -> bool:
+        """Whether a plan of this origin may be followed.
+
+        Where plans are only replaced because their proposers have signed two, there are as many epochs as of those.
+        """
+        void = self.void(MissionStamp(origin.mission, origin.mission_digest))
+        if not self._replans and origin.epoch > len(void):
+            self._evidence.refused["many_plans"] += 1
+            return False
+        return origin.proposer not in void
+
+    def void(self, mission: MissionStamp) -> frozenset[int]:
+        """Robots that have signed two plans for one epoch of this mission."""
+        return self._equivocations.void(mission)
 
     def _remember(self, origin: Provenance, plan: str, signature: bytes) -> None:
         if len(self._origins) >= REMEMBERED_ORIGINS:
@@ -161,6 +208,7 @@ class SignedChannel(Channel):
         proofs = msgspec.structs.replace(
             self._evidence.prove(message),
             origin=self._origin_signature(message),
+            equivocations=self._equivocations.proofs(message.mission),
             mission=None if message.mission_text is None or authorization is None else authorization.signature,
             beats=None if message.beats is None else self._signed_beats(message.beats),
         )
@@ -174,6 +222,7 @@ class SignedChannel(Channel):
         if signature is None and origin.proposer == self._robot:
             signature = self._authenticator.sign(origin_statement(origin, plan))
             self._remember(origin, plan, signature)
+            self._equivocations.note(origin, plan, signature)
         if signature is not None:
             self._in_force = {(origin, plan): signature}
         return signature

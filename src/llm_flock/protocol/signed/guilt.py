@@ -66,12 +66,16 @@ def guilt(
     mission, authenticator = missions[0], _Outsider(verifier)
     evidence = Evidence(OUTSIDER, authenticator, liars)
     liveness = Liveness(0, mission.n_robots, TIME_OUT)
-    channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, liveness)
+    channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, liveness, replans=validator.any_size)
     try:
         inbound = channel.open(payload, sender)
         _check_order(channel, inbound)
     except MessageError as error:
         return None if error.reason == "version" else error.reason
+    # Whoever follows a plan of a later epoch knows why the earlier ones are void, and shows it.
+    channel.hold([inbound.message])
+    if evidence.refused:
+        return next(iter(evidence.refused))
     message, proofs = inbound.message, inbound.message.proofs
     assert isinstance(proofs, Proofs), "a signed channel leaves them there"
     asked = next((m for m in missions if m.digest == message.mission.digest), None)

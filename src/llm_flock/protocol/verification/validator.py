@@ -23,7 +23,7 @@ class Validator:
 
     def __init__(self, *, verify: bool, shield_on: bool, any_size: bool = False) -> None:
         self.verify = verify
-        self._any_size = any_size
+        self.any_size = any_size
         self._shield_on = shield_on
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
@@ -38,7 +38,7 @@ class Validator:
 
     def _standard(self, mission: Mission, plan: Plan) -> Mission:
         """The mission against which a plan is checked: unchanged, or resized for a smaller team."""
-        smaller = self._any_size and len(plan) < mission.n_places
+        smaller = self.any_size and len(plan) < mission.n_places
         return (resized(mission, len(plan)) if smaller else None) or mission
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:

@@ -1,0 +1,72 @@
+"""Proposers whose plans do not count: each has signed two plans for one epoch of the mission.
+
+Of two plans the one of higher key wins, so who proposes plan after plan could keep a team from agreeing for ever. An
+honest robot signs one plan for an epoch. Two are a proof against their proposer, which every robot checks by itself and
+passes on: all plans of that robot for this mission are void, also one that is in force.
+"""
+
+from __future__ import annotations
+
+from llm_flock.errors import MessageError
+from llm_flock.protocol.messages.message import MissionStamp, Provenance
+from llm_flock.protocol.signed.certificates import Equivocation, Proofs, SignedPlan, Verifier, origin_statement
+
+
+class Equivocations:
+    """The plans that one robot has seen signed for one mission at a time, and the proofs that follow from them."""
+
+    def __init__(self, verifier: Verifier) -> None:
+        self._verifier = verifier
+        self._mission: MissionStamp | None = None
+        self._first: dict[tuple[int, int], SignedPlan] = {}
+        self._proofs: dict[int, Equivocation] = {}
+
+    def void(self, mission: MissionStamp) -> frozenset[int]:
+        """Robots whose plans for this mission do not count."""
+        return frozenset(self._proofs) if mission == self._mission else frozenset()
+
+    def proofs(self, mission: MissionStamp) -> tuple[Equivocation, ...]:
+        """A proof against each of them."""
+        return tuple(self._proofs.values()) if mission == self._mission else ()
+
+    def note(self, origin: Provenance, plan: str, signature: bytes) -> None:
+        """Take note of a plan's origin and its proposer's signature, which has been checked."""
+        self._turn_to(MissionStamp(origin.mission, origin.mission_digest))
+        signed = SignedPlan(plan, origin.neighbors, origin.sequence, signature)
+        first = self._first.setdefault((origin.proposer, origin.epoch), signed)
+        if _content(first) != _content(signed):
+            self._proofs.setdefault(origin.proposer, Equivocation(origin.proposer, origin.epoch, (first, signed)))
+
+    def hear(self, mission: MissionStamp, proofs: Proofs) -> None:
+        """Check the proofs that somebody shows, and keep those that are news.
+
+        Raises:
+            MessageError: with reason `uncertified` for the first that proves nothing: nobody honest passes it on.
+        """
+        self._turn_to(mission)
+        for proof in proofs.equivocations:
+            if proof.proposer in self._proofs:
+                continue
+            first, second = proof.plans
+            if _content(first) == _content(second) or not all(self._signed(mission, proof, x) for x in proof.plans):
+                raise MessageError("uncertified", f"robot {proof.proposer} has not signed two plans")
+            self._proofs[proof.proposer] = proof
+
+    def _turn_to(self, mission: MissionStamp) -> None:
+        if mission != self._mission:
+            self._mission, self._first, self._proofs = mission, {}, {}
+
+    def _signed(self, mission: MissionStamp, proof: Equivocation, signed: SignedPlan) -> bool:
+        origin = Provenance(
+            mission=mission.counter,
+            mission_digest=mission.digest,
+            epoch=proof.epoch,
+            neighbors=signed.neighbors,
+            proposer=proof.proposer,
+            sequence=signed.sequence,
+        )
+        return self._verifier.check(proof.proposer, origin_statement(origin, signed.plan), signed.signature)
+
+
+def _content(signed: SignedPlan) -> tuple[str, int, int]:
+    return signed.plan, signed.neighbors, signed.sequence
