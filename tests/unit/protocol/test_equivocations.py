@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import msgspec
 import pytest
@@ -30,12 +31,16 @@ from llm_flock.protocol.signed.certificates import (
     max_signed_bytes,
     origin_statement,
     unwrap,
+    wrap,
 )
 from llm_flock.protocol.signed.equivocations import Equivocations
+from llm_flock.protocol.signed.guilt import guilt
+from llm_flock.protocol.verification.validator import Validator
 
 N = 5
 MISSION = Mission(shape="circle", n_robots=N)
 NO_ANSWER = NoAnswer(cause="answer", reason="none")
+VALIDATOR = Validator(verify=True, shield_on=True)
 STAMP = MissionStamp(0, MISSION.digest)
 
 
@@ -165,6 +170,21 @@ def test_forged_proofs_are_no_proofs(team: SignedTeam, liar: Liar) -> None:
     known = Equivocations(ToyKeys(0))
     with pytest.raises(MessageError, match="uncertified"):
         known.hear(MissionStamp(1, MISSION.digest), Proofs(equivocations=(Equivocation(2, 0, (first, second)),)))
+
+
+def test_a_message_with_a_forged_proof_is_dropped_and_shows_guilt(team: SignedTeam, liar: Liar) -> None:
+    proof = Equivocation(2, 0, (signed(2, "a" * 16), signed(2, "b" * 16, by=3)))
+    content, proofs = unwrap(plan_of(liar, 3), N)
+    lie = wrap(content, msgspec.structs.replace(proofs, equivocations=(proof,)))
+    before = team.agents[0].plan
+    team.fly(1, lambda: [lie])
+    assert {agent.plan for agent in team.agents} == {before} and team.counts("uncertified") >= N - 1
+    judged = partial(guilt, sender=N - 1, missions=[MISSION], verifier=ToyKeys(0))
+    assert judged(lie, validator=VALIDATOR) == "uncertified"
+    assert judged(plan_of(liar, 3), validator=VALIDATOR) is None
+    late = plan_of(liar, 3, epoch=1)
+    assert judged(late, validator=VALIDATOR) == "many_plans"
+    assert judged(late, validator=Validator(verify=True, shield_on=True, any_size=True)) is None
 
 
 def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:

@@ -3,9 +3,11 @@
 from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
+
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.connectivity import REMEMBERED, ConnectivityRecovery
+from llm_flock.protocol.membership.connectivity import APART, REMEMBERED, ConnectivityRecovery
 from llm_flock.protocol.membership.search import (
     LOOKS,
     LOOKS_FOR_SILENT,
@@ -194,7 +196,7 @@ def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_firs
 
 def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_it() -> None:
     """Its witnesses are too few to call the place blocked. Out of sight, it was vacant again: a search without end."""
-    live = cast("Any", SimpleNamespace(strangers=set[int](), silent={1}, without_plan=set[int]()))
+    live = cast("Any", SimpleNamespace(strangers=set[int](), silent={1}, without_plan=set[int](), present={0, 2, 3}))
     recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)))
     mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
     owners, (x, y) = table(0, NO_OWNER, 2, 3), PLAN.points[1]
@@ -210,6 +212,24 @@ def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_i
     assert looks_for(PLAN.points[0], (x, y)) == ()
     assert looks_for(PLAN.points[0]) == (1,), "it is seen to be gone"
     assert looks_for((x - 4 * mission.sensing, y)) == (1,)
+
+
+@pytest.mark.parametrize(("liars", "misses"), [(0, True), (1, True), (2, False)])
+def test_robots_that_live_without_a_place_are_missed_unless_they_may_be_liars(liars: int, misses: bool) -> None:
+    """Liars pass on heartbeats and nothing else, so nobody is silent. In touch, vacant places would be taken."""
+    nobody = set[int]()
+    live = cast("Any", SimpleNamespace(strangers=nobody, silent=nobody, without_plan=nobody, present={0, 1, 2, 3}))
+    mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
+
+    def looks(rounds: int, *owners: int) -> bool:
+        recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)), liars)
+        for _ in range(rounds):
+            recovery.route(mission, PLAN, 0, table(*owners), PLAN.points[0], bodies=(), placed=False)
+        return bool(recovery._search.way)
+
+    assert not looks(APART, 0, NO_OWNER, NO_OWNER, 3)
+    assert looks(APART + 9, 0, NO_OWNER, NO_OWNER, 3) == misses
+    assert not looks(APART + 9, 0, 1, 2, 3)
 
 
 def test_nobody_is_looked_for_where_a_body_stands() -> None:

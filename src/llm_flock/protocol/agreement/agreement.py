@@ -114,7 +114,7 @@ class Agreement:
         self.mission, self.stamp = mission, stamp
         self.plan = self.provenance = self._refused_answer = self._chosen = self._own = None
         self.claim = Claim(slot=None)
-        self._proposals, self._last_epoch, self._void = 0, -1, frozenset()
+        self._proposals, self._last_epoch, self._void = 0, -1, frozenset[int]()
         self._replanning.reset()
         self.all_to_all.begin()
         self.in_touch.begin()
