@@ -274,11 +274,16 @@ def _plan(gang: Gang, member: int, number: int, epoch: int, hears: Sequence[int]
 
 
 def plan_after_plan(gang: Gang, member: int) -> list[Said]:
-    """As many plans as may count: one an epoch, then a second one for the last, and the next member goes on."""
-    index = gang.members.index(member)
-    turn = gang.rounds // PLANS_EACH
-    first = sum(other + 2 for other in range(index))
-    return [_plan(gang, member, turn, min(turn - first, index))] if first <= turn < first + index + 2 else []
+    """As many plans as may count: in each epoch one of the first member and one of another, which that one withdraws.
+
+    In the last the first withdraws its own.
+    """
+    others = len(gang.members) - 1
+    epoch, step = divmod(gang.rounds // PLANS_EACH, 3)
+    speaker = 0 if step == 0 or epoch == others else epoch + 1
+    if epoch > others or (epoch == others and step == 2) or member != gang.members[speaker]:
+        return []
+    return [_plan(gang, member, step, epoch)]
 
 
 def plans_for_ever(gang: Gang, member: int) -> list[Said]:

@@ -65,11 +65,11 @@ def signed(proposer: int, plan: str, *, epoch: int = 0, neighbors: int = 1, by: 
         mission=0, mission_digest=MISSION.digest, epoch=epoch, neighbors=neighbors, proposer=proposer, sequence=0
     )
     keys = ToyKeys(proposer if by is None else by)
-    return SignedPlan(plan, neighbors, 0, keys.sign(origin_statement(origin, plan)))
+    return SignedPlan(plan, epoch, neighbors, 0, keys.sign(origin_statement(origin, plan)))
 
 
-def shown(*proofs: Equivocation) -> Equivocations:
-    known = Equivocations(ToyKeys(0))
+def shown(*proofs: Equivocation, replans: bool = False) -> Equivocations:
+    known = Equivocations(ToyKeys(0), replans=replans)
     known.hear(STAMP, Proofs(equivocations=proofs))
     return known
 
@@ -86,6 +86,19 @@ def test_plan_after_plan_ends_with_the_second(team: SignedTeam, liar: Liar) -> N
     assert origin is not None and (origin.epoch, origin.sequence, origin.proposer) == (1, 1, 2)
     void = [note.detail for note in team.notes if note.kind == "void_plan"]
     assert void == [{"plan": good_plan(MISSION, 3).digest, "proposer": N - 1}] * (N - 1)
+
+
+@pytest.mark.parametrize("replans", [False, True])
+def test_in_a_later_epoch_a_robot_proposes_the_same_points_unless_the_team_replans(replans: bool) -> None:
+    first, same = signed(2, "a" * 16), signed(2, "a" * 16, epoch=1, neighbors=2)
+    other = signed(2, "b" * 16, epoch=1)
+    with pytest.raises(MessageError, match="uncertified"):
+        shown(Equivocation(2, (first, same)), replans=replans)
+    if replans:
+        with pytest.raises(MessageError, match="uncertified"):
+            shown(Equivocation(2, (first, other)), replans=True)
+    else:
+        assert shown(Equivocation(2, (first, other))).void(STAMP) == {2}
 
 
 @pytest.mark.parametrize("more", [{"angle": 4}, {"angle": 3, "sequence": 1}])
@@ -155,25 +168,25 @@ def test_void_plans_do_not_spread_from_those_who_do_not_know(team: SignedTeam, l
 
 def test_forged_proofs_are_no_proofs(team: SignedTeam, liar: Liar) -> None:
     first, second = signed(2, "a" * 16), signed(2, "b" * 16)
-    assert shown(Equivocation(2, 0, (first, second))).void(STAMP) == {2}
+    assert shown(Equivocation(2, (first, second))).void(STAMP) == {2}
     forged: Sequence[Equivocation] = (
-        Equivocation(2, 0, (first, first)),
-        Equivocation(2, 0, (first, msgspec.structs.replace(first, signature=b"x"))),
-        Equivocation(2, 0, (first, signed(2, "b" * 16, by=3))),
-        Equivocation(2, 0, (signed(2, "b" * 16, by=3), first)),
-        Equivocation(2, 1, (first, second)),
-        Equivocation(3, 0, (first, second)),
+        Equivocation(2, (first, first)),
+        Equivocation(2, (first, msgspec.structs.replace(first, signature=b"x"))),
+        Equivocation(2, (first, signed(2, "b" * 16, by=3))),
+        Equivocation(2, (signed(2, "b" * 16, by=3), first)),
+        Equivocation(2, (msgspec.structs.replace(first, epoch=1), second)),
+        Equivocation(3, (first, second)),
     )
     for proof in forged:
         with pytest.raises(MessageError, match="uncertified"):
             shown(proof)
-    known = Equivocations(ToyKeys(0))
+    known = Equivocations(ToyKeys(0), replans=False)
     with pytest.raises(MessageError, match="uncertified"):
-        known.hear(MissionStamp(1, MISSION.digest), Proofs(equivocations=(Equivocation(2, 0, (first, second)),)))
+        known.hear(MissionStamp(1, MISSION.digest), Proofs(equivocations=(Equivocation(2, (first, second)),)))
 
 
 def test_a_message_with_a_forged_proof_is_dropped_and_shows_guilt(team: SignedTeam, liar: Liar) -> None:
-    proof = Equivocation(2, 0, (signed(2, "a" * 16), signed(2, "b" * 16, by=3)))
+    proof = Equivocation(2, (signed(2, "a" * 16), signed(2, "b" * 16, by=3)))
     content, proofs = unwrap(plan_of(liar, 3), N)
     lie = wrap(content, msgspec.structs.replace(proofs, equivocations=(proof,)))
     before = team.agents[0].plan

@@ -239,16 +239,16 @@ class SignedPlan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fr
     """A plan by its digest, with what else its proposer has signed about it (`origin_statement`)."""
 
     plan: Annotated[str, msgspec.Meta(max_length=16)]
+    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
     neighbors: Id
     sequence: Id
     signature: Signature
 
 
 class Equivocation(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """Two different plans that one robot has signed for one epoch of the mission: an honest one signs one."""
+    """Two plans for the mission that one robot has signed and an honest one would not."""
 
     proposer: Id
-    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
     plans: tuple[SignedPlan, SignedPlan]
 
 

@@ -60,7 +60,7 @@ class SignedChannel(Channel):
         self._evidence = evidence
         self._liveness = liveness
         self._replans = replans
-        self._equivocations = Equivocations(authenticator)
+        self._equivocations = Equivocations(authenticator, replans=replans)
         self._origins: dict[tuple[Provenance, str], bytes] = {}
         self._held: dict[tuple[Provenance, str], bytes] = {}
         self._in_force: dict[tuple[Provenance, str], bytes] = {}

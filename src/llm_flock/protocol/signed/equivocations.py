@@ -1,8 +1,9 @@
-"""Proposers whose plans do not count: each has signed two plans for one epoch of the mission.
+"""Proposers whose plans do not count: each has signed two plans for the mission that exclude each other.
 
 Of two plans the one of higher key wins, so who proposes plan after plan could keep a team from agreeing for ever. An
-honest robot signs one plan for an epoch. Two are a proof against their proposer, which every robot checks by itself and
-passes on: all plans of that robot for this mission are void, also one that is in force.
+honest robot signs one plan for an epoch; and where a team does not replan, it proposes the same points in every epoch.
+Two that break this are a proof against their proposer, which every robot checks by itself and passes on: all plans of
+that robot for this mission are void, also one that is in force.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from llm_flock.protocol.signed.certificates import Equivocation, Proofs, SignedP
 
 
 class Equivocations:
-    """The plans that one robot has seen signed for one mission at a time, and the proofs that follow from them."""
+    """The plans that one robot has seen signed for one mission at a time, and the proofs that follow from them.
 
-    def __init__(self, verifier: Verifier) -> None:
+    If the team `replans`, a robot may propose other points in a later epoch.
+    """
+
+    def __init__(self, verifier: Verifier, *, replans: bool) -> None:
         self._verifier = verifier
+        self._replans = replans
         self._mission: MissionStamp | None = None
-        self._first: dict[tuple[int, int], SignedPlan] = {}
+        self._seen: dict[int, dict[int, SignedPlan]] = {}
         self._proofs: dict[int, Equivocation] = {}
 
     def void(self, mission: MissionStamp) -> frozenset[int]:
@@ -32,10 +37,12 @@ class Equivocations:
     def note(self, origin: Provenance, plan: str, signature: bytes) -> None:
         """Take note of a plan's origin and its proposer's signature, which has been checked."""
         self._turn_to(MissionStamp(origin.mission, origin.mission_digest))
-        signed = SignedPlan(plan, origin.neighbors, origin.sequence, signature)
-        first = self._first.setdefault((origin.proposer, origin.epoch), signed)
-        if _content(first) != _content(signed):
-            self._proofs.setdefault(origin.proposer, Equivocation(origin.proposer, origin.epoch, (first, signed)))
+        signed = SignedPlan(plan, origin.epoch, origin.neighbors, origin.sequence, signature)
+        seen = self._seen.setdefault(origin.proposer, {})
+        for other in seen.values():
+            if self._exclude(other, signed):
+                self._proofs.setdefault(origin.proposer, Equivocation(origin.proposer, (other, signed)))
+        seen.setdefault(origin.epoch, signed)
 
     def hear(self, mission: MissionStamp, proofs: Proofs) -> None:
         """Check the proofs that somebody shows, and keep those that are news.
@@ -47,26 +54,27 @@ class Equivocations:
         for proof in proofs.equivocations:
             if proof.proposer in self._proofs:
                 continue
-            first, second = proof.plans
-            if _content(first) == _content(second) or not all(self._signed(mission, proof, x) for x in proof.plans):
+            signed = all(self._signed(mission, proof.proposer, plan) for plan in proof.plans)
+            if not (self._exclude(*proof.plans) and signed):
                 raise MessageError("uncertified", f"robot {proof.proposer} has not signed two plans")
             self._proofs[proof.proposer] = proof
 
     def _turn_to(self, mission: MissionStamp) -> None:
         if mission != self._mission:
-            self._mission, self._first, self._proofs = mission, {}, {}
+            self._mission, self._seen, self._proofs = mission, {}, {}
 
-    def _signed(self, mission: MissionStamp, proof: Equivocation, signed: SignedPlan) -> bool:
+    def _exclude(self, one: SignedPlan, other: SignedPlan) -> bool:
+        """Whether no honest robot signs both."""
+        content = (one.plan, one.neighbors, one.sequence) != (other.plan, other.neighbors, other.sequence)
+        return content if one.epoch == other.epoch else not self._replans and one.plan != other.plan
+
+    def _signed(self, mission: MissionStamp, proposer: int, signed: SignedPlan) -> bool:
         origin = Provenance(
             mission=mission.counter,
             mission_digest=mission.digest,
-            epoch=proof.epoch,
+            epoch=signed.epoch,
             neighbors=signed.neighbors,
-            proposer=proof.proposer,
+            proposer=proposer,
             sequence=signed.sequence,
         )
-        return self._verifier.check(proof.proposer, origin_statement(origin, signed.plan), signed.signature)
-
-
-def _content(signed: SignedPlan) -> tuple[str, int, int]:
-    return signed.plan, signed.neighbors, signed.sequence
+        return self._verifier.check(proposer, origin_statement(origin, signed.plan), signed.signature)
