@@ -374,6 +374,7 @@ WORST = (
     "frees every place all the time",
     "exchanges what others own",
     "blocks every place",
+    "plan after plan",
 )
 
 

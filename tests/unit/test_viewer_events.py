@@ -18,8 +18,8 @@ from llm_flock.viewer.recording import Recording
 VALUES: dict[str, Any] = {
     "plan": "ab12", "asked": "ab12", "slot": 3, "before": None, "from": 2, "by": "model", "question": "step",
     "cause": "refused", "reason": "it is too far", "state": "open", "refusals": 3, "wait": 2, "detail": "who knows",
-    "about": "step", "begun": True, "vacant": [0, 1], "slots": [4], "missing": [5], "counter": 1, "proposer": 2, "digest": "x",
-    "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
+    "about": "step", "begun": True, "vacant": [0, 1], "slots": [4], "missing": [5], "counter": 1, "digest": "x",
+    "proposer": 2, "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
     "goal_distance": 4.5, "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
     "model": "simulated:collapse", "loss": None,
 }  # fmt: skip
