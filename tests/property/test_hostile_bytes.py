@@ -23,7 +23,7 @@ from mcap.writer import Writer
 from reports import CONFIG, MISSION, N, told
 from rounds import round_began
 from sample_records import make_record
-from signed_team import Liar, SignedTeam
+from signed_team import Liar, SignedTeam, good_plan
 from toy_keys import ToyKeys
 
 from llm_flock.cli.accusations import show_accusations
@@ -135,8 +135,10 @@ def test_no_signed_message_ends_an_agent(seed: int) -> None:
     for _ in range(3):
         heard = [e.payload for a in honest.agents for e in a.handle(CommRoundBegan()) if isinstance(e, Broadcast)]
         heard.append(liar.says(slot=rng.randrange(4)))
+        plan = good_plan(honest.mission, rng.randrange(3))
+        heard.append(liar.says(plan=plan, provenance=liar.provenance(), table=None))
         hostile = [mangled(rng.choice(heard), rng, 1) for _ in range(6)]
-        tried(lambda hostile=hostile: honest.comm_round(hostile))
+        tried(lambda hostile=[*hostile, heard[-1]]: honest.comm_round(hostile))
         for payload in hostile:
             tried(lambda payload=payload: guilt(payload, 3, [honest.mission], VALIDATOR, ToyKeys(0)))
     honest.end()

@@ -58,10 +58,10 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
             said.append(liar.says(offer=offer, offer_number=liar.number + int(rng.integers(1, 4)), slot=give))
         elif kind == 5:
             said.append(liar.says(beats=tuple(int(x) for x in rng.integers(0, 2**40, N))))
-        elif rng.random() < 0.05:
-            epoch = int(rng.integers(0, 4))
-            origin = liar.provenance(epoch=epoch, sequence=int(rng.integers(0, 5)))
-            said.append(liar.says(plan=good_plan(MISSION, epoch), provenance=origin, table=None, slot=None))
+        elif rng.random() < 0.1:
+            origin = liar.provenance(epoch=int(rng.integers(0, 3)), sequence=int(rng.integers(0, 3)))
+            plan = good_plan(MISSION, int(rng.integers(0, 4)))
+            said.append(liar.says(plan=plan, provenance=origin, table=None, slot=None))
     return said
 
 

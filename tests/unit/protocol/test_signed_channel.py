@@ -25,7 +25,9 @@ from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     OPERATOR,
     WIRE_SIGNED,
+    Equivocation,
     Proofs,
+    SignedPlan,
     WitnessStatement,
     beat_statement,
     mission_statement,
@@ -172,10 +174,13 @@ def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:
 
 
 def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) -> None:
-    message, _ = unwrap(liar.says(), 5)
+    message, proofs = unwrap(liar.says(), 5)
     assert team.tell(1, message, team.liar) == ["version"]
     assert team.tell(1, bytes([WIRE_SIGNED]) + b"\xff", team.liar) == ["malformed"]
     assert team.tell(1, bytes(10**5), team.liar) == ["oversized"]
+    proof = Equivocation(2, (SignedPlan("abcd", 0, 1, 0, b""), SignedPlan("efgh", 0, 1, 0, b"")))
+    no_text = wrap(message, msgspec.structs.replace(proofs, equivocations=(proof,))).replace(b"efgh", b"\xbe" * 4)
+    assert team.tell(1, no_text, team.liar) == ["malformed"]
     with pytest.raises(MessageError, match="version"):
         unwrap(b"", 5)
 

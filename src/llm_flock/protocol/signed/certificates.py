@@ -321,7 +321,7 @@ def unwrap(payload: bytes, n_robots: int, liars: int = LIARS) -> tuple[bytes, Pr
         raise MessageError("version", f"signed messages are of version {WIRE_SIGNED}")
     try:
         signed = _DECODER.decode(memoryview(payload)[1:])
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise MessageError("malformed", str(error)) from None
     return signed.message, signed.proofs
 
