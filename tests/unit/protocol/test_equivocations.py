@@ -22,7 +22,7 @@ from llm_flock.protocol.events import (
     Decided,
     Planned,
 )
-from llm_flock.protocol.messages.message import MissionStamp, Provenance
+from llm_flock.protocol.messages.message import MOST_EPOCHS, MissionStamp, Provenance
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.certificates import (
     Equivocation,
@@ -198,6 +198,42 @@ def test_a_message_with_a_forged_proof_is_dropped_and_shows_guilt(team: SignedTe
     late = plan_of(liar, 3, epoch=1)
     assert judged(late, validator=VALIDATOR) == "many_plans"
     assert judged(late, validator=Validator(verify=True, shield_on=True, any_size=True)) is None
+
+
+def test_a_robot_that_takes_the_origin_of_another_with_its_own_points_signs_its_claims_anew() -> None:
+    """Two models have answered with the same points. Claims signed about one origin prove nothing under the other."""
+    team = SignedTeam(MISSION, line_up(N), gaps="replan")
+    team.fly(2)
+    liar, same = Liar(team), PlanAnswer(plan=good_plan(MISSION, 20), slot=0)
+    for agent in team.agents[:2]:
+        agent._agreement._own = same, "model"
+    team.fly(1, lambda: [plan_of(liar, 3, epoch=1)])
+    team.tell(1, plan_of(liar, 4, epoch=1), N - 1)
+    team.agents[1].handle(CommRoundEnded())
+    (said,) = team.agents[1].handle(CommRoundBegan())
+    assert isinstance(said, Broadcast) and team.agents[1].plan == same.plan
+    team.tell(0, said.payload, 1)
+    team.agents[0].handle(CommRoundEnded())
+    origin = team.agents[0].provenance
+    assert team.agents[0].plan == same.plan and origin is not None and origin.proposer == 1
+    (said,) = team.agents[0].handle(CommRoundBegan())
+    assert isinstance(said, Broadcast)
+    replanning = Validator(verify=True, shield_on=True, any_size=True)
+    assert guilt(said.payload, 0, [MISSION], replanning, ToyKeys(0)) is None
+
+
+def test_the_last_epoch_of_all_can_be_withdrawn_too() -> None:
+    """In a team that replans, a liar signs two plans for the last epoch, after all have proposed in the one before."""
+    team = SignedTeam(MISSION, line_up(N), gaps="replan")
+    team.fly(2)
+    liar = Liar(team)
+    for agent in team.agents:
+        agent._agreement._last_epoch = MOST_EPOCHS
+    for angle in (3, 4):
+        team.fly(1, lambda angle=angle: [plan_of(liar, angle, epoch=MOST_EPOCHS)])
+    team.fly(3)
+    assert {agent.provenance.epoch for agent in team.agents if agent.provenance is not None} == {MOST_EPOCHS + 1}
+    assert team.settled()
 
 
 def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:

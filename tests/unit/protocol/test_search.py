@@ -1,5 +1,6 @@
 """The search that ends frozen partitions: which robot goes, where, and when it stops."""
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -22,6 +23,9 @@ from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)
+
+
+living = partial(SimpleNamespace, without_plan=set[int](), time_out=10)
 
 
 def table(*owners: int) -> BidTable:
@@ -196,7 +200,10 @@ def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_firs
 
 def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_it() -> None:
     """Its witnesses are too few to call the place blocked. Out of sight, it was vacant again: a search without end."""
-    live = cast("Any", SimpleNamespace(strangers=set[int](), silent={1}, without_plan=set[int](), present={0, 2, 3}))
+    live = cast(
+        "Any",
+        SimpleNamespace(strangers=set[int](), silent={1}, without_plan=set[int](), present={0, 2, 3}, time_out=10),
+    )
     recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)))
     mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
     owners, (x, y) = table(0, NO_OWNER, 2, 3), PLAN.points[1]
@@ -218,7 +225,9 @@ def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_i
 def test_robots_that_live_without_a_place_are_missed_unless_they_may_be_liars(liars: int, misses: bool) -> None:
     """Liars pass on heartbeats and nothing else, so nobody is silent. In touch, vacant places would be taken."""
     nobody = set[int]()
-    live = cast("Any", SimpleNamespace(strangers=nobody, silent=nobody, without_plan=nobody, present={0, 1, 2, 3}))
+    live = cast(
+        "Any", SimpleNamespace(strangers=nobody, silent=nobody, without_plan=nobody, present={0, 1, 2, 3}, time_out=10)
+    )
     mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
 
     def looks(rounds: int, *owners: int) -> bool:
@@ -227,9 +236,9 @@ def test_robots_that_live_without_a_place_are_missed_unless_they_may_be_liars(li
             recovery.route(mission, PLAN, 0, table(*owners), PLAN.points[0], bodies=(), placed=False)
         return bool(recovery._search.way)
 
-    assert not looks(APART, 0, NO_OWNER, NO_OWNER, 3)
-    assert looks(APART + 9, 0, NO_OWNER, NO_OWNER, 3) == misses
-    assert not looks(APART + 9, 0, 1, 2, 3)
+    assert not looks(10 + APART, 0, NO_OWNER, NO_OWNER, 3)
+    assert looks(10 + APART + 9, 0, NO_OWNER, NO_OWNER, 3) == misses
+    assert not looks(10 + APART + 9, 0, 1, 2, 3)
 
 
 def test_nobody_is_looked_for_where_a_body_stands() -> None:

@@ -131,11 +131,11 @@ class Agreement:
 
     @property
     def may_propose(self) -> bool:
-        """Whether another plan for this mission can follow on the one in force: there are `MOST_EPOCHS` at most.
+        """Whether another plan of this robot for this mission can follow on the one in force.
 
-        Nor can one of a robot whose plans are void.
+        There are `MOST_EPOCHS` at most, and one more for each robot whose plans are void; none by such a robot.
         """
-        return self._next_epoch <= MOST_EPOCHS and self._robot not in self._void
+        return self._next_epoch <= MOST_EPOCHS + len(self._void) and self._robot not in self._void
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
         """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
@@ -235,11 +235,12 @@ class Agreement:
         own = Standing(plan=self.plan, provenance=self.provenance, neighbors=self.neighbors, plan_class=own_class)
         before = self.claim
         source = self._consensus.choose(own, heard)
-        notes = withdrawn + ([] if source is None else self._adopt(source, heard))
-        if not notes and self.plan is not None:
+        adopted = [] if source is None else self._adopt(source, heard)
+        if not adopted and self.plan is not None:
             claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))
             self.claim = before if claim == before else claim
         self._occupancy_due = False
+        notes = [*withdrawn, *adopted]
         self._settled = () if due or notes or self.claim is not before else arguments
         if self.all_to_all.large:
             self._unplaced -= {m.sender for m in heard}

@@ -22,9 +22,9 @@ REMEMBERED = 30
 """Rounds for which a body that is out of sight is taken to stand at a place: after that it is looked at again."""
 
 
-APART = 10
-"""Rounds for which living robots must have no place while others are vacant before they are missed: a team in touch
-gives vacant places to them within a few."""
+APART = 3
+"""Rounds beyond the time-out for which living robots must have no place, while some are vacant, before they are missed.
+A team in touch gives vacant places to them within a few rounds, and those that have died turn out to be silent."""
 
 
 class ConnectivityRecovery:
@@ -115,7 +115,7 @@ class ConnectivityRecovery:
         without = self._liveness.present - owners - {table[slot][2]}
         missed = NO_OWNER in owners and len(without) > self._liars
         self._apart_for = self._apart_for + 1 if missed else 0
-        return without if self._apart_for > APART else frozenset()
+        return without if self._apart_for > self._liveness.time_out + APART else frozenset()
 
     def _look_for_others(
         self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point, bodies: Sequence[Point]

@@ -59,12 +59,12 @@ class Liveness:
 
     `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
     range for the time-out without being heard is silent too. A counter may stand still for `time_out` rounds, in a
-    large team for more (`patience`), and for more where heartbeats get through rarely (`GAPS`).
+    large team for more (`patience`), that is the attribute; and for more where heartbeats get through rarely (`GAPS`).
     """
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
         self._robot = robot
-        self._time_out = patience(time_out, n_robots)
+        self.time_out = patience(time_out, n_robots)
         self._beats = np.zeros(n_robots, dtype=np.int64)
         self._advanced = np.full(n_robots, -1, dtype=np.int64)
         self._gap = np.ones(n_robots)
@@ -122,7 +122,7 @@ class Liveness:
         self._beats[self._robot] = (self._beats[self._robot] // PER_BEAT + 1) * PER_BEAT + state
         self._advanced[self._robot] = round_number
         self._mute_for = {j: self._mute_for.get(j, 0) + 1 for j in near & self.strangers}
-        mute = [j for j, rounds in self._mute_for.items() if rounds > self._time_out]
+        mute = [j for j, rounds in self._mute_for.items() if rounds > self.time_out]
         if mute:
             self._beats[mute] = BODY
             self._advanced[mute] = self._long_ago
@@ -147,7 +147,7 @@ class Liveness:
             return
         known = newer & (self._beats > BODY)
         gaps = self._round - self._advanced[known]
-        self._gap[known] += GAP_WEIGHT * (np.minimum(gaps, LONGEST * self._time_out) - self._gap[known])
+        self._gap[known] += GAP_WEIGHT * (np.minimum(gaps, LONGEST * self.time_out) - self._gap[known])
         self._advanced[newer] = self._round
         if self.strangers:  # of which there may be only a body
             self._advanced[newer & (highest == BODY)] = self._long_ago
@@ -157,14 +157,14 @@ class Liveness:
 
     @property
     def _long_ago(self) -> int:
-        return self._round - LONGEST * self._time_out - 1
+        return self._round - LONGEST * self.time_out - 1
 
     def _look(self) -> None:
         since = self._round - self._advanced
-        if not (self.strangers or self.silent) and since.max() <= self._time_out:
+        if not (self.strangers or self.silent) and since.max() <= self.time_out:
             return
         never = self._beats == 0
-        allowed = np.minimum(self._time_out + GAPS * (self._gap - 1.0), LONGEST * self._time_out)
+        allowed = np.minimum(self.time_out + GAPS * (self._gap - 1.0), LONGEST * self.time_out)
         late = ~never & (since > allowed)
         if late.any() or self.silent:
             self.silent = frozenset(np.flatnonzero(late).tolist())

@@ -239,9 +239,9 @@ class SignedPlan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fr
     """A plan by its digest, with what else its proposer has signed about it (`origin_statement`)."""
 
     plan: Annotated[str, msgspec.Meta(max_length=16)]
-    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
+    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS + MAX_ROBOTS)]
     neighbors: Id
-    sequence: Id
+    sequence: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS + MAX_ROBOTS)]
     signature: Signature
 
 

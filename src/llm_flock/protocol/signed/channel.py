@@ -97,7 +97,7 @@ class SignedChannel(Channel):
         origin, plan = message.provenance, message.plan_digest
         if origin is None or plan is None:
             return None
-        if not origin.sequence <= origin.epoch <= MOST_EPOCHS:
+        if not origin.sequence <= origin.epoch <= MOST_EPOCHS + self._n_robots:
             raise MessageError("many_plans", f"plan {origin.sequence} of robot {origin.proposer} in {origin.epoch}")
         known = self._known_origin(origin, plan)
         if known is not None:
@@ -145,10 +145,10 @@ class SignedChannel(Channel):
     def _counts(self, origin: Provenance) -> bool:
         """Whether a plan of this origin may be followed.
 
-        Where plans are only replaced because their proposers have signed two, there are as many epochs as of those.
+        There is one epoch more for each robot that has signed two: the plan in force may have been its.
         """
         void = self.void(MissionStamp(origin.mission, origin.mission_digest))
-        if not self._replans and origin.epoch > len(void):
+        if origin.epoch > (MOST_EPOCHS if self._replans else 0) + len(void):
             self._evidence.refused["many_plans"] += 1
             return False
         return origin.proposer not in void
