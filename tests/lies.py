@@ -274,16 +274,14 @@ def _plan(gang: Gang, member: int, number: int, epoch: int, hears: Sequence[int]
 
 
 def plan_after_plan(gang: Gang, member: int) -> list[Said]:
-    """As many plans as may count: in each epoch one of the first member and one of another, which that one withdraws.
-
-    In the last the first withdraws its own.
-    """
-    others = len(gang.members) - 1
-    epoch, step = divmod(gang.rounds // PLANS_EACH, 3)
-    speaker = 0 if step == 0 or epoch == others else epoch + 1
-    if epoch > others or (epoch == others and step == 2) or member != gang.members[speaker]:
+    """As many plans as may count: in each epoch one of every member whose plans count; the last withdraws its own."""
+    turn, left = gang.rounds // PLANS_EACH, len(gang.members)
+    while left and turn > left:
+        turn, left = turn - left - 1, left - 1
+    index = min(turn, left - 1)
+    if index < 0 or member != gang.members[index]:
         return []
-    return [_plan(gang, member, step, epoch)]
+    return [_plan(gang, member, 2 * index + (turn == left), len(gang.members) - left)]
 
 
 def plans_for_ever(gang: Gang, member: int) -> list[Said]:
