@@ -171,14 +171,11 @@ class Agreement:
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _withdraw(self, plan: Plan, proposer: int) -> list[Note]:
-        """Follow a void plan no more; a robot that has proposed one that still fits proposes it again."""
+        """Follow a void plan no more; a robot that has proposed one itself proposes the same points again."""
         self.plan = self.provenance = None
         self.claim = Claim(slot=None)
-        note = Note("void_plan", {"plan": plan.digest, "proposer": proposer})
-        places = self._replanning.places(self.mission, None, sees_bodies=False)
-        if self._own is None or len(self._own[0].plan) != places:
-            return [note]
-        return [note, *self.propose(*self._own)]
+        again = [] if self._own is None else self.propose(*self._own)
+        return [Note("void_plan", {"plan": plan.digest, "proposer": proposer}), *again]
 
     def _follow(self, plan: Plan, origin: Provenance, *, adopted: bool, heard: list[Message]) -> None:
         self.plan, self.provenance, self.claim = plan, origin, Claim(slot=None)

@@ -59,7 +59,8 @@ class Liveness:
 
     `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
     range for the time-out without being heard is silent too. A counter may stand still for `time_out` rounds, in a
-    large team for more (`patience`), that is the attribute; and for more where heartbeats get through rarely (`GAPS`).
+    large team for more (`patience`): the attribute is for this team. And for more where heartbeats get through rarely
+    (`GAPS`).
     """
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
