@@ -8,8 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from driven_team import turned
 from gang import Entries, Gang, Said
+from lies_about_plans import (
+    a_plan_in_one_place,
+    another_plan_to_each_half,
+    plan_after_plan,
+    plans_for_ever,
+    plans_of_its_own,
+)
 from mangled import mangled
 from signed_team import SignedTeam
 from toy_keys import ToyKeys
@@ -28,10 +34,8 @@ from llm_flock.protocol.messages.message import (
     Message,
     MissionStamp,
     Offer,
-    Provenance,
 )
 from llm_flock.protocol.messages.mission_update import mission_text
-from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Proofs,
@@ -44,9 +48,6 @@ from llm_flock.protocol.signed.certificates import (
 
 FRAMES_EACH = 8
 """Communication rounds from one claim that is told to the framed robot alone to the next."""
-
-PLANS_EACH = 35
-"""Communication rounds from one plan to the next."""
 
 MOVES_EACH = 3
 """Communication rounds from one move to the next of those that move on."""
@@ -240,72 +241,6 @@ def offers_to_all(gang: Gang, member: int) -> list[Said]:
             offer = Offer(to=owner, give=own[0], take=take, give_version=versions[0], take_version=versions[1], bid=bid)
             said.append(gang.message(member, offer=offer, offer_number=gang.number(), hears=[owner]))
     return said
-
-
-def plans_of_its_own(gang: Gang, member: int) -> list[Said]:
-    """Faultless plans with the most influence and ever later counts."""
-    assert gang.known is not None
-    epoch = gang.rounds // 3
-    origin = Provenance(
-        mission=gang.known.mission.counter,
-        mission_digest=gang.known.mission.digest,
-        epoch=epoch,
-        neighbors=gang.mission.n_robots - 1,
-        proposer=member,
-        sequence=min(epoch, 2**20),
-    )
-    plan = turned(gang.mission, 7 + epoch % 5)[-1]
-    return [gang.message(member, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))]
-
-
-def _plan(gang: Gang, member: int, number: int, epoch: int, hears: Sequence[int] | None = None) -> Said:
-    """A faultless plan of a member's own, with the most influence, and all proofs that the honest have."""
-    assert gang.known is not None
-    origin = Provenance(
-        mission=gang.known.mission.counter,
-        mission_digest=gang.known.mission.digest,
-        epoch=epoch,
-        neighbors=gang.mission.n_robots - 1,
-        proposer=member,
-        sequence=0,
-    )
-    plan = turned(gang.mission, 7 + number % 9)[-1]
-    return gang.message(member, hears=hears, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))
-
-
-def plan_after_plan(gang: Gang, member: int) -> list[Said]:
-    """As many plans as may count: in each epoch one of every member whose plans count; the last withdraws its own."""
-    turn, left = gang.rounds // PLANS_EACH, len(gang.members)
-    while left and turn > left:
-        turn, left = turn - left - 1, left - 1
-    index = min(turn, left - 1)
-    if index < 0 or member != gang.members[index]:
-        return []
-    return [_plan(gang, member, 2 * index + (turn == left), len(gang.members) - left)]
-
-
-def plans_for_ever(gang: Gang, member: int) -> list[Said]:
-    """Another plan of the first epoch every few rounds."""
-    return [_plan(gang, member, gang.rounds // PLANS_EACH, 0)]
-
-
-def another_plan_to_each_half(gang: Gang, member: int) -> list[Said]:
-    half = len(gang.honest) // 2
-    return [_plan(gang, member, k, 0, hears) for k, hears in enumerate((gang.honest[:half], gang.honest[half:]))]
-
-
-def a_plan_in_one_place(gang: Gang, member: int) -> list[Said]:
-    assert gang.known is not None
-    plan = Plan.of([gang.mission.center] * gang.known.places)
-    origin = Provenance(
-        mission=gang.known.mission.counter,
-        mission_digest=gang.known.mission.digest,
-        epoch=0,
-        neighbors=gang.mission.n_robots - 1,
-        proposer=member,
-        sequence=0,
-    )
-    return [gang.message(member, plan=plan, provenance=origin, table=(UNSAID,) * len(plan))]
 
 
 def another_mission(gang: Gang, member: int) -> list[Said]:

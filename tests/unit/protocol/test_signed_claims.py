@@ -29,7 +29,8 @@ from llm_flock.protocol.signed.certificates import (
     plausible,
     word_statement,
 )
-from llm_flock.protocol.signed.evidence import SPARE, Evidence
+from llm_flock.protocol.signed.checks import SPARE
+from llm_flock.protocol.signed.evidence import Evidence
 
 MISSION = Mission(shape="circle", n_robots=5)
 

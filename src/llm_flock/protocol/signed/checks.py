@@ -19,8 +19,15 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
 )
 
+SPARE = 4
+"""Numbers that a robot may use up between the decision to exchange and the exchange."""
+
 REMEMBERED = 4096
 """Most signatures that are remembered as good."""
+
+
+class Uncertified(Exception):
+    """A statement that nobody signed, or that no honest robot makes."""
 
 
 class Checks:

@@ -40,16 +40,9 @@ from llm_flock.protocol.signed.certificates import (
     witnesses,
     word_statement,
 )
-from llm_flock.protocol.signed.checks import Checks
+from llm_flock.protocol.signed.checks import SPARE, Checks, Uncertified
 from llm_flock.protocol.signed.departures import Departures
 from llm_flock.protocol.signed.words import Words, in_turn
-
-SPARE = 4
-"""Numbers that a robot may use up between the decision to exchange and the exchange."""
-
-
-class _Uncertified(Exception):
-    """A statement that nobody signed, or that no honest robot makes."""
 
 
 class Evidence:
@@ -125,7 +118,7 @@ class Evidence:
             for cause in proofs.causes:
                 self._hear_cause(cause, table)
             offer = self._hear_offer(message, proofs, len(table))
-        except _Uncertified:
+        except Uncertified:
             self.refused["uncertified"] += 1
         self._hear_last(proofs, len(table))
         return msgspec.structs.replace(message, table=None if message.table is None else tuple(entries), offer=offer)
@@ -207,7 +200,7 @@ class Evidence:
         """Raise where no honest robot could write an entry, or its certificate does not prove it."""
         likely = plausible(self._page, slot, entry, certificate.number)
         if not likely or not self._holds(slot, entry, certificate, places):
-            raise _Uncertified
+            raise Uncertified
 
     def _hear_word(self, word: WitnessStatement, table: BidTable) -> None:
         """Keep a statement about the next version of an entry held; of departures, those of who may have claimed it."""
@@ -217,7 +210,7 @@ class Evidence:
         if owner <= LEFT and LEFT - owner not in (table[slot][2], self._departures.highest(slot, version - 1, table)):
             return
         if not self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
-            raise _Uncertified
+            raise Uncertified
         self._words.keep(word)
 
     def _hear_restless(self, word: RestlessWord) -> None:
@@ -225,7 +218,7 @@ class Evidence:
         if not self._departures.suspects(word.robot) or self._departures.knows(word.robot, word.witness):
             return
         if not self.signed_by(word.witness, restless_statement(self._page, word.robot), word.signature):
-            raise _Uncertified
+            raise Uncertified
         self._departures.keep(word.robot, word.witness, word.signature)
 
     def _hear_cause(self, cause: LastClaim, table: BidTable) -> None:
@@ -275,8 +268,7 @@ class Evidence:
         return self._checks.exchanges and self._number + SPARE <= most_exchanges(places)
 
     def _hear_offer(self, message: Message, proofs: Proofs, places: int) -> Offer | None:
-        offer = message.offer
-        if offer is None:
+        if (offer := message.offer) is None:
             return None
         number, signature = proofs.offer or (0, b"")
         if not (
@@ -284,7 +276,7 @@ class Evidence:
             and offer.bid == drawn_bid(self._page, offer.take, offer.take_version + 1, message.sender)
             and self.signed_by(message.sender, offer_statement(self._page, message.sender, offer, number), signature)
         ):
-            raise _Uncertified
+            raise Uncertified
         self._heard_offers[message.sender] = (offer, number, signature)
         return offer
 
