@@ -42,14 +42,12 @@ def _plan(gang: Gang, member: int, number: int, epoch: int, hears: Sequence[int]
 
 
 def plan_after_plan(gang: Gang, member: int) -> list[Said]:
-    """As many plans as may count: in each epoch one of every member whose plans count; the last withdraws its own."""
-    turn, left = gang.rounds // PLANS_EACH, len(gang.members)
-    while left and turn > left:
-        turn, left = turn - left - 1, left - 1
-    index = min(turn, left - 1)
+    """As many plans as may count: each member shows one, the lowest first, and withdraws it, the highest first."""
+    turn, last = gang.rounds // PLANS_EACH, len(gang.members) - 1
+    index = min(turn, 2 * last + 1 - turn)
     if index < 0 or member != gang.members[index]:
         return []
-    return [_plan(gang, member, 2 * index + (turn == left), len(gang.members) - left)]
+    return [_plan(gang, member, 2 * index + (turn > last), 0)]
 
 
 def plans_for_ever(gang: Gang, member: int) -> list[Said]:

@@ -226,9 +226,10 @@ class SignedTeam:
 class Liar:
     """A member that signs whatever it likes, but only as itself."""
 
-    def __init__(self, team: SignedTeam) -> None:
+    def __init__(self, team: SignedTeam, robot: int | None = None) -> None:
         self.team = team
-        self.keys = ToyKeys(team.liar)
+        self.robot = team.liar if robot is None else robot
+        self.keys = ToyKeys(self.robot)
         self.number = 0
         self.sequence = 0
 
@@ -238,18 +239,18 @@ class Liar:
         """An entry for itself, with its own signature; the bid is the best that may be."""
         self.number += 1
         if bid is None:
-            bid = drawn_bid(self.team.context, slot, version, self.team.liar) if version else 0.0
+            bid = drawn_bid(self.team.context, slot, version, self.robot) if version else 0.0
         number = self.number if number is None else number
-        entry: BidEntry = (version, bid, self.team.liar)
+        entry: BidEntry = (version, bid, self.robot)
         signature = self.keys.sign(claim_statement(self.team.context, slot, entry, number))
         agent = self.team.agents[0]
-        freed = evidence_of(agent)._freed.get((slot, version, -1))
+        freed = evidence_of(agent)._page.freed.get((slot, version, -1))
         return entry, Certificate(number=number, signature=signature, grant=freed)
 
     def word(self, slot: int, version: int, owner: int = -1) -> WitnessStatement:
         """Its word that a place is free."""
         return WitnessStatement(
-            self.team.liar,
+            self.robot,
             slot,
             version,
             owner,
@@ -274,7 +275,7 @@ class Liar:
         self.sequence += 1
         said = Message(
             **{
-                "sender": self.team.liar,
+                "sender": self.robot,
                 "sequence": self.sequence,
                 "neighbors": self.team.mission.n_robots - 1,
                 "mission": context.mission,
@@ -289,7 +290,7 @@ class Liar:
         claims, grants = claims_of({a: certificate for a, (_, certificate) in (entries or {}).items()})
         proofs = Proofs(claims=claims, grants=grants, words=tuple(words), origin=self.origin(said))
         if offer is not None:
-            statement = offer_statement(context, self.team.liar, offer, offer_number)
+            statement = offer_statement(context, self.robot, offer, offer_number)
             proofs = Proofs(
                 claims=claims, grants=grants, offer=(offer_number, self.keys.sign(statement)), origin=proofs.origin
             )
@@ -300,9 +301,8 @@ class Liar:
         origin, plan = message.provenance, message.plan_digest
         if origin is None or plan is None:
             return None
-        return channel_of(self.team.agents[0])._origins.get((origin, plan)) or self.keys.sign(
-            origin_statement(origin, plan)
-        )
+        known = channel_of(self.team.agents[0])._known_origin(origin, plan)
+        return known or self.keys.sign(origin_statement(origin, plan))
 
     def provenance(self, *, epoch: int = 0, sequence: int = 0, proposer: int | None = None) -> Provenance:
         """An origin of its own with the highest influence."""
@@ -312,7 +312,7 @@ class Liar:
             mission_digest=stamp.digest,
             epoch=epoch,
             neighbors=self.team.mission.n_robots - 1,
-            proposer=self.team.liar if proposer is None else proposer,
+            proposer=self.robot if proposer is None else proposer,
             sequence=sequence,
         )
 

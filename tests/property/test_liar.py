@@ -43,7 +43,7 @@ def babble(team: SignedTeam, liar: Liar, rng: np.random.Generator) -> list[bytes
             said.append(liar.says(words=words))
         elif kind == 3:
             evidence = evidence_of(team.agents[0])
-            lie = ((version + 1, -1.0, owner), evidence._held.get((slot, table[slot]), Certificate(number=1)))
+            lie = ((version + 1, -1.0, owner), evidence._page.held.get((slot, table[slot]), Certificate(number=1)))
             said.append(liar.says({slot: lie}))
         elif kind == 4 and 0 <= owner < len(team.agents):
             give = next((a for a in range(N) if table[a][2] == team.liar), slot)
@@ -82,7 +82,7 @@ def test_a_liar_holds_one_place_and_brings_no_pair_too_near(seed: int, loss: flo
         evidence = evidence_of(agent)
         for robot in range(N):
             places = [evidence.precedence(a, e) for a, e in enumerate(agent.claim.table or ()) if e[2] == robot]
-            assert sum(place == evidence._last[robot] for place in places) <= 1
+            assert sum(place == evidence._page.last[robot] for place in places) <= 1
     team.loss = 0.0
     for _ in range(60):
         team.fly(1)

@@ -182,7 +182,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "enlarged": frozenset({"asked"}),
     "no_plan": frozenset({"cause", "reason"}),
     "adopted": frozenset({"plan", "from"}),
-    "void_plan": frozenset({"plan", "proposer"}),
+    "void_plan": frozenset({"plan", "proposer", "after", "slot"}),
     "fallback": frozenset({"question", "by", "cause", "reason"}),
     "breaker": frozenset({"question", "state", "refusals", "wait", "reason"}),
     "claimed": frozenset({"slot", "before"}),

@@ -100,7 +100,7 @@ def words_about(team: SignedTeam, robot: int, witnesses: range) -> tuple[Restles
 def told(team: SignedTeam, gang: Gang, words: tuple[RestlessWord, ...], entries=None) -> None:
     """A liar passes these words on, about robots of which each has seen a departure."""
     for agent, word in itertools.product(team.agents, words):
-        evidence_of(agent)._departures._left.setdefault(word.robot, {(0, 9)})
+        evidence_of(agent)._page.departures._left.setdefault(word.robot, {(0, 9)})
     sender, payload, _ = gang.message(5, entries)
     content, proofs = unwrap(payload, N)
     team.comm_round(said_by=[(sender, wrap(content, msgspec.structs.replace(proofs, restless=words)), None)])
@@ -135,14 +135,14 @@ def test_a_version_of_which_no_words_are_held_is_freed_by_witnesses() -> None:
     free = [slot for slot in gang.places if slot not in team.slots]
     table = list(tables(team)[0])
     table[free[0]], table[free[1]] = (1, -1.0, 6), (2, -1.0, 6)
-    evidence._freed[free[1], 2, NO_OWNER] = RELEASED
+    evidence._page.freed[free[1], 2, NO_OWNER] = RELEASED
     told(team, gang, words_about(team, 6, range(TWO + 1)))
     kept = evidence.without_excluded(tuple(table))
     assert (kept[free[0]], kept[free[1]]) == ((1, -1.0, 6), (2, 0.0, NO_OWNER))
-    evidence._held[free[0], kept[free[0]]] = Certificate(number=1)
-    evidence._last[6] = (1, free[0])
+    evidence._page.held[free[0], kept[free[0]]] = Certificate(number=1)
+    evidence._page.last[6] = (1, free[0])
     evidence.witness(kept, Occupancy())
-    assert (free[0], 2, NO_OWNER) in evidence._words._said
+    assert (free[0], 2, NO_OWNER) in evidence._page.words._said
 
 
 def test_an_honest_robot_that_is_excluded_claims_nothing() -> None:
@@ -160,7 +160,7 @@ def test_words_about_robots_that_left_nothing_are_not_kept() -> None:
     content, proofs = unwrap(payload, N)
     words = words_about(team, 6, range(5, 7)) + words_about(team, 1999, range(5, 7))
     said = team.comm_round(said_by=[(sender, wrap(content, msgspec.structs.replace(proofs, restless=words)), None)])
-    assert not any(evidence_of(agent)._departures.words() for agent in team.agents)
+    assert not any(evidence_of(agent)._page.departures.words() for agent in team.agents)
     assert not any(unwrap(one, N)[1].restless for one in said)
 
 
@@ -168,7 +168,7 @@ def test_own_words_are_said_in_each_message_and_those_of_others_in_turn() -> Non
     team, gang = settled_team()
     evidence, signature = evidence_of(team.agents[0]), b"x"
     for robot, witness in itertools.product(range(20, 60), (0, 5)):
-        evidence._departures.keep(robot, witness, signature)
+        evidence._page.departures.keep(robot, witness, signature)
     content, _ = unwrap(team.comm_round()[0], N)
     message, others = decode(content, N, 2), set[int]()
     for said in [evidence.prove(message).restless for _ in range(3)]:
@@ -183,15 +183,15 @@ def test_who_hears_too_few_to_have_an_honest_one_among_them_blames_nobody() -> N
     team, gang = settled_team()
     slot, *_ = claimed_in_secret(team, gang)
     evidence, table = evidence_of(team.agents[1]), tables(team)[1]
-    evidence._departures._left[6] = {(0, version) for version in range(MOST_DEPARTURES + 1)}
+    evidence._page.departures._left[6] = {(0, version) for version in range(MOST_DEPARTURES + 1)}
     for alive, stated in ((2 * TWO, NO_OWNER), (2 * TWO + 1, left_by(6))):
-        evidence._words._said, evidence._departures._words = {}, {}
-        evidence._departures._causes[slot, 0] = LastClaim(slot, 0, -1e-9, 6, 1, b"", None)
+        evidence._page.words._said, evidence._page.departures._words = {}, {}
+        evidence._page.departures._causes[slot, 0] = LastClaim(slot, 0, -1e-9, 6, 1, b"", None)
         for _ in range(2):
-            evidence._departures.outdate(slot, table[slot])
+            evidence._page.departures.outdate(slot, table[slot])
             evidence.witness(table, Occupancy(alive=alive))
-        assert {*evidence._words._said} == {(slot, 1, stated)}
-        assert bool(evidence._departures.words()) == (stated != NO_OWNER)
+        assert {*evidence._page.words._said} == {(slot, 1, stated)}
+        assert bool(evidence._page.departures.words()) == (stated != NO_OWNER)
 
 
 def test_a_word_that_nobody_signed_ends_the_message() -> None:
@@ -218,7 +218,7 @@ def test_nobody_is_blamed_for_leaving_a_place_that_a_liar_took_in_secret() -> No
     """Only the framed robot hears a claim on its place; those out of its radio contact hear of the cause by others."""
     mission = Mission(shape="circle", n_robots=10)
     team = beside_lies("frames one robot", mission, spread(mission), liars=3, rounds=40)
-    blamed = set[int]().union(*(evidence_of(agent)._departures._left for agent in team.agents))
+    blamed = set[int]().union(*(evidence_of(agent)._page.departures._left for agent in team.agents))
     assert blamed and blamed <= {7, 8, 9} and None not in team.slots
 
 
@@ -249,8 +249,8 @@ def test_a_claim_that_counts_no_more_is_passed_on_as_the_cause_why_another_left(
     assert any(unwrap(payload, N)[1].causes == proofs.causes for payload in said)
     team.end()
     team.fly(3)
-    stated = {what[2] for agent in team.agents for what in evidence_of(agent)._words._said}
-    freed = [evidence_of(agent)._freed.get((slot, 1, NO_OWNER)) for agent in team.agents]
+    stated = {what[2] for agent in team.agents for what in evidence_of(agent)._page.words._said}
+    freed = [evidence_of(agent)._page.freed.get((slot, 1, NO_OWNER)) for agent in team.agents]
     assert all(grant is None or grant.by == 6 for grant in freed) and stated <= {NO_OWNER, left_by(6)}
 
 
@@ -259,26 +259,26 @@ def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_
     slot, message, proofs = claimed_in_secret(team, gang)
     (cause,) = proofs.causes
     evidence, table = evidence_of(team.agents[2]), tables(team)[2]
-    assert not evidence._departures.causes
+    assert not evidence._page.departures.causes
 
     def hears(**changes: object) -> bool:
-        evidence._departures._causes = {}
+        evidence._page.departures._causes = {}
         told = msgspec.structs.replace(proofs, causes=(msgspec.structs.replace(cause, **changes),))
         evidence.admit(message, told, table)
-        return bool(evidence._departures.causes)
+        return bool(evidence._page.departures.causes)
 
-    assert hears() and evidence._departures.causes == (cause,)
+    assert hears() and evidence._page.departures.causes == (cause,)
     assert not hears(slot=len(table)) and not hears(version=1) and not hears(bid=-99.0)
     assert not hears(number=10**6), "it may count"
     assert not evidence.refused["uncertified"]
     assert not hears(signature=b"x" * 64) and not hears(bid=1.0)
     assert evidence.refused["uncertified"] == 2
-    evidence._departures._causes = {(slot, 0): cause}
+    evidence._page.departures._causes = {(slot, 0): cause}
     before = len(evidence._checks._good)
     evidence.admit(message, proofs, table)
     assert (
         len(evidence._checks._good) == before
-        and (slot, (cause.version, cause.bid, cause.owner)) in evidence._departures._outdated
+        and (slot, (cause.version, cause.bid, cause.owner)) in evidence._page.departures._outdated
     )
 
 
@@ -287,7 +287,7 @@ def test_words_about_a_departure_count_only_of_those_who_may_have_claimed_the_pl
     slot = next(a for a in gang.places if a == team.slots[0])
     words = [gang.word(6, slot, left_by(robot)) for robot in (0, 3)]
     team.comm_round(said_by=[gang.message(6, words=words)])
-    heard = set(evidence_of(team.agents[1])._words._said)
+    heard = set(evidence_of(team.agents[1])._page.words._said)
     assert heard == {(slot, 1, left_by(0))}
 
 

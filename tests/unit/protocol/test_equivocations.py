@@ -68,41 +68,62 @@ def signed(proposer: int, plan: str, *, epoch: int = 0, neighbors: int = 1, by: 
     return SignedPlan(plan, epoch, neighbors, 0, keys.sign(origin_statement(origin, plan)))
 
 
-def shown(*proofs: Equivocation, replans: bool = False) -> Equivocations:
-    known = Equivocations(ToyKeys(0), replans=replans)
+def shown(*proofs: Equivocation) -> Equivocations:
+    known = Equivocations(ToyKeys(0))
     known.hear(STAMP, Proofs(equivocations=proofs))
     return known
 
 
 def test_plan_after_plan_ends_with_the_second(team: SignedTeam, liar: Liar) -> None:
-    before = team.agents[0].plan
+    before = [(agent.plan, agent.provenance, agent.claim.slot) for agent in team.agents]
     team.fly(1, lambda: [plan_of(liar, 3)])
     assert {agent.plan for agent in team.agents} == {good_plan(MISSION, 3)}, "one plan is everybody's right"
-    for angle in range(4, 9):
-        team.fly(2, lambda angle=angle: [plan_of(liar, angle)])
-        assert {agent.plan for agent in team.agents} == {before}, "proposed again, without asking a model"
-    assert team.settled()
-    origin = team.agents[0].provenance
-    assert origin is not None and (origin.epoch, origin.sequence, origin.proposer) == (1, 1, 2)
+    team.begin()
+    team.comm_round([plan_of(liar, 4)])
+    assert [(agent.plan, agent.provenance, agent.claim.slot) for agent in team.agents] == before, "as it stood then"
+    said = team.comm_round()
+    assert [guilt(payload, j, [MISSION], VALIDATOR, ToyKeys(0)) for j, payload in enumerate(said)] == [None] * (N - 1)
+    for angle in range(5, 9):
+        team.comm_round([plan_of(liar, angle)])
+        assert [(agent.plan, agent.provenance, agent.claim.slot) for agent in team.agents] == before
     void = [note.detail for note in team.notes if note.kind == "void_plan"]
-    assert void == [{"plan": good_plan(MISSION, 3).digest, "proposer": N - 1}] * (N - 1)
+    (digest,) = {plan.digest for plan, _, _ in before if plan is not None}
+    assert void == [
+        {"plan": good_plan(MISSION, 3).digest, "proposer": N - 1, "after": digest, "slot": slot}
+        for _, _, slot in before
+    ]
 
 
-@pytest.mark.parametrize("replans", [False, True])
-def test_in_a_later_epoch_a_robot_proposes_the_same_points_unless_the_team_replans(replans: bool) -> None:
-    first, same = signed(2, "a" * 16), signed(2, "a" * 16, epoch=1, neighbors=2)
-    other = signed(2, "b" * 16, epoch=1)
+def test_liars_change_the_plan_twice_each() -> None:
+    """Each shows its plan, the lowest first; then each signs a second one, the highest first."""
+    mission = Mission(shape="circle", n_robots=8)
+    team = SignedTeam(mission, line_up(8), liars=3, tolerated=3)
+    team.fly(2)
+    liars = {j: Liar(team, robot=j) for j in (5, 6, 7)}
+    plans = [team.agents[0].plan]
+    turns = [(5, 3), (6, 4), (7, 5), (7, 6), (6, 7), (5, 8), (5, 3), (6, 4), (7, 5), (7, 6)]
+    team.begin()
+    for j, angle in turns:
+        plan = liars[j].says(plan=good_plan(mission, angle), provenance=liars[j].provenance(), table=None)
+        for _ in range(5):
+            team.comm_round(said_by=[(j, plan, None)])
+        (now,) = {agent.plan for agent in team.agents}
+        plans.append(now)
+    first, *later = plans
+    assert later == [good_plan(mission, k) for k in (3, 4, 5, 4, 3)] + [first] * 5
+    assert team.settled()
+
+
+def test_plans_for_two_epochs_are_no_proof() -> None:
     with pytest.raises(MessageError, match="uncertified"):
-        shown(Equivocation(2, (first, same)), replans=replans)
-    if replans:
-        with pytest.raises(MessageError, match="uncertified"):
-            shown(Equivocation(2, (first, other)), replans=True)
-    else:
-        assert shown(Equivocation(2, (first, other))).void(STAMP) == {2}
+        shown(Equivocation(2, (signed(2, "a" * 16), signed(2, "b" * 16, epoch=1))))
 
 
 @pytest.mark.parametrize("more", [{"angle": 4}, {"angle": 3, "sequence": 1}])
-def test_another_origin_is_another_plan(team: SignedTeam, liar: Liar, more: dict[str, int]) -> None:
+def test_another_origin_is_another_plan(more: dict[str, int]) -> None:
+    team = SignedTeam(MISSION, line_up(N), gaps="replan")
+    team.fly(2)
+    liar = Liar(team)
     team.fly(1, lambda: [plan_of(liar, 3, epoch=1)])
     team.fly(1, lambda: [plan_of(liar, **{**more, "epoch": 1})])
     assert channel_of(team.agents[0]).void(STAMP) == {N - 1}
@@ -136,11 +157,10 @@ def test_a_robot_that_has_forgotten_its_first_plan_withdraws_both() -> None:
     team.agents[proposer] = fresh
     team.fly(6)
     assert [channel_of(agent).void(STAMP) for agent in team.agents] == [{proposer}] * (N - 1)
-    assert {agent.provenance.epoch for agent in team.agents if agent.provenance is not None} == {1}
     assert team.settled() and not fresh._agreement.may_propose
 
 
-def test_later_epochs_need_as_many_proofs(team: SignedTeam, liar: Liar) -> None:
+def test_later_epochs_are_for_teams_that_replan(team: SignedTeam, liar: Liar) -> None:
     before = team.agents[0].plan
     team.fly(1, lambda: [plan_of(liar, 3, epoch=1)])
     assert {agent.plan for agent in team.agents} == {before} and team.counts("many_plans") > 0
@@ -180,7 +200,7 @@ def test_forged_proofs_are_no_proofs(team: SignedTeam, liar: Liar) -> None:
     for proof in forged:
         with pytest.raises(MessageError, match="uncertified"):
             shown(proof)
-    known = Equivocations(ToyKeys(0), replans=False)
+    known = Equivocations(ToyKeys(0))
     with pytest.raises(MessageError, match="uncertified"):
         known.hear(MissionStamp(1, MISSION.digest), Proofs(equivocations=(Equivocation(2, (first, second)),)))
 
@@ -200,40 +220,30 @@ def test_a_message_with_a_forged_proof_is_dropped_and_shows_guilt(team: SignedTe
     assert judged(late, validator=Validator(verify=True, shield_on=True, any_size=True)) is None
 
 
-def test_a_robot_that_takes_the_origin_of_another_with_its_own_points_signs_its_claims_anew() -> None:
-    """Two models have answered with the same points. Claims signed about one origin prove nothing under the other."""
-    team = SignedTeam(MISSION, line_up(N), gaps="replan")
-    team.fly(2)
-    liar, same = Liar(team), PlanAnswer(plan=good_plan(MISSION, 20), slot=0)
-    for agent in team.agents[:2]:
-        agent._agreement._own = same, "model"
-    team.fly(1, lambda: [plan_of(liar, 3, epoch=1)])
-    team.tell(1, plan_of(liar, 4, epoch=1), N - 1)
-    team.agents[1].handle(CommRoundEnded())
-    (said,) = team.agents[1].handle(CommRoundBegan())
-    assert isinstance(said, Broadcast) and team.agents[1].plan == same.plan
-    team.tell(0, said.payload, 1)
-    team.agents[0].handle(CommRoundEnded())
-    origin = team.agents[0].provenance
-    assert team.agents[0].plan == same.plan and origin is not None and origin.proposer == 1
-    (said,) = team.agents[0].handle(CommRoundBegan())
-    assert isinstance(said, Broadcast)
-    replanning = Validator(verify=True, shield_on=True, any_size=True)
-    assert guilt(said.payload, 0, [MISSION], replanning, ToyKeys(0)) is None
+def test_claims_are_signed_about_the_origin_in_force(team: SignedTeam, liar: Liar) -> None:
+    """A liar proposes the points of the plan in force, and then others: the same points come from two proposers."""
+    plan, before = team.agents[0].plan, [agent.provenance for agent in team.agents]
+    assert plan is not None
+    team.fly(2, lambda: [liar.says(plan=plan, provenance=liar.provenance(), table=None)])
+    origins = {agent.provenance for agent in team.agents}
+    assert {origin.proposer for origin in origins if origin is not None} == {N - 1}
+    for lies in ([], [plan_of(liar, 4)], []):
+        sent = team.comm_round(lies)
+        assert {guilt(payload, j, [MISSION], VALIDATOR, ToyKeys(0)) for j, payload in enumerate(sent)} == {None}
+    assert [agent.provenance for agent in team.agents] == before and team.agents[0].plan == plan
+    assert team.settled()
 
 
 def test_the_last_epoch_of_all_can_be_withdrawn_too() -> None:
-    """In a team that replans, a liar signs two plans for the last epoch, after all have proposed in the one before."""
+    """In a team that replans, a liar signs two plans for the last epoch: the plan before is in force again."""
     team = SignedTeam(MISSION, line_up(N), gaps="replan")
     team.fly(2)
-    liar = Liar(team)
-    for agent in team.agents:
-        agent._agreement._last_epoch = MOST_EPOCHS
-    for angle in (3, 4):
-        team.fly(1, lambda angle=angle: [plan_of(liar, angle, epoch=MOST_EPOCHS)])
-    team.fly(3)
-    assert {agent.provenance.epoch for agent in team.agents if agent.provenance is not None} == {MOST_EPOCHS + 1}
-    assert team.settled()
+    liar, before = Liar(team), team.agents[0].provenance
+    team.fly(1, lambda: [plan_of(liar, 3, epoch=MOST_EPOCHS)])
+    assert not any(agent._agreement.may_propose for agent in team.agents)
+    team.fly(1, lambda: [plan_of(liar, 4, epoch=MOST_EPOCHS)])
+    assert {agent.provenance for agent in team.agents} == {before} and team.settled()
+    assert all(agent._agreement.may_propose for agent in team.agents)
 
 
 def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:
@@ -247,12 +257,13 @@ def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:
     assert channel.void(STAMP) == channel.void(later) == frozenset()
 
 
-def test_a_robot_without_a_proposal_of_its_own_asks_its_model(team: SignedTeam, liar: Liar) -> None:
+def test_a_robot_that_has_followed_no_other_plan_asks_its_model(team: SignedTeam, liar: Liar) -> None:
     agreement = team.agents[0]._agreement
-    agreement._own = None
-    for angle in (3, 4):
-        team.tell(0, plan_of(liar, angle), N - 1)
-        team.agents[0].handle(CommRoundEnded())
+    team.tell(0, plan_of(liar, 3), N - 1)
+    team.agents[0].handle(CommRoundEnded())
+    agreement._followed = {}
+    team.tell(0, plan_of(liar, 4), N - 1)
+    team.agents[0].handle(CommRoundEnded())
     assert agreement.plan is None and agreement.claim.slot is None and agreement.may_propose
     agreement.lack_plan(NO_ANSWER)
     team.comm_round()

@@ -193,7 +193,7 @@ def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> No
     freed = {team.owners(robot) for robot in range(5)}
     assert len(freed) == 1
     assert all(owner not in (5, 6) for _, owner in team.owners(0))
-    words = [word for agent in team.agents for word in in_turn(evidence_of(agent)._words.of_others(), 0)]
+    words = [word for agent in team.agents for word in in_turn(evidence_of(agent)._page.words.of_others(), 0)]
     assert len(words) <= MOST_PASSED_ON * len(team.agents)
 
 
@@ -201,7 +201,7 @@ def test_many_words_take_turns() -> None:
     team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
     team.fly(3)
     evidence = evidence_of(team.agents[0])
-    words = evidence._words
+    words = evidence._page.words
     words._said = {(slot, 9, NO_OWNER): {j: bytes([slot, j]) for j in range(20)} for slot in range(N)}
     told = [{(word.slot, word.witness) for word in in_turn(words.of_others(), turn)} for turn in range(8)]
     assert all(len(one) == MOST_PASSED_ON for one in told)

@@ -13,7 +13,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.events import CommRoundEnded
-from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidTable, Message, Offer
+from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidTable, Message, MissionStamp, Offer
 from llm_flock.protocol.signed.assignment import SignedAssignment
 from llm_flock.protocol.signed.certificates import (
     Certificate,
@@ -60,9 +60,9 @@ def test_a_robot_that_claims_every_place_holds_at_most_one(team: SignedTeam, lia
         team.fly(1, everything)
         for agent in team.agents:
             evidence = evidence_of(agent)
-            last = evidence._last.get(team.liar)
+            last = evidence._page.last.get(team.liar)
             holding = [
-                (evidence._held[a, e].number, a)
+                (evidence._page.held[a, e].number, a)
                 for a, e in enumerate(agent.claim.table or ())
                 if e[2] == team.liar and evidence.precedence(a, e) == last
             ]
@@ -92,7 +92,7 @@ def test_claims_have_an_end(team: SignedTeam, liar: Liar) -> None:
 
 def test_a_claim_made_again_counts_by_its_higher_number(team: SignedTeam, liar: Liar) -> None:
     slot, bid = free_slot(team), -0.5
-    last = [evidence_of(agent)._last for agent in team.agents]
+    last = [evidence_of(agent)._page.last for agent in team.agents]
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=bid, number=2)}, slot=slot)])
     assert {of[team.liar] for of in last} == {(2, slot)}
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=bid, number=7)}, slot=slot)])
@@ -117,7 +117,7 @@ def test_a_claim_is_made_again_after_an_offer_of_which_nothing_came(team: Signed
     evidence.attest(msgspec.structs.replace(claim, offer=None))
     assert evidence.precedence(slot, claim.table[slot])[0] > offered[0]
     team.fly(2)
-    assert {evidence_of(other)._last[0] for other in team.agents} == {evidence.precedence(slot, claim.table[slot])}
+    assert {evidence_of(other)._page.last[0] for other in team.agents} == {evidence.precedence(slot, claim.table[slot])}
 
 
 def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: Liar) -> None:
@@ -138,7 +138,7 @@ def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: L
     fresh = Evidence(4, ToyKeys(4))
     fresh.turn_to(team.context)
     fresh.admit(Message(sender=1, sequence=0, neighbors=0, plan=message.plan), proofs, (UNSAID,) * 5)
-    assert fresh._number == 42
+    assert fresh._page.number == 42
 
 
 def test_a_robot_without_a_place_takes_the_one_that_others_give_it_though_it_claimed_another_later() -> None:
@@ -153,32 +153,32 @@ def test_a_robot_without_a_place_takes_the_one_that_others_give_it_though_it_cla
         said = tuple(entry if a == slot else UNSAID for a in range(5))
         message = Message(sender=1, sequence=0, neighbors=0, plan=plan, table=said)
         assert evidence.admit(message, Proofs(claims=claims, grants=grants), (UNSAID,) * 5).table == said
-        assert evidence._last[0] == (7, 1)
-    assert evidence._number == 7
+        assert evidence._page.last[0] == (7, 1)
+    assert evidence._page.number == 7
 
 
 def test_nobody_is_told_a_number_by_another(team: SignedTeam, liar: Liar) -> None:
     evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table or ()
-    before, entry = evidence._number, (0, -1.0, 0)
+    before, entry = evidence._page.number, (0, -1.0, 0)
     forged = LastClaim(1, *entry, 50, liar.keys.sign(claim_statement(team.context, 1, entry, 50)), None)
     own = ToyKeys(0).sign(claim_statement(team.context, 1, entry, 10**6))
     for last in (forged, msgspec.structs.replace(forged, owner=4), LastClaim(1, *entry, 10**6, own, None)):
         message = Message(sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan)
         evidence.admit(message, Proofs(last=(last,)), table)
-        assert evidence._number == before
+        assert evidence._page.number == before
     true = LastClaim(1, *entry, 50, ToyKeys(0).sign(claim_statement(team.context, 1, entry, 50)), None)
     evidence.admit(message, Proofs(last=(true,)), table)
-    assert evidence._number == 51
+    assert evidence._page.number == 51
     evidence.admit(message, Proofs(last=(true,)), table)
-    assert evidence._number == 51
+    assert evidence._page.number == 51
 
 
 def test_whoever_has_used_up_its_numbers_offers_and_accepts_nothing(team: SignedTeam) -> None:
     """Others would not hear it, and take it for a liar."""
     evidence = evidence_of(team.agents[0])
-    evidence._number = most_exchanges(5) - SPARE
+    evidence._page.number = most_exchanges(5) - SPARE
     assert evidence.may_exchange(5)
-    evidence._number += 1
+    evidence._page.number += 1
     assert not evidence.may_exchange(5)
     now = SignedAssignment(AuctionAssignment(), evidence)._admitted(
         team.agents[0]._agreement._assignment_input(team.agents[0].plan, adopted=True, heard=[]),  # type: ignore[arg-type]
@@ -192,7 +192,7 @@ def test_old_claims_on_ever_later_versions_are_no_reasons_for_words(team: Signed
     evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table
     slot = free_slot(team)
     assert table is not None and table[slot] == UNSAID
-    evidence._last[team.liar] = (1000, 0)
+    evidence._page.last[team.liar] = (1000, 0)
 
     def shown(version: int, table: BidTable) -> BidTable:
         words = [(j, ToyKeys(j).sign(word_statement(team.context, slot, version, NO_OWNER))) for j in (1, 2)]
@@ -205,11 +205,11 @@ def test_old_claims_on_ever_later_versions_are_no_reasons_for_words(team: Signed
     for version in range(1, 9):
         assert shown(version, table)[slot] == (version, 0.0, NO_OWNER), "its words count"
         assert evidence.freed(slot, version)
-        assert not evidence._departures.causes and not evidence._departures._outdated
+        assert not evidence._page.departures.causes and not evidence._page.departures._outdated
     # On the version in the table it is one.
     later = (*table[:slot], (8, -1e9, 0), *table[slot + 1 :])
-    assert shown(8, later)[slot] == UNSAID and len(evidence._departures.causes) == 1
-    assert {a for a, _ in evidence._departures._outdated} == {slot}
+    assert shown(8, later)[slot] == UNSAID and len(evidence._page.departures.causes) == 1
+    assert {a for a, _ in evidence._page.departures._outdated} == {slot}
 
 
 def test_the_bid_for_a_freed_place_is_drawn(team: SignedTeam, liar: Liar) -> None:
@@ -234,9 +234,9 @@ def test_of_two_places_none_is_claimed_again(team: SignedTeam, liar: Liar) -> No
     again = liar.claim(slot, number=4)[1]
     both = tuple({slot: first[0], other: second[0]}.get(a, entry) for a, entry in enumerate(table))
     evidence._renew(slot, both, again)
-    assert evidence._last[team.liar] == (3, other)
+    assert evidence._page.last[team.liar] == (3, other)
     evidence._renew(slot, tuple(first[0] if a == slot else entry for a, entry in enumerate(table)), again)
-    assert evidence._last[team.liar] == (4, slot)
+    assert evidence._page.last[team.liar] == (4, slot)
 
 
 def test_a_vacant_place_may_be_looked_at(team: SignedTeam, liar: Liar) -> None:
@@ -274,11 +274,26 @@ def test_a_plan_that_comes_back_is_another_one() -> None:
     assert team.owners(0) != owners, "signed about the plan in force it counts"
 
 
-def test_evidence_is_dropped_for_another_plan_only(team: SignedTeam) -> None:
+def test_evidence_is_about_one_plan(team: SignedTeam) -> None:
+    """Of each proposer the last plan is remembered, until another mission comes."""
     evidence, context = evidence_of(team.agents[0]), team.context
-    number = evidence._number
+    assert context.origin is not None
+    number = evidence._page.number
     evidence.attest(Claim(slot=None))
     assert not evidence.turn_to(context)
-    assert evidence._number == number > 0
-    assert evidence.turn_to(Context(context.mission, "another"))
-    assert evidence._number == 0
+    assert evidence._page.number == number > 0
+    others = (
+        msgspec.structs.replace(context.origin, proposer=4),
+        msgspec.structs.replace(context.origin, epoch=1, sequence=1),
+    )
+    assert evidence.turn_to(Context(context.mission, "another", others[0]))
+    assert evidence._page.number == 0
+    assert not evidence.turn_to(context)
+    assert evidence._page.number == number
+    assert evidence.turn_to(Context(context.mission, context.plan, others[1]))
+    assert evidence._page.number == 0
+    assert not evidence.turn_to(Context(context.mission, "another", others[0]))
+    assert not evidence.turn_to(Context(context.mission, context.plan, others[1]))
+    assert evidence.turn_to(context), "its proposer has proposed another one since"
+    assert evidence.turn_to(Context(MissionStamp(9, context.mission.digest), context.plan, others[0]))
+    assert evidence.turn_to(context)

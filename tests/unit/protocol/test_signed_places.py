@@ -114,9 +114,9 @@ def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> 
     team.tell(1, liar.says(words=[good, good]), team.liar)
     team.comm_round()
     first, second = evidence_of(team.agents[0]), evidence_of(team.agents[1])
-    assert first._words._said == {}
+    assert first._page.words._said == {}
     assert first.refused["uncertified"] == 1
-    assert [list(words) for words in second._words._said.values()] == [[team.liar]]
+    assert [list(words) for words in second._page.words._said.values()] == [[team.liar]]
 
 
 def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
@@ -127,7 +127,7 @@ def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar:
     lies = {}
     for a, entry in enumerate(table):
         if entry[2] >= 0:
-            lies[a] = ((entry[0], 0.0, entry[2]), evidence._held[a, entry])
+            lies[a] = ((entry[0], 0.0, entry[2]), evidence._page.held[a, entry])
     team.fly(2, lambda: [liar.says(lies)])
     assert team.slots == before
     assert [entry for entry in agent.claim.table or () if entry[2] >= 0] == owned
@@ -145,7 +145,7 @@ def test_old_claims_of_others_are_no_news() -> None:
             team.comm_round()
             for agent in team.agents:
                 evidence = evidence_of(agent)
-                held = {a: (e, evidence._held[a, e]) for a, e in enumerate(agent.claim.table or ()) if e[2] >= 0}
+                held = {a: (e, evidence._page.held[a, e]) for a, e in enumerate(agent.claim.table or ()) if e[2] >= 0}
                 seen.append(held)
         team.end()
     assert team.settled()
@@ -217,7 +217,7 @@ def test_exchanges_need_both(team: SignedTeam, liar: Liar) -> None:
     """An exchange with oneself, with a forged partner, or of other places than it says; one that both signed counts."""
     table = team.agents[0].claim.table
     assert table is not None
-    numbers = itertools.count(max(evidence_of(agent)._number for agent in team.agents) + 1)
+    numbers = itertools.count(max(evidence_of(agent)._page.number for agent in team.agents) + 1)
 
     def of(
         maker: int = team.liar, to: int = 0, give: int = 0, take: int = 1, partner: int = team.liar

@@ -16,7 +16,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import AssignmentInput, AssignmentRule, Claim
 from llm_flock.protocol.agreement.auction import changed
-from llm_flock.protocol.agreement.consensus import ConsensusRule, Standing
+from llm_flock.protocol.agreement.consensus import ConsensusRule, PlanKey, Standing, plan_key
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.in_touch import InTouch
@@ -67,8 +67,7 @@ class Agreement:
         self._unplaced: set[int] = set()
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
-        self._last_epoch = -1
-        self._own: tuple[PlanAnswer, Literal["model", "geometry"]] | None = None
+        self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
         self._void = frozenset[int]()
         self._chosen: int | None = None
         self._sensed: Mapping[int, Point] = {}
@@ -112,9 +111,9 @@ class Agreement:
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         """Pursue another mission: plan and claim of the one before are void."""
         self.mission, self.stamp = mission, stamp
-        self.plan = self.provenance = self._refused_answer = self._chosen = self._own = None
+        self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
-        self._proposals, self._last_epoch, self._void = 0, -1, frozenset[int]()
+        self._proposals, self._void, self._followed = 0, frozenset[int](), {}
         self._replanning.reset()
         self.all_to_all.begin()
         self.in_touch.begin()
@@ -127,15 +126,12 @@ class Agreement:
 
     @property
     def _next_epoch(self) -> int:
-        return max(-1 if self.provenance is None else self.provenance.epoch, self._last_epoch) + 1
+        return 0 if self.provenance is None else self.provenance.epoch + 1
 
     @property
     def may_propose(self) -> bool:
-        """Whether another plan of this robot for this mission can follow on the one in force.
-
-        There are `MOST_EPOCHS` at most, and one more for each robot whose plans are void; none by such a robot.
-        """
-        return self._next_epoch <= MOST_EPOCHS + len(self._void) and self._robot not in self._void
+        """Whether another plan of this robot for this mission can follow on the one in force."""
+        return self._next_epoch <= MOST_EPOCHS and self._robot not in self._void
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
         """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
@@ -153,8 +149,6 @@ class Agreement:
             sequence=self._proposals,
         )
         self._proposals += 1
-        self._last_epoch = origin.epoch
-        self._own = answer, by
         self._chosen = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
@@ -164,20 +158,32 @@ class Agreement:
         plan, origin = source.plan, source.provenance
         assert plan is not None and origin is not None, "a rule may only choose a message with a plan"
         if plan == self.plan:
+            self._remember()
             self.provenance = origin
             return []
         notes = fallback_notes("plan", "neighbour", self._refused_answer if self.plan is None else None)
         self._follow(plan, origin, adopted=True, heard=heard)
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
-    def _withdraw(self, plan: Plan, proposer: int) -> list[Note]:
-        """Follow a void plan no more; a robot that has proposed one itself proposes the same points again."""
-        self.plan = self.provenance = None
-        self.claim = Claim(slot=None)
-        again = [] if self._own is None else self.propose(*self._own)
-        return [Note("void_plan", {"plan": plan.digest, "proposer": proposer}), *again]
+    def _remember(self) -> None:
+        """Keep the plan in force, as it stands: of each proposer the last one, in case that later ones are void."""
+        if self.plan is not None and self.provenance is not None:
+            self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
+
+    def _withdraw(self, plan: Plan, proposer: int) -> Note:
+        """Go on with the highest plan that it has followed and that is not void, as it stood then."""
+        known = [known for robot, known in self._followed.items() if robot not in self._void]
+        self.plan, self.provenance, self.claim = max(known, key=self._key, default=(None, None, Claim(slot=None)))
+        self._replanning.reset()
+        after = None if self.plan is None else self.plan.digest
+        return Note("void_plan", {"plan": plan.digest, "proposer": proposer, "after": after, "slot": self.claim.slot})
+
+    def _key(self, followed: tuple[Plan, Provenance, Claim]) -> PlanKey:
+        plan, origin, _ = followed
+        return plan_key(plan, origin, self.validator.plan_class(self.mission, plan))
 
     def _follow(self, plan: Plan, origin: Provenance, *, adopted: bool, heard: list[Message]) -> None:
+        self._remember()
         self.plan, self.provenance, self.claim = plan, origin, Claim(slot=None)
         self._replanning.reset()
         self.claim = self._assignment.take(self._assignment_input(plan, adopted=adopted, heard=heard))
@@ -222,7 +228,7 @@ class Agreement:
         self._void = void
         withdrawn = list[Note]()
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
-            withdrawn = self._withdraw(self.plan, self.provenance.proposer)
+            withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
         standing = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed)
         arguments = (*standing, self.in_touch.known, *heard)
         due = self._occupancy_due or self.all_to_all.collecting

@@ -100,6 +100,11 @@ class Context:
     plan: str
     origin: Provenance | None = None
 
+    @property
+    def proposer(self) -> int:
+        """Who has proposed the plan; NO_OWNER if it is not known."""
+        return NO_OWNER if self.origin is None else self.origin.proposer
+
 
 @lru_cache(maxsize=2**14)
 def drawn_bid(context: Context, slot: int, version: int, owner: int) -> float:
@@ -239,14 +244,14 @@ class SignedPlan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fr
     """A plan by its digest, with what else its proposer has signed about it (`origin_statement`)."""
 
     plan: Annotated[str, msgspec.Meta(max_length=16)]
-    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS + MAX_ROBOTS)]
+    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
     neighbors: Id
-    sequence: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS + MAX_ROBOTS)]
+    sequence: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
     signature: Signature
 
 
 class Equivocation(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """Two plans for the mission that one robot has signed and an honest one would not."""
+    """Two plans for one epoch of the mission that one robot has signed, which no honest one does."""
 
     proposer: Id
     plans: tuple[SignedPlan, SignedPlan]

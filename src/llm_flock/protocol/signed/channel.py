@@ -59,11 +59,9 @@ class SignedChannel(Channel):
         self._authenticator = authenticator
         self._evidence = evidence
         self._liveness = liveness
-        self._replans = replans
-        self._equivocations = Equivocations(authenticator, replans=replans)
+        self._most_epochs = MOST_EPOCHS if replans else 0
+        self._equivocations = Equivocations(authenticator)
         self._origins: dict[tuple[Provenance, str], bytes] = {}
-        self._held: dict[tuple[Provenance, str], bytes] = {}
-        self._in_force: dict[tuple[Provenance, str], bytes] = {}
         self._beats: dict[int, dict[int, bytes]] = {}
         self._authorization: Authorization | None = None
 
@@ -97,7 +95,7 @@ class SignedChannel(Channel):
         origin, plan = message.provenance, message.plan_digest
         if origin is None or plan is None:
             return None
-        if not origin.sequence <= origin.epoch <= MOST_EPOCHS + self._n_robots:
+        if not origin.sequence <= origin.epoch <= self._most_epochs:
             raise MessageError("many_plans", f"plan {origin.sequence} of robot {origin.proposer} in {origin.epoch}")
         known = self._known_origin(origin, plan)
         if known is not None:
@@ -109,26 +107,15 @@ class SignedChannel(Channel):
         return signature
 
     def _known_origin(self, origin: Provenance, plan: str) -> bytes | None:
-        return self._held.get((origin, plan)) or self._origins.get((origin, plan))
+        return self._equivocations.signature(origin, plan) or self._origins.get((origin, plan))
 
     def hold(self, heard: Sequence[Message]) -> list[Message]:
-        """The messages on which the next decision is made, without plans that do not count; their origins are kept.
+        """The messages on which the next decision is made, without plans that are void; the others' origins are kept.
 
-        The plan that is adopted has to be passed on with its origin, also if its proposer floods the others with more.
+        A plan that is adopted has to be passed on with its origin, also if its proposer floods the others with more.
         """
-        heard = [message for message in heard if self._consistent(message)]
-        self._held = dict(self._in_force)
-        counting = list[Message]()
-        for message in heard:
-            origin, plan, proofs = message.provenance, message.plan_digest, cast("Proofs", message.proofs)
-            if origin is None or plan is None:
-                counting.append(message)
-            elif self._counts(origin):
-                self._held[origin, plan] = proofs.origin or b""
-                counting.append(message)
-            else:
-                counting.append(without_plan(message))
-        return counting
+        counting = [message for message in heard if self._consistent(message)]
+        return [without_plan(message) if self._is_void(message.provenance) else message for message in counting]
 
     def _consistent(self, message: Message) -> bool:
         """Take note of who has proposed what; whether the message's own proofs of that hold."""
@@ -142,16 +129,10 @@ class SignedChannel(Channel):
             self._equivocations.note(message.provenance, message.plan_digest, proofs.origin or b"")
         return True
 
-    def _counts(self, origin: Provenance) -> bool:
-        """Whether a plan of this origin may be followed.
-
-        There is one epoch more for each robot that has signed two: the plan in force may have been its.
-        """
-        void = self.void(MissionStamp(origin.mission, origin.mission_digest))
-        if origin.epoch > (MOST_EPOCHS if self._replans else 0) + len(void):
-            self._evidence.refused["many_plans"] += 1
+    def _is_void(self, origin: Provenance | None) -> bool:
+        if origin is None:
             return False
-        return origin.proposer not in void
+        return origin.proposer in self.void(MissionStamp(origin.mission, origin.mission_digest))
 
     def void(self, mission: MissionStamp) -> frozenset[int]:
         """Robots that have signed two plans for one epoch of this mission."""
@@ -223,8 +204,6 @@ class SignedChannel(Channel):
             signature = self._authenticator.sign(origin_statement(origin, plan))
             self._remember(origin, plan, signature)
             self._equivocations.note(origin, plan, signature)
-        if signature is not None:
-            self._in_force = {(origin, plan): signature}
         return signature
 
     def _signed_beats(self, beats: Sequence[int]) -> tuple[bytes, ...]:

@@ -42,11 +42,12 @@ from llm_flock.protocol.signed.certificates import (
 )
 from llm_flock.protocol.signed.checks import SPARE, Checks, Uncertified
 from llm_flock.protocol.signed.departures import Departures
+from llm_flock.protocol.signed.page import NOTHING, Page
 from llm_flock.protocol.signed.words import Words, in_turn
 
 
 class Evidence:
-    """Signatures about the slots of one plan at a time; `liars` robots may lie together."""
+    """Signatures about the slots of the plan in force and of earlier ones; `liars` robots may lie together."""
 
     def __init__(self, robot: int, authenticator: Authenticator, liars: int = LIARS) -> None:
         self.refused: Counter[str] = Counter()
@@ -54,21 +55,12 @@ class Evidence:
         self._turn = 0
         self._robot = robot
         self._authenticator = authenticator
-        self._context: Context | None = None
-        self._forget()
+        self._pages: dict[int, Page] = {}
+        self._page = self._blank(NOTHING)
 
-    def _forget(self) -> None:
-        self._number = 0
-        self._held: dict[tuple[int, BidEntry], Certificate] = {}
-        self._freed: dict[tuple[int, int, int], ReleaseGrant] = {}
-        self._last: dict[int, tuple[int, int]] = {}
-        self._last_claims: dict[int, LastClaim] = {}
-        self._behind: set[int] = set()
-        self._offers: dict[Offer, tuple[int, bytes]] = {}
-        self._heard_offers: dict[int, tuple[Offer, int, bytes]] = {}
-        self._words = Words(self._robot, self._checks.witnesses)
-        self._silent = frozenset[int]()
-        self._departures = Departures(self._checks.witnesses, exchanges=self._checks.exchanges)
+    def _blank(self, context: Context) -> Page:
+        departures = Departures(self._checks.witnesses, exchanges=self._checks.exchanges)
+        return Page(context, Words(self._robot, self._checks.witnesses), departures)
 
     @property
     def liars(self) -> int:
@@ -76,21 +68,24 @@ class Evidence:
         return self._checks.witnesses - 1
 
     def turn_to(self, context: Context) -> bool:
-        """Start without evidence unless mission, plan and its origin are the same as before; whether one is not."""
-        if context == self._context:
+        """Turn to what is known about a plan of this mission and origin; whether that is nothing.
+
+        Of each proposer the last plan is remembered: robots come back to it where a later one turns out to be void.
+        """
+        before = self._page.context
+        if context == before:
             return False
-        self._context = context
-        self._forget()
-        return True
+        pages = {**self._pages, before.proposer: self._page} if context.mission == before.mission else {}
+        self._pages, known = pages, pages.get(context.proposer)
+        if known is None or known.context != context:
+            self._page = self._blank(context)
+            return True
+        self._page = known
+        return False
 
     def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
         """Whether a member signed this."""
         return self._checks.signed_by(member, statement, signature)
-
-    @property
-    def _page(self) -> Context:
-        assert self._context is not None, "claims are about a plan"
-        return self._context
 
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
@@ -126,15 +121,17 @@ class Evidence:
     def _hear_last(self, proofs: Proofs, places: int) -> None:
         """Go on from the last claim of a former life of this robot, if a neighbour shows one."""
         last = next((last for last in proofs.last if last.owner == self._robot), None)
-        if last is None or not self._number <= last.number < most_claims(places):
+        if last is None or not self._page.number <= last.number < most_claims(places):
             return
-        if (last.slot, last.entry) not in self._held and self._holds(last.slot, last.entry, last.certificate, places):
-            self._number = last.number + 1
+        if (last.slot, last.entry) not in self._page.held and self._holds(
+            last.slot, last.entry, last.certificate, places
+        ):
+            self._page.number = last.number + 1
 
     def _renew(self, slot: int, table: BidTable, certificate: Certificate | None) -> None:
         """Its owner has claimed a slot again that it has and no other: the higher number counts."""
         entry = table[slot]
-        held = self._held.get((slot, entry))
+        held = self._page.held.get((slot, entry))
         if certificate is None or held is None or not held.number < certificate.number <= most_claims(len(table)):
             return
         if sum(other[2] == entry[2] for other in table) == 1 and self._holds(slot, entry, certificate, len(table)):
@@ -144,8 +141,8 @@ class Evidence:
         """What of an entry may be merged: all of it, that its version was freed, or nothing."""
         entry = (message.table or ())[slot]
         owner = entry[2]
-        if (slot, entry) in self._held:
-            certificate = self._held[slot, entry]
+        if (slot, entry) in self._page.held:
+            certificate = self._page.held[slot, entry]
         else:
             certificate = certificate or Certificate(number=0)
             self._certify(slot, entry, certificate, len(table))
@@ -159,90 +156,93 @@ class Evidence:
         place = (certificate.number, slot)
         # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
-        outdated = place < self._last.get(owner, place) and not welcome
+        outdated = place < self._page.last.get(owner, place) and not welcome
         if not outdated and not self._counts_not(owner):
             self._hear_freed(slot, entry, certificate.grant, table)
             self._keep(slot, entry, certificate)
             return entry
         if outdated and owner == message.sender:
-            self._behind.add(owner)
+            self._page.behind.add(owner)
         if entry[0] > table[slot][0] and isinstance(certificate.grant, ReleaseGrant):
             # The words that freed it count all the same. As a cause or a departure, the claim would be a reason for a
             # word of this robot, and liars could show such claims on any number of later versions.
             self._hear_freed(slot, entry, certificate.grant, table)
             return (entry[0], 0.0, NO_OWNER)
-        self._departures.explain(LastClaim.of(slot, entry, certificate))
+        self._page.departures.explain(LastClaim.of(slot, entry, certificate))
         if outdated:
-            self._departures.outdate(slot, entry)
+            self._page.departures.outdate(slot, entry)
         return UNSAID
 
     def _keep(self, slot: int, entry: BidEntry, certificate: Certificate) -> None:
-        self._held[slot, entry] = certificate
+        self._page.held[slot, entry] = certificate
         owner, place = entry[2], (certificate.number, slot)
-        if place >= self._last.get(owner, place):
-            self._last[owner] = place
-            self._last_claims[owner] = LastClaim.of(slot, entry, certificate)
+        if place >= self._page.last.get(owner, place):
+            self._page.last[owner] = place
+            self._page.last_claims[owner] = LastClaim.of(slot, entry, certificate)
         if owner == self._robot:
-            self._number = max(self._number, certificate.number)
+            self._page.number = max(self._page.number, certificate.number)
 
     def _hear_freed(self, slot: int, entry: BidEntry, grant: Grant | None, table: BidTable) -> None:
         """Keep the words that freed or blocked a slot, and count the departure that they tell of."""
         version, _, owner = entry
         if isinstance(grant, ReleaseGrant):
-            self._freed[slot, version, min(owner, NO_OWNER)] = grant
+            self._page.freed[slot, version, min(owner, NO_OWNER)] = grant
             if grant.by != NO_OWNER:
-                self._departures.count(grant.by, slot, version, table)
+                self._page.departures.count(grant.by, slot, version, table)
 
     def _holds(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> bool:
-        return self._checks.holds(self._page, slot, entry, certificate, places)
+        return self._checks.holds(self._page.context, slot, entry, certificate, places)
 
     def _certify(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> None:
         """Raise where no honest robot could write an entry, or its certificate does not prove it."""
-        likely = plausible(self._page, slot, entry, certificate.number)
+        likely = plausible(self._page.context, slot, entry, certificate.number)
         if not likely or not self._holds(slot, entry, certificate, places):
             raise Uncertified
 
     def _hear_word(self, word: WitnessStatement, table: BidTable) -> None:
         """Keep a statement about the next version of an entry held; of departures, those of who may have claimed it."""
         slot, version, owner = word.slot, word.version, word.owner
-        if slot >= len(table) or version != table[slot][0] + 1 or self._words.knows(word):
+        if slot >= len(table) or version != table[slot][0] + 1 or self._page.words.knows(word):
             return
-        if owner <= LEFT and LEFT - owner not in (table[slot][2], self._departures.highest(slot, version - 1, table)):
+        if owner <= LEFT and LEFT - owner not in (
+            table[slot][2],
+            self._page.departures.highest(slot, version - 1, table),
+        ):
             return
-        if not self.signed_by(word.witness, word_statement(self._page, slot, version, owner), word.signature):
+        if not self.signed_by(word.witness, word_statement(self._page.context, slot, version, owner), word.signature):
             raise Uncertified
-        self._words.keep(word)
+        self._page.words.keep(word)
 
     def _hear_restless(self, word: RestlessWord) -> None:
         """Keep a word about a robot of which a departure is known: others would only fill memory and messages."""
-        if not self._departures.suspects(word.robot) or self._departures.knows(word.robot, word.witness):
+        if not self._page.departures.suspects(word.robot) or self._page.departures.knows(word.robot, word.witness):
             return
-        if not self.signed_by(word.witness, restless_statement(self._page, word.robot), word.signature):
+        if not self.signed_by(word.witness, restless_statement(self._page.context, word.robot), word.signature):
             raise Uncertified
-        self._departures.keep(word.robot, word.witness, word.signature)
+        self._page.departures.keep(word.robot, word.witness, word.signature)
 
     def _hear_cause(self, cause: LastClaim, table: BidTable) -> None:
         """Note a claim that does not count any more, but is why the owner in the table has left."""
         slot, entry, owner = cause.slot, cause.entry, cause.owner
         if slot >= len(table) or entry[0] != table[slot][0] or rank(entry) <= rank(table[slot]):
             return
-        outdated = (cause.number, slot) < self._last.get(owner, (0, 0))
+        outdated = (cause.number, slot) < self._page.last.get(owner, (0, 0))
         if not (outdated or self._counts_not(owner)):
             return
-        if not self._departures.explained(cause):
+        if not self._page.departures.explained(cause):
             self._certify(slot, entry, cause.certificate, len(table))
-            self._departures.explain(cause)
+            self._page.departures.explain(cause)
         if outdated:
-            self._departures.outdate(slot, entry)
+            self._page.departures.outdate(slot, entry)
 
     def _counts_not(self, owner: int) -> bool:
         """Whether a robot claims in vain: it is excluded, or does not seem to live."""
-        return owner in self.excluded or (owner in self._silent and owner != self._robot)
+        return owner in self.excluded or (owner in self._page.silent and owner != self._robot)
 
     @property
     def excluded(self) -> frozenset[int]:
         """Robots whose claims on the plan count for nothing: they left place after place."""
-        return self._departures.excluded
+        return self._page.departures.excluded
 
     def without_excluded(self, table: BidTable) -> BidTable:
         """The table with the places of excluded robots free, where it can be shown that this version was freed."""
@@ -250,22 +250,22 @@ class Evidence:
         for slot, (version, _, owner) in enumerate(table):
             if owner in self.excluded and (version == 0 or self.freed(slot, version)):
                 # Its claim stays the highest there was: whoever it outbid has left with cause.
-                if (certificate := self._held.get((slot, table[slot]))) is not None:
-                    self._departures.explain(LastClaim.of(slot, table[slot], certificate))
+                if (certificate := self._page.held.get((slot, table[slot]))) is not None:
+                    self._page.departures.explain(LastClaim.of(slot, table[slot], certificate))
                 new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
         return changed(table, new)
 
     def draw(self, slot: int, version: int) -> float:
         """This robot's bid for a slot of a version above 0."""
-        return drawn_bid(self._page, slot, version, self._robot)
+        return drawn_bid(self._page.context, slot, version, self._robot)
 
     def freed(self, slot: int, version: int) -> bool:
         """Whether this robot can show the words that freed this version of a slot."""
-        return (slot, version, NO_OWNER) in self._freed
+        return (slot, version, NO_OWNER) in self._page.freed
 
     def may_exchange(self, places: int) -> bool:
         """Whether exchanges count in this team, and this robot has not used up its numbers for them."""
-        return self._checks.exchanges and self._number + SPARE <= most_exchanges(places)
+        return self._checks.exchanges and self._page.number + SPARE <= most_exchanges(places)
 
     def _hear_offer(self, message: Message, proofs: Proofs, places: int) -> Offer | None:
         if (offer := message.offer) is None:
@@ -273,43 +273,47 @@ class Evidence:
         number, signature = proofs.offer or (0, b"")
         if not (
             0 < number <= most_exchanges(places)
-            and offer.bid == drawn_bid(self._page, offer.take, offer.take_version + 1, message.sender)
-            and self.signed_by(message.sender, offer_statement(self._page, message.sender, offer, number), signature)
+            and offer.bid == drawn_bid(self._page.context, offer.take, offer.take_version + 1, message.sender)
+            and self.signed_by(
+                message.sender, offer_statement(self._page.context, message.sender, offer, number), signature
+            )
         ):
             raise Uncertified
-        self._heard_offers[message.sender] = (offer, number, signature)
+        self._page.heard_offers[message.sender] = (offer, number, signature)
         return offer
 
     def precedence(self, slot: int, entry: BidEntry) -> tuple[int, int]:
         """Precedence of a claim among several of one robot: the last one counts."""
-        return (self._held[slot, entry].number, slot)
+        return (self._page.held[slot, entry].number, slot)
 
     def witness(self, table: BidTable, seen: Occupancy) -> None:
         """State, once a round, of which slots this robot can say that they are free, or blocked."""
         for slot, entry in enumerate(table):
-            certificate = self._held.get((slot, entry))
-            if certificate is not None and (certificate.number, slot) < self._last[entry[2]]:
-                self._departures.outdate(slot, entry)
-        self._silent = seen.silent
+            certificate = self._page.held.get((slot, entry))
+            if certificate is not None and (certificate.number, slot) < self._page.last[entry[2]]:
+                self._page.departures.outdate(slot, entry)
+        self._page.silent = seen.silent
         # Who hears too few to know that honest ones are among them blames nobody: it may know of no other claims.
         sure = seen.alive > 2 * self.liars
-        departed = self._departures.departed(table)
+        departed = self._page.departures.departed(table)
         own = {(slot, version + 1, left_by(owner) if sure else NO_OWNER) for slot, version, owner in departed}
         for slot, (version, _, owner) in enumerate(table):
             if slot in seen.blocked and owner != BLOCKED:
                 own = {what for what in own if what[0] != slot} | {(slot, version + 1, BLOCKED)}
             elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
                 own.add((slot, version + 1, NO_OWNER))
-        self._words.state(own, lambda stated: self._authenticator.sign(word_statement(self._page, *stated)))
-        for robot in self._departures.restless(len(table)) if sure else ():
-            if not self._departures.knows(robot, self._robot):
-                signature = self._authenticator.sign(restless_statement(self._page, robot))
-                self._departures.keep(robot, self._robot, signature)
+        self._page.words.state(
+            own, lambda stated: self._authenticator.sign(word_statement(self._page.context, *stated))
+        )
+        for robot in self._page.departures.restless(len(table)) if sure else ():
+            if not self._page.departures.knows(robot, self._robot):
+                signature = self._authenticator.sign(restless_statement(self._page.context, robot))
+                self._page.departures.keep(robot, self._robot, signature)
 
     def granted(self, table: BidTable) -> BidTable:
         """Entries that enough robots have stated together, to be merged; UNSAID elsewhere."""
         entries: list[BidEntry] = [UNSAID] * len(table)
-        for slot, version, owner, grant in self._words.grants(table):
+        for slot, version, owner, grant in self._page.words.grants(table):
             entry = (version, 0.0, owner)
             self._hear_freed(slot, entry, grant, table)
             entries[slot] = max(entry, entries[slot], key=rank)
@@ -320,45 +324,51 @@ class Evidence:
         table = claim.table
         if table is None:
             return
-        for maker, (offer, number, signature) in self._heard_offers.items():
+        for maker, (offer, number, signature) in self._page.heard_offers.items():
             self._accept(table, maker, offer, number, signature)
-        self._heard_offers = {}
+        self._page.heard_offers = {}
         for slot, entry in enumerate(table):
             if entry[2] != self._robot:
                 continue
-            held = self._held.get((slot, entry))
+            held = self._page.held.get((slot, entry))
             if held is None:
-                self._claim(slot, entry, self._freed[slot, entry[0], NO_OWNER] if entry[0] else None)
-            elif slot == claim.slot and claim.offer is None and held.number < self._number:
+                self._claim(slot, entry, self._page.freed[slot, entry[0], NO_OWNER] if entry[0] else None)
+            elif slot == claim.slot and claim.offer is None and held.number < self._page.number:
                 # Somebody may have heard of a later claim, or accepted an offer, of which nothing came.
                 self._claim(slot, entry, held.grant)
-        self._held = {key: certificate for key, certificate in self._held.items() if table[key[0]] == key[1]}
-        self._departures.forget_causes(table)
-        self._freed = {key: freed for key, freed in self._freed.items() if key[1] >= table[key[0]][0]}
+        self._page.held = {key: certificate for key, certificate in self._page.held.items() if table[key[0]] == key[1]}
+        self._page.departures.forget_causes(table)
+        self._page.freed = {key: freed for key, freed in self._page.freed.items() if key[1] >= table[key[0]][0]}
 
     def _claim(self, slot: int, entry: BidEntry, grant: Grant | None) -> None:
-        self._number += 1
-        signature = self._authenticator.sign(claim_statement(self._page, slot, entry, self._number))
-        self._keep(slot, entry, Certificate(number=self._number, signature=signature, grant=grant))
+        self._page.number += 1
+        signature = self._authenticator.sign(claim_statement(self._page.context, slot, entry, self._page.number))
+        self._keep(slot, entry, Certificate(number=self._page.number, signature=signature, grant=grant))
 
     def _accept(self, table: BidTable, maker: int, offer: Offer, number: int, signature: bytes) -> None:
         """Sign the acceptance of an offer, if the table has it."""
         given, taken = table[offer.give], table[offer.take]
         new = (offer.give_version + 1, self._robot), (offer.take_version + 1, offer.bid, maker)
-        if (given[::2], taken) != new or (offer.give, given) in self._held or (offer.take, taken) in self._held:
+        if (
+            (given[::2], taken) != new
+            or (offer.give, given) in self._page.held
+            or (offer.take, taken) in self._page.held
+        ):
             return
-        self._number += 1
+        self._page.number += 1
         done = ExchangeGrant(
             maker,
             *msgspec.structs.astuple(offer),
             number=number,
             signature=signature,
             accepted_bid=given[1],
-            accepted_number=self._number,
+            accepted_number=self._page.number,
             accepted=b"",
         )
-        done = msgspec.structs.replace(done, accepted=self._authenticator.sign(acceptance_statement(self._page, done)))
-        self._keep(offer.give, given, Certificate(number=self._number, grant=done))
+        done = msgspec.structs.replace(
+            done, accepted=self._authenticator.sign(acceptance_statement(self._page.context, done))
+        )
+        self._keep(offer.give, given, Certificate(number=self._page.number, grant=done))
         self._keep(offer.take, taken, Certificate(number=number, grant=done))
 
     def prove(self, message: Message) -> Proofs:
@@ -367,32 +377,32 @@ class Evidence:
         for slot, entry in enumerate(message.table or ()):
             version, _, owner = entry
             if owner >= 0:
-                certificates[slot] = self._held[slot, entry]
+                certificates[slot] = self._page.held[slot, entry]
             elif version > 0:
-                certificates[slot] = Certificate(number=0, grant=self._freed[slot, version, owner])
+                certificates[slot] = Certificate(number=0, grant=self._page.freed[slot, version, owner])
         claims, grants = claims_of(certificates)
         self._turn += 1
-        restless = self._departures.words()
+        restless = self._page.departures.words()
         own = [word for word in restless if word.witness == self._robot]
         # With few witnesses, enough of them are found among the neighbours.
-        others = self._words.of_others() if self._checks.witnesses > witnesses(LIARS) else ()
-        last, self._behind = tuple(self._last_claims[j] for j in sorted(self._behind)), set()
+        others = self._page.words.of_others() if self._checks.witnesses > witnesses(LIARS) else ()
+        last, self._page.behind = tuple(self._page.last_claims[j] for j in sorted(self._page.behind)), set()
         return Proofs(
             claims=claims,
             grants=grants,
-            words=(*self._words.own(), *in_turn(others, self._turn)),
+            words=(*self._page.words.own(), *in_turn(others, self._turn)),
             offer=self._offer(message.offer),
             last=last,
             restless=(*own, *in_turn([word for word in restless if word not in own], self._turn)),
-            causes=in_turn(self._departures.causes, self._turn),
+            causes=in_turn(self._page.departures.causes, self._turn),
         )
 
     def _offer(self, offer: Offer | None) -> tuple[int, bytes] | None:
         """The signed offer; it has a number of its own, which counts as that of a claim if it is accepted."""
         if offer is None:
             return None
-        if offer not in self._offers:
-            self._number += 1
-            statement = offer_statement(self._page, self._robot, offer, self._number)
-            self._offers = {offer: (self._number, self._authenticator.sign(statement))}
-        return self._offers[offer]
+        if offer not in self._page.offers:
+            self._page.number += 1
+            statement = offer_statement(self._page.context, self._robot, offer, self._page.number)
+            self._page.offers = {offer: (self._page.number, self._authenticator.sign(statement))}
+        return self._page.offers[offer]

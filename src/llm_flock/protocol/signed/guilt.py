@@ -72,7 +72,6 @@ def guilt(
         _check_order(channel, inbound)
     except MessageError as error:
         return None if error.reason == "version" else error.reason
-    # Whoever follows a plan of a later epoch knows why the earlier ones are void, and shows it.
     channel.hold([inbound.message])
     if evidence.refused:
         return next(iter(evidence.refused))
