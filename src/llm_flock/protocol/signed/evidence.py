@@ -67,21 +67,22 @@ class Evidence:
         """Robots that may lie together."""
         return self._checks.witnesses - 1
 
+    @property
+    def _context(self) -> Context:
+        return self._page.context
+
     def turn_to(self, context: Context) -> bool:
         """Turn to what is known about a plan of this mission and origin; whether that is nothing.
 
         Of each proposer the last plan is remembered: robots come back to it where a later one turns out to be void.
         """
-        before = self._page.context
+        before = self._context
         if context == before:
             return False
         pages = {**self._pages, before.proposer: self._page} if context.mission == before.mission else {}
         self._pages, known = pages, pages.get(context.proposer)
-        if known is None or known.context != context:
-            self._page = self._blank(context)
-            return True
-        self._page = known
-        return False
+        self._page = known if known is not None and known.context == context else self._blank(context)
+        return self._page is not known
 
     def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
         """Whether a member signed this."""
@@ -191,11 +192,11 @@ class Evidence:
                 self._page.departures.count(grant.by, slot, version, table)
 
     def _holds(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> bool:
-        return self._checks.holds(self._page.context, slot, entry, certificate, places)
+        return self._checks.holds(self._context, slot, entry, certificate, places)
 
     def _certify(self, slot: int, entry: BidEntry, certificate: Certificate, places: int) -> None:
         """Raise where no honest robot could write an entry, or its certificate does not prove it."""
-        likely = plausible(self._page.context, slot, entry, certificate.number)
+        likely = plausible(self._context, slot, entry, certificate.number)
         if not likely or not self._holds(slot, entry, certificate, places):
             raise Uncertified
 
@@ -204,12 +205,10 @@ class Evidence:
         slot, version, owner = word.slot, word.version, word.owner
         if slot >= len(table) or version != table[slot][0] + 1 or self._page.words.knows(word):
             return
-        if owner <= LEFT and LEFT - owner not in (
-            table[slot][2],
-            self._page.departures.highest(slot, version - 1, table),
-        ):
+        highest = self._page.departures.highest(slot, version - 1, table)
+        if owner <= LEFT and LEFT - owner not in (table[slot][2], highest):
             return
-        if not self.signed_by(word.witness, word_statement(self._page.context, slot, version, owner), word.signature):
+        if not self.signed_by(word.witness, word_statement(self._context, slot, version, owner), word.signature):
             raise Uncertified
         self._page.words.keep(word)
 
@@ -217,7 +216,7 @@ class Evidence:
         """Keep a word about a robot of which a departure is known: others would only fill memory and messages."""
         if not self._page.departures.suspects(word.robot) or self._page.departures.knows(word.robot, word.witness):
             return
-        if not self.signed_by(word.witness, restless_statement(self._page.context, word.robot), word.signature):
+        if not self.signed_by(word.witness, restless_statement(self._context, word.robot), word.signature):
             raise Uncertified
         self._page.departures.keep(word.robot, word.witness, word.signature)
 
@@ -257,7 +256,7 @@ class Evidence:
 
     def draw(self, slot: int, version: int) -> float:
         """This robot's bid for a slot of a version above 0."""
-        return drawn_bid(self._page.context, slot, version, self._robot)
+        return drawn_bid(self._context, slot, version, self._robot)
 
     def freed(self, slot: int, version: int) -> bool:
         """Whether this robot can show the words that freed this version of a slot."""
@@ -273,10 +272,8 @@ class Evidence:
         number, signature = proofs.offer or (0, b"")
         if not (
             0 < number <= most_exchanges(places)
-            and offer.bid == drawn_bid(self._page.context, offer.take, offer.take_version + 1, message.sender)
-            and self.signed_by(
-                message.sender, offer_statement(self._page.context, message.sender, offer, number), signature
-            )
+            and offer.bid == drawn_bid(self._context, offer.take, offer.take_version + 1, message.sender)
+            and self.signed_by(message.sender, offer_statement(self._context, message.sender, offer, number), signature)
         ):
             raise Uncertified
         self._page.heard_offers[message.sender] = (offer, number, signature)
@@ -302,12 +299,10 @@ class Evidence:
                 own = {what for what in own if what[0] != slot} | {(slot, version + 1, BLOCKED)}
             elif owner in seen.silent or owner in self.excluded or (owner == BLOCKED and slot in seen.clear):
                 own.add((slot, version + 1, NO_OWNER))
-        self._page.words.state(
-            own, lambda stated: self._authenticator.sign(word_statement(self._page.context, *stated))
-        )
+        self._page.words.state(own, lambda stated: self._authenticator.sign(word_statement(self._context, *stated)))
         for robot in self._page.departures.restless(len(table)) if sure else ():
             if not self._page.departures.knows(robot, self._robot):
-                signature = self._authenticator.sign(restless_statement(self._page.context, robot))
+                signature = self._authenticator.sign(restless_statement(self._context, robot))
                 self._page.departures.keep(robot, self._robot, signature)
 
     def granted(self, table: BidTable) -> BidTable:
@@ -342,18 +337,15 @@ class Evidence:
 
     def _claim(self, slot: int, entry: BidEntry, grant: Grant | None) -> None:
         self._page.number += 1
-        signature = self._authenticator.sign(claim_statement(self._page.context, slot, entry, self._page.number))
+        signature = self._authenticator.sign(claim_statement(self._context, slot, entry, self._page.number))
         self._keep(slot, entry, Certificate(number=self._page.number, signature=signature, grant=grant))
 
     def _accept(self, table: BidTable, maker: int, offer: Offer, number: int, signature: bytes) -> None:
         """Sign the acceptance of an offer, if the table has it."""
         given, taken = table[offer.give], table[offer.take]
         new = (offer.give_version + 1, self._robot), (offer.take_version + 1, offer.bid, maker)
-        if (
-            (given[::2], taken) != new
-            or (offer.give, given) in self._page.held
-            or (offer.take, taken) in self._page.held
-        ):
+        held = self._page.held
+        if (given[::2], taken) != new or (offer.give, given) in held or (offer.take, taken) in held:
             return
         self._page.number += 1
         done = ExchangeGrant(
@@ -365,9 +357,8 @@ class Evidence:
             accepted_number=self._page.number,
             accepted=b"",
         )
-        done = msgspec.structs.replace(
-            done, accepted=self._authenticator.sign(acceptance_statement(self._page.context, done))
-        )
+        accepted = self._authenticator.sign(acceptance_statement(self._context, done))
+        done = msgspec.structs.replace(done, accepted=accepted)
         self._keep(offer.give, given, Certificate(number=self._page.number, grant=done))
         self._keep(offer.take, taken, Certificate(number=number, grant=done))
 
@@ -403,6 +394,6 @@ class Evidence:
             return None
         if offer not in self._page.offers:
             self._page.number += 1
-            statement = offer_statement(self._page.context, self._robot, offer, self._page.number)
+            statement = offer_statement(self._context, self._robot, offer, self._page.number)
             self._page.offers = {offer: (self._page.number, self._authenticator.sign(statement))}
         return self._page.offers[offer]
