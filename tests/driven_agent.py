@@ -97,9 +97,10 @@ def says(
     places: int = 0,
     sequence: int = 0,
     positions: dict[int, PositionReport] | None = None,
+    epoch: int = 0,
 ) -> bytes:
     origin = Provenance(
-        mission=counter, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=sender, sequence=0
+        mission=counter, mission_digest=mission.digest, epoch=epoch, neighbors=0, proposer=sender, sequence=0
     )
     said = Message(
         sender=sender,

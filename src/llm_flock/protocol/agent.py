@@ -264,11 +264,11 @@ class Agent:
         return effects
 
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
-        listening = self._scene is None and event.round > 1 and event.neighbors > 0
+        listening = event.neighbors > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
-        # A robot that joins a working team listens first, and only then proposes a plan.
+        # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
         effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
         return (Phase.PLANNING if effects and isinstance(effects[-1], AskPlan) else Phase.AGREEING), effects
 

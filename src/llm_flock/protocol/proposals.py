@@ -47,7 +47,7 @@ class Proposals:
         """The question for this round, last; without one if no plan is needed, or geometry's stands in for it."""
         agreement, mission = self._agreement, self._agreement.mission
         places = self._replanning.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
-        if places is None or not agreement.may_propose:
+        if places is None or not agreement.may_propose(places):
             return []
         self._asked = PlanQuestion(
             mission=mission.at(event.round).resized(places),

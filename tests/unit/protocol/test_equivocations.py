@@ -16,6 +16,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.events import (
     AgreementEnded,
     Arrived,
+    AskPlan,
     Broadcast,
     CommRoundBegan,
     CommRoundEnded,
@@ -157,7 +158,7 @@ def test_a_robot_that_has_forgotten_its_first_plan_withdraws_both() -> None:
     team.agents[proposer] = fresh
     team.fly(6)
     assert [channel_of(agent).void(STAMP) for agent in team.agents] == [{proposer}] * (N - 1)
-    assert team.settled() and not fresh._agreement.may_propose
+    assert team.settled() and not fresh._agreement.may_propose(N)
 
 
 def test_later_epochs_are_for_teams_that_replan(team: SignedTeam, liar: Liar) -> None:
@@ -240,10 +241,10 @@ def test_the_last_epoch_of_all_can_be_withdrawn_too() -> None:
     team.fly(2)
     liar, before = Liar(team), team.agents[0].provenance
     team.fly(1, lambda: [plan_of(liar, 3, epoch=MOST_EPOCHS)])
-    assert not any(agent._agreement.may_propose for agent in team.agents)
+    assert not any(agent._agreement.may_propose(N) for agent in team.agents)
     team.fly(1, lambda: [plan_of(liar, 4, epoch=MOST_EPOCHS)])
     assert {agent.provenance for agent in team.agents} == {before} and team.settled()
-    assert all(agent._agreement.may_propose for agent in team.agents)
+    assert all(agent._agreement.may_propose(N) for agent in team.agents)
 
 
 def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:
@@ -257,14 +258,26 @@ def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:
     assert channel.void(STAMP) == channel.void(later) == frozenset()
 
 
-def test_a_robot_that_has_followed_no_other_plan_asks_its_model(team: SignedTeam, liar: Liar) -> None:
-    agreement = team.agents[0]._agreement
-    team.tell(0, plan_of(liar, 3), N - 1)
-    team.agents[0].handle(CommRoundEnded())
-    agreement._followed = {}
-    team.tell(0, plan_of(liar, 4), N - 1)
-    team.agents[0].handle(CommRoundEnded())
-    assert agreement.plan is None and agreement.claim.slot is None and agreement.may_propose
-    agreement.lack_plan(NO_ANSWER)
+def test_a_robot_that_has_followed_no_other_plan_listens_and_then_asks_its_model(team: SignedTeam, liar: Liar) -> None:
+    """It may have proposed one in a former life: a second one would void both."""
+    team.begin()
+    team.comm_round([plan_of(liar, 3)])
+    fresh = SignedTeam(MISSION, line_up(N)).agents[0]
+    team.end()
+    team.agents[0] = fresh
+    team.begin()
     team.comm_round()
-    assert agreement.plan is not None, "it takes what it hears"
+    assert fresh.plan == good_plan(MISSION, 3)
+    team.tell(0, plan_of(liar, 4), N - 1)
+    fresh.handle(CommRoundEnded())
+    assert fresh.plan is None and fresh.claim.slot is None and fresh._agreement.may_propose(N)
+    for event in (AgreementEnded(), Arrived()):
+        fresh.handle(event)
+    near = {1: team.positions[1]}
+    began = fresh.handle(round_began(9, team.positions[0], near))
+    assert not [effect for effect in began if isinstance(effect, AskPlan)], "others may have a plan that counts"
+    fresh.handle(CommRoundEnded())
+    for event in (AgreementEnded(), Arrived()):
+        fresh.handle(event)
+    began = fresh.handle(round_began(10, team.positions[0], near))
+    assert [effect for effect in began if isinstance(effect, AskPlan)], "but nobody spoke"

@@ -52,7 +52,7 @@ def test_gaps_stay_where_they_are_to_be_reported_or_no_smaller_shape_exists(miss
 
 def test_a_smaller_plan_is_followed_only_where_robots_may_replan() -> None:
     smaller = Plan.of(LINE.resized(2).ideal or ())
-    origin = says(1, plan=smaller)
+    origin = says(1, plan=smaller, epoch=1)
     choices: tuple[tuple[Gaps, bool], ...] = (("replan", True), ("report", False))
     for gaps, followed in choices:
         driven = DrivenAgent(make(gaps=gaps, verify=True))

@@ -116,19 +116,24 @@ def test_the_origin_of_the_plan_in_force_is_kept_whatever_else_comes(
     assert team.counts("forged_origin") == before == 0
 
 
-def test_no_robot_plans_again_after_the_last_plan() -> None:
-    """A liar proposes a plan for a smaller team as the last that counts: nobody proposes one that nobody accepts."""
+@pytest.mark.parametrize("places", [3, 4, 5])
+def test_a_plan_of_the_last_epoch_gives_way_to_one_for_more_robots_only(places: int) -> None:
+    """A liar proposes the last plan that counts, for fewer robots than are there: nobody is left without a place."""
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
     liar = Liar(team)
     team.fly(2)
-    smaller = MISSION.resized(4)
-    last = liar.says(plan=good_plan(smaller, 3), provenance=liar.provenance(epoch=MOST_EPOCHS), table=None)
-    team.fly(20, lambda: [last])
-    origins = {agent.provenance.epoch for agent in team.agents if agent.provenance is not None}
-    assert origins == {MOST_EPOCHS} and team.counts("many_plans") == 0
+    last = good_plan(MISSION.resized(places), 3)
+    lie = liar.says(plan=last, provenance=liar.provenance(epoch=MOST_EPOCHS), table=None)
+    team.fly(25, lambda: [lie])
+    ((plan, origin),) = {(agent.plan, agent.provenance) for agent in team.agents}
+    assert plan is not None and origin is not None and origin.epoch == MOST_EPOCHS
+    assert len(plan) == max(places, 4) and (plan == last) == (places >= 4)
+    assert team.settled() and team.counts("many_plans") == 0
+    again = [agent.robot for agent in team.agents if agent._agreement.may_propose(6)]
+    assert again and origin.proposer not in again, "once in an epoch"
     agreement = team.agents[0]._agreement
-    before = agreement.plan
-    assert agreement.propose(PlanAnswer(plan=good_plan(MISSION, 5), slot=0), "model") == [] and agreement.plan == before
+    assert agreement.propose(PlanAnswer(plan=good_plan(MISSION.resized(3), 5), slot=0), "model") == []
+    assert agreement.plan == plan
 
 
 def test_a_plan_of_unknown_origin_is_passed_on_without_signature(team: SignedTeam, liar: Liar) -> None:

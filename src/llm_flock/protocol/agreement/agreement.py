@@ -67,7 +67,9 @@ class Agreement:
         self._unplaced: set[int] = set()
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
+        self._last_epoch = -1
         self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
+        self.listens = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
         self._sensed: Mapping[int, Point] = {}
@@ -113,7 +115,7 @@ class Agreement:
         self.mission, self.stamp = mission, stamp
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
-        self._proposals, self._void, self._followed = 0, frozenset[int](), {}
+        self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
         self._replanning.reset()
         self.all_to_all.begin()
         self.in_touch.begin()
@@ -126,19 +128,24 @@ class Agreement:
 
     @property
     def _next_epoch(self) -> int:
-        return 0 if self.provenance is None else self.provenance.epoch + 1
+        return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
 
-    @property
-    def may_propose(self) -> bool:
-        """Whether another plan of this robot for this mission can follow on the one in force."""
-        return self._next_epoch <= MOST_EPOCHS and self._robot not in self._void
+    def may_propose(self, places: int) -> bool:
+        """Whether a plan of this robot with so many places can follow on the one in force.
+
+        It proposes once in an epoch. A plan of the last one gives way only to a plan for more robots.
+        """
+        if self._robot in self._void or self._next_epoch <= self._last_epoch:
+            return False
+        last = self.provenance is not None and self.provenance.epoch == MOST_EPOCHS
+        return not last or self.plan is None or places > len(self.plan)
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
         """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
 
         Nothing happens where no more plans may follow.
         """
-        if not self.may_propose:
+        if not self.may_propose(len(answer.plan)):
             return []
         origin = Provenance(
             mission=self.stamp.counter,
@@ -149,6 +156,7 @@ class Agreement:
             sequence=self._proposals,
         )
         self._proposals += 1
+        self._last_epoch = origin.epoch
         self._chosen = answer.slot
         self._follow(answer.plan, origin, adopted=False, heard=[])
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
@@ -175,6 +183,7 @@ class Agreement:
         known = [known for robot, known in self._followed.items() if robot not in self._void]
         self.plan, self.provenance, self.claim = max(known, key=self._key, default=(None, None, Claim(slot=None)))
         self._replanning.reset()
+        self.listens = self.plan is None  # to the next exchange: others may have a plan that counts
         after = None if self.plan is None else self.plan.digest
         return Note("void_plan", {"plan": plan.digest, "proposer": proposer, "after": after, "slot": self.claim.slot})
 
@@ -225,7 +234,7 @@ class Agreement:
         `void` robots do not count. Rules are pure functions, so they are not asked twice in a row with the same
         arguments.
         """
-        self._void = void
+        self._void, self.listens = void, False
         withdrawn = list[Note]()
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]

@@ -11,7 +11,7 @@ import msgspec
 from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.plan import Plan
 
-PlanKey: TypeAlias = tuple[int, str, int, int, int, int, int, str]
+PlanKey: TypeAlias = tuple[int, str, int, int, int, int, int, int, str]
 TieBreak: TypeAlias = Literal["lowest", "highest"]
 
 
@@ -86,6 +86,7 @@ def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
         origin.mission,
         origin.mission_digest,
         origin.epoch,
+        len(plan),
         plan_class,
         origin.neighbors,
         origin.proposer,
@@ -101,7 +102,8 @@ class ProvenanceConsensus:
     Plans of one class (`verification.plans.PlanClass`, which every receiver determines itself) are ordered first by the
     influence that the proposer had when it proposed. This keeps the paper's idea, but influence belongs to the plan and
     travels with it, and the proposer's id breaks ties. On a connected graph without loss all robots agree within its
-    diameter in communication rounds, because the highest key spreads and never changes.
+    diameter in communication rounds, because the highest key spreads and never changes. In a team that replans, the
+    plan of the later epoch comes first, and within an epoch the one for more robots.
     """
 
     name: str = "provenance"
