@@ -20,7 +20,7 @@ VALUES: dict[str, Any] = {
     "cause": "refused", "reason": "it is too far", "state": "open", "refusals": 3, "wait": 2, "detail": "who knows",
     "about": "step", "begun": True, "vacant": [0, 1], "slots": [4], "missing": [5], "counter": 1, "digest": "x",
     "proposer": 2, "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
-    "goal_distance": 4.5, "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
+    "goal_distance": 4.5, "after": "ab12", "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
     "model": "simulated:collapse", "loss": None,
 }  # fmt: skip
 
@@ -50,6 +50,8 @@ def test_the_same_kind_says_which_way_it_went() -> None:
     assert words("injected", model=None, loss=0.4).startswith("loses 40 % of the messages")
     assert words("shielded").endswith("to (1.5, 2.25)")
     assert words("rejected_message", reason="other_mission", detail="").endswith("it heard: other mission")
+    assert words("void_plan").endswith("and goes back to the one before and its place 3")
+    assert words("void_plan", after=None, slot=None).endswith("signed two different plans")
     assert words("asked_again", reason="new_goal").endswith("its place is another one")
 
 

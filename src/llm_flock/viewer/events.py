@@ -162,7 +162,8 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     "enlarged": lambda detail: "proposed its plan a little larger, so that no two places are too close",
     "no_plan": lambda detail: f"has no plan from its model{_because(detail)}",
     "void_plan": lambda detail: (
-        f"follows the plan of robot {detail.get('proposer')} no more: that robot has signed two different plans"
+        f"follows the plan of robot {detail.get('proposer')} no more, which has signed two different plans"
+        + ("" if detail.get("slot") is None else f", and goes back to the one before and its place {detail['slot']}")
     ),
     "fallback": _fallback,
     "breaker": lambda detail: f"has its model asked for a {detail.get('question')} again: its last answer was usable",
