@@ -131,9 +131,9 @@ class Agreement:
         return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
-        """Whether a plan of this robot with so many places can follow on the one in force.
+        """Whether this robot may propose a plan with so many places now.
 
-        It proposes once in an epoch. A plan of the last one gives way only to a plan for more robots.
+        It proposes once in an epoch. A plan of the last epoch is replaced only by one with more places.
         """
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False

@@ -124,9 +124,8 @@ class Evidence:
         last = next((last for last in proofs.last if last.owner == self._robot), None)
         if last is None or not self._page.number <= last.number < most_claims(places):
             return
-        if (last.slot, last.entry) not in self._page.held and self._holds(
-            last.slot, last.entry, last.certificate, places
-        ):
+        held = (last.slot, last.entry) in self._page.held
+        if not held and self._holds(last.slot, last.entry, last.certificate, places):
             self._page.number = last.number + 1
 
     def _renew(self, slot: int, table: BidTable, certificate: Certificate | None) -> None:
