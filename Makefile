@@ -72,8 +72,8 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 quick: $(STAMP) ## Lint, types of changed files, unit tests: within 40 s, before each commit
 	@$(TOGETHER) lint changed unit
 
-unit: $(STAMP) ## Unit tests
-	$(BIN)/python -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal
+unit: $(STAMP) ## Unit tests, without the flights that are too long for measuring coverage
+	$(BIN)/python -m pytest tests/unit -m "not no_cover" --quiet --numprocesses 2 --dist worksteal
 
 other: $(STAMP) ## Unit tests on a second Python, the newest that is here; says so where there is none
 	@mine="$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')"; \

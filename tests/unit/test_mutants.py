@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import pytest
-from benchmarks.mutants import COPIED, ROOT, Mutant, load
+from benchmarks.mutants import COPIED, ROOT, load
 
 MUTANTS = load()
-each_mutant = pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 
 
 def test_names_are_unique() -> None:
@@ -15,18 +14,18 @@ def test_names_are_unique() -> None:
     assert all((ROOT / name).exists() for name in COPIED)
 
 
-@each_mutant
-def test_a_mutant_fits_the_sources(mutant: Mutant) -> None:
-    text = mutant.path(ROOT).read_text(encoding="utf-8")
-    changed = mutant.applied(text)
-    assert changed != text
-    compile(changed, mutant.file, "exec")
+def test_every_mutant_fits_the_sources() -> None:
+    for mutant in MUTANTS:
+        text = mutant.path(ROOT).read_text(encoding="utf-8")
+        changed = mutant.applied(text)
+        assert changed != text, mutant.name
+        compile(changed, mutant.file, "exec")
 
 
-@each_mutant
-def test_the_test_that_has_to_fail_exists(mutant: Mutant) -> None:
-    path, _, function = mutant.test.partition("::")
-    assert f"def {function}(" in Path(ROOT / "tests" / path).read_text(encoding="utf-8")
+def test_the_tests_that_have_to_fail_exist() -> None:
+    for mutant in MUTANTS:
+        path, _, function = mutant.test.partition("::")
+        assert f"def {function}(" in Path(ROOT / "tests" / path).read_text(encoding="utf-8"), mutant.name
 
 
 def test_a_snippet_that_is_gone_or_occurs_twice_is_refused() -> None:
