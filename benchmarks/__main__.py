@@ -17,8 +17,8 @@
 `swarm`     twenty missions of ten processes, and the same in lockstep; `swarm-faults`, `swarm-thirty`,
             `swarm-flood`: see benchmarks/swarm.py (only when named)
 `ros2`      50 robots shown in ROS 2: latency added and processor time; see benchmarks/ros2.py (only when named)
-`local`     missions with a model on board; `local-ten`, `local-table`, `local-letters`: see benchmarks/local.py
-            (only when named)
+`local`     missions with a model on board; `local-ten`, `local-table`, `local-letters`, `local-wishes`:
+            see benchmarks/local.py (only when named)
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
@@ -189,7 +189,7 @@ LONG |= {"containment-http": containment.over_http}
 LONG |= {"starts": starts.measure}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
 LONG |= {"ros2": ros2.bridge, "radio": radio.radio}
-LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.table}
+LONG |= {"local": local.missions, "local-ten": local.ten, "local-table": local.table, "local-wishes": local.wishes}
 LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swarm.thirty, "swarm-flood": swarm.flood}
 
 if __name__ == "__main__":

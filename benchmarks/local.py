@@ -3,6 +3,8 @@
 python -m benchmarks local          missions of three and five robots, and how fast the engine is
 python -m benchmarks local-ten      a circle of ten, asked on events only: duration and memory, in an own process
 python -m benchmarks local-table    the same missions: stock weights, the adapter, and ideal simulated models
+python -m benchmarks local-wishes   missions with the model that was taught letters, one for each wish and seed, in
+                                    wordings that it was not taught
 python -m benchmarks local-letters FILE.gguf [TURNS]
                                     ten robots asked for a step: a waypoint of the packaged adapter, and a letter of
                                     this one, in turns: tokens and processor time of an answer
@@ -27,7 +29,9 @@ from typing import Any
 import numpy as np
 
 from llm_flock.distill.choices import draw_choices
+from llm_flock.distill.wishes import WORDINGS
 from llm_flock.llm.answer_forms import answer_grammar
+from llm_flock.llm.frame import LETTERS_MODEL
 from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.local.engine import Engine, slot_count, thread_count
 from llm_flock.llm.local.weights import find_weights
@@ -47,6 +51,9 @@ TEN = 10
 
 SAFE = 3.0
 """The default safe distance [units]."""
+
+FOR_A_WISH = 5
+"""Missions for each wish, each in another wording."""
 
 FEW, FEW_ROUNDS = 3, 1
 """Trials of stock weights, and rounds of each: they never form."""
@@ -115,6 +122,21 @@ def table() -> None:
         print(fly(STOCK, shape, n, range(FEW), rounds=FEW_ROUNDS).row(shape, n), flush=True)
         for model in (TRAINED, IDEAL):
             print(fly(model, shape, n, range(TRIALS)).row(shape, n), flush=True)
+
+
+def wishes() -> None:
+    """Five missions for each wish, of a team that was taught and of one that was not; plans come by geometry."""
+    print("| Wish | Wording of seed 0 " + HEAD.replace("\n|", "\n|---|---|"))
+    for wish, said in WORDINGS.items():
+        for shape, n in (("circle", 5), ("star", 10)):
+            flown = [
+                fly(LETTERS_MODEL, shape, n, range(seed, seed + 1), wish=said["held-out"][seed])
+                for seed in range(FOR_A_WISH)
+            ]
+            summaries = tuple(itertools.chain.from_iterable(one.summaries for one in flown))
+            seconds = tuple(itertools.chain.from_iterable(one.seconds for one in flown))
+            row = Flown(LETTERS_MODEL, summaries, seconds).row(shape, n)
+            print(f"| {wish} | {said['held-out'][0]} {row}", flush=True)
 
 
 def ten() -> None:

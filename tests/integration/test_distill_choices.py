@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 from collections import Counter
 
 import pytest
@@ -61,6 +62,24 @@ def test_splits_share_no_wording_sentence_number_distance_or_prompt() -> None:
     assert all(example.kind == "choice" and example.system == system_message() for example in held)
 
 
+def test_no_held_out_wording_is_nearly_a_taught_one() -> None:
+    """Of two wordings of one wish at most half of the words are the same, and most held-out ones have a new word."""
+
+    def words(text: str) -> frozenset[str]:
+        return frozenset(re.findall(r"[a-z]+", text.lower()))
+
+    shared = [
+        len(words(taught) & words(held)) / len(words(taught) | words(held))
+        for said in WORDINGS.values()
+        for taught in said["train"]
+        for held in said["held-out"]
+    ]
+    assert max(shared) <= 0.5
+    known = frozenset().union(*(words(text) for said in WORDINGS.values() for text in said["train"]))
+    held_out = [text for said in WORDINGS.values() for text in said["held-out"]]
+    assert sum(not words(text) <= known for text in held_out) >= 0.8 * len(held_out)
+
+
 def test_examples_ask_as_a_run_does() -> None:
     found = next(c for c in draw_choices(0, "train") if len(c.ways) == 4 and "W" not in {w.letter for w in c.ways})
     prompts = PromptSet.load("letters", wish=found.words)
@@ -86,7 +105,7 @@ def test_no_program_without_a_model_reads_the_held_out_wishes() -> None:
 def test_the_reader_of_keywords_reads_what_is_taught() -> None:
     reader = KeywordReader()
     read = [reader.read(text) == wish for wish, said in WORDINGS.items() for text in said["train"]]
-    assert sum(read) / len(read) > 0.9
+    assert sum(read) / len(read) > 0.85
     assert reader.read("Xyzzy.") == "far", "the first wish where no word is known"
 
 

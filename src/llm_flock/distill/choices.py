@@ -25,7 +25,7 @@ from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.planning import StepQuestion
 
-CHOICES = 6000
+CHOICES = 12000
 """Number of examples of the recipe: `distill data --choices`."""
 
 AT_ONCE = 4
