@@ -27,6 +27,9 @@ MAX_ROBOTS = 2_000
 """Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
 one round can take a minute, and the time grows with about the third power of the team size."""
 
+MOST_OBSTACLES, MOST_CORNERS = 500, 1_024
+"""Most obstacles, and corners of all polygons together: each robot examines all of them in each round."""
+
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 MAX_LENGTH = 1e9
 """Largest length in a mission [units]: far more than any arena, and its square is no trouble for a double."""
@@ -192,6 +195,10 @@ class Mission(BaseModel):
 
     def _check_obstacles(self) -> None:
         """Check that obstacles have the mission's dimension and leave room for the shape in some orientation."""
+        corners = sum(len(obstacle.polygon or ()) for obstacle in self.obstacles)
+        if len(self.obstacles) > MOST_OBSTACLES or corners > MOST_CORNERS:
+            says = f"at most {MOST_OBSTACLES} obstacles, whose polygons have at most {MOST_CORNERS:,} corners in all"
+            raise InputError("obstacles", f"{len(self.obstacles)} obstacles with {corners} corners", says)
         for obstacle in self.obstacles:
             if obstacle.dim != self.dim:
                 allowed = f"{self.dim} coordinates, as the centre has"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import time
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from llm_flock.listening import open_port
 from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.types import TEXT
 from llm_flock.runtime.network.swarm import free_port
-from llm_flock.transport.zenoh import open_session
+from llm_flock.transport.zenoh import MAX_SEALED_BYTES, open_session, settings
 
 
 @pytest.mark.parametrize("endpoint", ["nowhere", "tcp/127.0.0.1:1"])
@@ -78,3 +79,23 @@ def test_the_viewer_shows_no_address_where_the_port_of_foxglove_is_taken(tmp_pat
         done = flock(*view, cwd=tmp_path, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: port {port} is taken; try --foxglove-port 0, which takes a free one\n"
+
+
+def test_a_message_far_too_large_is_never_put_together() -> None:
+    """Else a member could make every other process take 1 GiB, before its size is seen."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    sizes: list[int] = []
+    receiver = open_session(settings(listen=[endpoint], connect=[], lease_s=5.0))
+    sender = open_session(settings(listen=[], connect=[endpoint], lease_s=5.0))
+    with closing(receiver), closing(sender):
+        subscriber = receiver.declare_subscriber("a/**", lambda sample: sizes.append(len(sample.payload)))
+        deadline = time.monotonic() + 20.0
+        while 1 not in sizes and time.monotonic() < deadline:
+            sender.put("a/b", b"x")
+            time.sleep(0.05)
+        sender.put("a/b", bytes(16 * MAX_SEALED_BYTES))
+        while 2 not in sizes and time.monotonic() < deadline:
+            sender.put("a/b", b"xx")
+            time.sleep(0.05)
+        subscriber.undeclare()
+    assert set(sizes) == {1, 2}

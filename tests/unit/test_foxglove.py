@@ -185,7 +185,7 @@ def test_a_mission_of_more_robots_than_there_can_be_is_refused(tmp_path: Path) -
             if isinstance(entry, MissionInfo):
                 entry = entry.model_copy(update={"mission": {**entry.mission, "n_robots": 70_000}})
             writer.write(entry)
-    with pytest.raises(RecordError, match="70000 robots"):
+    with pytest.raises(RecordError, match=r"n_robots.*2000"):
         write_file(tmp_path / "run.mcap", tmp_path / "foxglove.mcap")
 
 

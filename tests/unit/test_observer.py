@@ -15,9 +15,11 @@ from swarms import swarm_config
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.protocol.messages.message import MissionStamp
-from llm_flock.record.schema import Entry, PlanInfo
+from llm_flock.protocol.plan import Plan
+from llm_flock.record.schema import Entry, MetricsRow, PlanInfo
 from llm_flock.runtime.network import swarm
-from llm_flock.runtime.network.observer import Observer
+from llm_flock.runtime.network.observer import MOST_PLANS, Observer
+from llm_flock.runtime.network.self_reports import MOST_LATENCIES
 from llm_flock.runtime.network.wire import Body, ReportedEvent, RobotReport, WorldState, pack, unpack
 
 
@@ -40,6 +42,12 @@ def observer(
         WorldState(stamp=1.0, closest=5.0, bodies=tuple(Body(position=x, end=x, command=0) for x in bodies), late=0)
     )
     return seen
+
+
+def call(**usage: int) -> dict[str, Any]:
+    """A call of robot 0's model, as a report carries it."""
+    names = {"robot": 0, "kind": "plan", "attempt": 0, "model": "simulated:ideal", "request_hash": "x"}
+    return {**names, "messages": [], "settings": {}, "usage": usage, "latency_s": 0.1, "faults": []}
 
 
 def formed(seen: Observer, *reports: RobotReport) -> bool:
@@ -175,23 +183,67 @@ def test_a_report_is_bounded_on_the_wire(changes: dict[str, Any]) -> None:
 
 
 def test_a_call_of_another_robot_is_not_believed() -> None:
-    call = {
-        "robot": 1,
-        "kind": "plan",
-        "attempt": 0,
-        "model": "simulated:ideal",
-        "request_hash": "x",
-        "messages": [],
-        "settings": {},
-        "usage": {},
-        "latency_s": 0.1,
-        "faults": [],
-    }
+    other = {**call(), "robot": 1}
     seen = observer()
     with pytest.raises(MessageError, match="impostor"):
-        seen.report(0, told(0, calls=(call,)))
-    seen.report(1, told(1, calls=(call,)))
-    assert seen.calls == 1
+        seen.report(0, told(0, calls=(other,)))
+    seen.report(1, told(1, calls=(other,)))
+    assert seen.said.calls == 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"bytes": 2**53 - 1},
+        {"sent": 2**53 - 1},
+        {"rejected": {"too_many": 2**53 - 1}},
+        {"calls": (call(input=2**53, output=2**53),)},
+    ],
+)
+def test_sums_of_what_robots_say_have_room_in_a_record(changes: dict[str, Any]) -> None:
+    """One member's counts ended recorder and launcher: the sum was more than a record holds."""
+    seen = observer()
+    for k in range(3):
+        for robot in range(N):
+            seen.report(robot, told(robot, **(changes if robot == 0 or "calls" not in changes else {})))
+        seen.check(100.0 + 10 * k)
+    assert isinstance(seen._sink, Sink)
+    rows = [entry for entry in seen._sink.entries if isinstance(entry, MetricsRow)]
+    assert len(rows) == 3 and seen.said.tokens <= 2**53
+
+
+def test_what_one_robot_tells_takes_bounded_memory() -> None:
+    """Plans, their suppliers and latencies; and the other robots' are heard all the same."""
+    seen = observer()
+    for k in range(400):
+        points = tuple((float(k), 5.0 * j) for j in range(N))
+        happened = (ReportedEvent(kind="proposed", detail={"plan": f"plan {k}", "by": "model"}),)
+        seen.report(
+            0,
+            told(
+                0,
+                plan_id=Plan(points).digest,
+                points=points,
+                happened=happened,
+                latencies_s=tuple(0.001 * i for i in range(100)),
+            ),
+        )
+    assert len(seen.places) == MOST_PLANS and len(seen.said.latencies_s) == MOST_LATENCIES
+    proposed = ReportedEvent(kind="proposed", detail={"plan": PLAN.digest, "by": "model"})
+    seen.report(1, told(1, happened=(proposed,)))
+    assert seen.said.supplier(PLAN.digest, 1) == "simulated:ideal" and PLAN.digest in seen.places
+    many = tuple((float(i), 0.0) for i in range(2000))
+    with pytest.raises(MessageError, match="2000 places"):
+        seen.report(1, told(1, plan_id=Plan(many).digest, points=many))
+
+
+def test_no_mission_is_read_before_its_signature() -> None:
+    shape = {**MISSION.model_dump(mode="json"), "obstacles": [{"polygon": [[k, (k * k) % 997] for k in range(20_000)]}]}
+    with pytest.raises(MessageError) as caught:
+        observer(signed=lambda *_: False).report(0, told(0, mission=(5, "ab" * 8), shape=shape))
+    assert caught.value.reason == "no_order"
+    with pytest.raises(MessageError, match="at most 128 corners"):
+        observer().report(0, told(0, mission=(5, "ab" * 8), shape=shape))
 
 
 def test_members_outside_the_team_do_not_report() -> None:

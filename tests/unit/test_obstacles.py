@@ -114,6 +114,18 @@ def test_bad_obstacles_are_refused(obstacle: dict[str, Any], field: str, words: 
     assert words in caught.value.says
 
 
+def test_more_than_can_be_examined_in_a_round_is_refused_at_once() -> None:
+    """20,000 corners took longer than anybody waited."""
+    with pytest.raises(InputError, match="at most 128 corners"):
+        Obstacle(polygon=tuple((float(k), float(k * k % 997)) for k in range(20_000)))
+    disc = {"center": (5.0, 5.0), "radius": 0.1}
+    with pytest.raises(InputError, match=r"501 obstacles with 0 corners.*at most 500 obstacles"):
+        build_mission(obstacles=[disc] * 501)
+    ring = [(5 + math.cos(k / 16), 5 + math.sin(k / 16)) for k in range(100)]
+    with pytest.raises(InputError, match=r"1100 corners.*at most 1,024 corners in all"):
+        build_mission(obstacles=[{"polygon": ring}] * 11)
+
+
 def test_a_mission_takes_obstacles_that_leave_its_shape_room() -> None:
     inside = build_mission(obstacles=[{"center": (50, 50), "radius": 5}])
     assert inside.digest != Mission().digest

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sample_records import FakeRun, llm_entry, make_record, run_info
 from llm_flock.errors import RecordError
 from llm_flock.mission import Mission
 from llm_flock.record.reader import iter_messages, read_record
-from llm_flock.record.schema import MissionInfo, PlanInfo, RunInfo, SummaryMessage
+from llm_flock.record.schema import FlightEvent, MetricsRow, MissionInfo, PlanInfo, RunInfo, SummaryMessage
 from llm_flock.record.writer import RecordWriter
 
 
@@ -170,8 +171,11 @@ def test_the_format_version_that_is_written_is_the_one_that_is_read() -> None:
         {"polygon": [[0, 0], [1, 1]]},
         {"center": [0, 0], "radius": 1e300},
         {"center": [0, 0], "radius": -1},
+        {"center": [0, 0, 0], "radius": 1},
+        {"polygon": [[0, 0, 0], [1, 1], [2, 2, 1]]},
+        {"polygon": [[k, k * k % 7] for k in range(2000)]},
     ],
-    ids=str,
+    ids=lambda obstacle: str(obstacle)[:40],
 )
 def test_obstacles_that_cannot_be_drawn_are_refused(obstacle: dict[str, object], tmp_path: Path) -> None:
     with pytest.raises(ValidationError, match="obstacles"):
@@ -181,3 +185,47 @@ def test_obstacles_that_cannot_be_drawn_are_refused(obstacle: dict[str, object],
 def test_positions_too_far_for_arithmetic_are_refused() -> None:
     with pytest.raises(ValidationError, match="points"):
         PlanInfo(round=0, plan_id="x", proposer=0, points=[[1e300, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"spacing": 0.0}, "spacing"),
+        ({"safe_distance": -3.0}, "safe_distance"),
+        ({"safe_distance": 5e-324}, "safe_distance"),
+        ({"arena": [[0, 0], [0, 0]]}, "arena"),
+        ({"arena": [[1e12, 1e12], [-1e12, -1e12]]}, "arena"),
+        ({"n_robots": 100_000}, "n_robots"),
+        ({"obstacles": [{"center": [0, 0], "radius": 1}] * 501}, "obstacles"),
+        ({"obstacles": [{"polygon": [[k, k * k % 7] for k in range(600)]}] * 2}, "corners"),
+    ],
+)
+def test_missions_that_cannot_be_drawn_are_refused(fields: dict[str, Any], says: str) -> None:
+    """Each ended `figure`, `animate` or `export` in a traceback, or took gigabytes."""
+    with pytest.raises(ValidationError, match=says):
+        MissionInfo(version=0, round=0, mission=Mission().model_dump() | fields)
+
+
+def test_lists_and_figures_that_cannot_be_drawn_are_refused() -> None:
+    far = 1.7e308
+    with pytest.raises(ValidationError, match="at most 2000"):
+        MissionInfo(version=0, round=0, mission=Mission().model_dump(), ideal=[[0.0, 0.0]] * 2001)
+    with pytest.raises(ValidationError, match="at most 2000"):
+        PlanInfo(round=0, plan_id="x", proposer=0, points=[[0.0, 0.0]] * 2001)
+    with pytest.raises(ValidationError, match="detail"):
+        FlightEvent(round=0, time_s=0.0, kind="landed", robot=0, detail={"a": {"b": [1e308]}})
+    row = dict.fromkeys(("round", "plans_in_use", "distinct_goals", "robots_at_goal", "model_calls", "tokens"), 0)
+    rest = {"messages_sent": 0, "bytes_sent": 0, "messages_rejected": {}, "connected": True}
+    with pytest.raises(ValidationError, match="procrustes_mean"):
+        MetricsRow.model_validate({**row, **rest, "procrustes_mean": far})
+
+
+def test_a_mission_that_begins_after_the_first_state_is_refused(tmp_path: Path) -> None:
+    whole = make_record(tmp_path / "whole.mcap", n=3, rounds=1)
+    late = [
+        (one.topic, one.data.replace(b'"round":0', b'"round":5') if one.topic == "/mission" else one.data)
+        for one in iter_messages(whole)
+    ]
+    assert any(data not in {one.data for one in iter_messages(whole)} for _, data in late)
+    with pytest.raises(RecordError, match="a state before the first mission"):
+        read_record(plain_file(tmp_path / "run.mcap", *late))

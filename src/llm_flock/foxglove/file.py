@@ -14,7 +14,6 @@ from mcap.writer import CompressionType, Writer
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.foxglove.channels import ChannelWriter, channel_kinds
-from llm_flock.mission import MAX_ROBOTS
 from llm_flock.record.schema import ROUND_NS, MissionInfo
 from llm_flock.record.stream import RecordStream
 from llm_flock.record.writer import LIBRARY
@@ -61,10 +60,7 @@ def _write(record: Path, part: Path) -> int:
             channels[topic] = number
         for entry in RecordStream(record).entries():
             if isinstance(entry, MissionInfo):
-                n_robots = int(entry.mission["n_robots"])
-                if n_robots > MAX_ROBOTS:
-                    raise RecordError(f"{record}: a mission of {n_robots} robots, not of {MAX_ROBOTS} at most")
-                channels |= _register(writer, n_robots, set(channels))
+                channels |= _register(writer, int(entry.mission["n_robots"]), set(channels))
             for message in drawn.messages(entry):
                 time = message.round * ROUND_NS
                 writer.add_message(channels[message.topic], time, message.data, time, sequence[message.topic])

@@ -17,6 +17,7 @@ from llm_flock.record.values import (
     Robot,
     Round,
     Row,
+    Rows,
     Whole,
 )
 from llm_flock.renamed import RECORD_FIELDS, current_origins
@@ -72,7 +73,7 @@ class MissionInfo(Entry):
     version: Whole = Field(description="Counts the missions of a run from 0")
     round: Round = Field(description="First round of the mission")
     mission: MissionFields = Field(description="Every field of the mission")
-    ideal: list[Row] | None = Field(default=None, description="Ideal points in reference orientation (n, d) [units]")
+    ideal: Rows | None = Field(default=None, description="Ideal points in reference orientation (n, d) [units]")
 
 
 class PlanInfo(Entry):
@@ -81,16 +82,14 @@ class PlanInfo(Entry):
     round: Round = Field(description="Round in which it was first seen")
     plan_id: str = Field(description="Stands for the plan's content: equal plans have equal ids")
     proposer: Robot = Field(description="Robot that proposed it")
-    points: list[Row] = Field(description="Its N places in order of their slots (n, d) [units]")
+    points: Rows = Field(description="Its N places in order of their slots (n, d) [units]")
 
 
 class State(Entry):
     """Every robot after a round; round 0 is the start. All lists are by robot id."""
 
     round: Round = Field(description="Motion round, 0 before the first")
-    positions: Annotated[list[Row], Field(min_length=1)] = Field(
-        description="True positions (n, d) [units; world frame]"
-    )
+    positions: Annotated[Rows, Field(min_length=1)] = Field(description="True positions (n, d) [units; world frame]")
     goals: list[Row | None] = Field(description="The place each robot heads for [units], null without one")
     slots: list[Whole | None] = Field(description="Its number in the plan, null without one")
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
@@ -223,7 +222,7 @@ class FlightEvent(Entry):
     time_s: Finite = Field(description="Since the flight began [s]", json_schema_extra=_VOLATILE)
     kind: str = Field(description="What happened: connected, take_off, landing, landed, cut, link_lost, ...")
     robot: Robot | None = Field(None, description="The drone's robot; left out where the event is about the whole team")
-    detail: dict[str, Any] = Field(description="What belongs to this kind of event", json_schema_extra=_VOLATILE)
+    detail: Details = Field(description="What belongs to this kind of event", json_schema_extra=_VOLATILE)
 
 
 class RoundEnd(Entry):

@@ -86,6 +86,7 @@ class _Team:
         self._dim: int | None = None
         self.begun = False
         self._states = self._rows = self._ends = 0
+        self._first: int | None = None
 
     def objection(self, entry: Entry) -> str | None:
         """Why an entry does not belong to a record with those before it; None if it does."""
@@ -94,12 +95,15 @@ class _Team:
             return None if self.begun else "not a record of a run: /run comes first"
         match entry:
             case MissionInfo(mission=fields):
+                self._first = entry.round if self._first is None else min(self._first, entry.round)
                 return self._differs(fields["n_robots"], len(fields["arena"][0]), len(fields["arena"][1]))
             case PlanInfo(points=points):
                 return self._differs(None, *map(len, points))
             case State():
                 found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
                 self._states += 1
+                if self._first is None or self._first > entry.round:
+                    return "a state before the first mission"
                 return found or self._out_of_turn(entry.round, self._states)
             case MetricsRow():
                 self._rows += 1

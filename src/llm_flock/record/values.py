@@ -12,18 +12,31 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from llm_flock.renamed import current_config
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
+"""A figure: far more than any run reaches, and no trouble for the arithmetic of drawings."""
+
 Coordinate = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]
 """A thousand times what missions accept, and no trouble for the arithmetic of drawings."""
 
 Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
 """One position, d coordinates [units; world frame]."""
 
-Whole = Annotated[int, Field(ge=-(2**53), le=2**53)]
+Length = Annotated[float, Field(ge=1e-6, le=1e12, allow_inf_nan=False)]
+"""A length that divides others [units]."""
+
+LARGEST_WHOLE = 2**53
+
+Whole = Annotated[int, Field(ge=-LARGEST_WHOLE, le=LARGEST_WHOLE)]
 """A whole number that every reader of JSON can hold."""
 
 Round = Annotated[int, Field(ge=0, le=10**9)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
+
+MOST_ROBOTS, MOST_OBSTACLES, MOST_CORNERS = 2_000, 500, 1_024
+"""As in missions, which read numpy: a page that shows a record does not wait for that."""
+
+Rows = Annotated[list[Row], Field(max_length=MOST_ROBOTS)]
+"""One position for each of several robots or places."""
 
 DEEPEST = 32
 """Deepest nesting of free values; those of this program have a quarter of it."""
@@ -54,10 +67,13 @@ Free = Annotated[dict[str, Any], AfterValidator(_free)]
 """Values by name, of a form that this format does not know."""
 
 
+_Corner = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+
+
 class _Obstacle(BaseModel):
     center: Row | None = None
     radius: Annotated[Coordinate, Field(ge=0)] | None = None
-    polygon: Annotated[list[Row], Field(min_length=3)] | None = None
+    polygon: Annotated[list[_Corner], Field(min_length=3, max_length=MOST_CORNERS)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -70,13 +86,24 @@ class _MissionFields(BaseModel):
     """Fields of a mission on which readers of records rely; versions of this program may write more."""
 
     shape: str
-    n_robots: Annotated[int, Field(ge=1, le=10**6)]
-    spacing: Coordinate
-    safe_distance: Coordinate
-    comm_range: Coordinate
+    n_robots: Annotated[int, Field(ge=1, le=MOST_ROBOTS)]
+    spacing: Length
+    safe_distance: Length
+    comm_range: Length
     arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
     places: Whole | None = None
-    obstacles: list[_Obstacle] = []
+    obstacles: Annotated[list[_Obstacle], Field(max_length=MOST_OBSTACLES)] = []
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.arena
+        if len(low) != len(high) or any(b - a < 1e-6 for a, b in zip(low, high, strict=True)):
+            raise ValueError("arena is not two corners, each lower < upper")
+        if any(one.center is not None and len(one.center) != len(low) for one in self.obstacles):
+            raise ValueError("obstacles have another number of coordinates than the arena")
+        if sum(len(one.polygon or ()) for one in self.obstacles) > MOST_CORNERS:
+            raise ValueError(f"obstacles have more than {MOST_CORNERS} corners")
+        return self
 
 
 def _mission_fields(mission: dict[str, Any]) -> dict[str, Any]:

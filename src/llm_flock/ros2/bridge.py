@@ -240,8 +240,8 @@ class Bridge:
         team: dict[str, object] = {
             "robots": f"{len(observer.robots)} of {observer.mission.n_robots}",
             "smallest distance [m]": round(observer.min_separation * self.unit_m, 4),
-            "model calls": observer.calls,
-            "model calls without an answer": observer.calls_failed,
+            "model calls": observer.said.calls,
+            "model calls without an answer": observer.said.calls_failed,
             "readings shown": self._shown,
         }
         said = "formed" if observer.formed_s is not None else "forming"

@@ -55,6 +55,7 @@ def settings(
         "connect/exit_on_failure": False,
         "transport/link/tx/lease": round(1000 * lease_s),
         "transport/link/tx/keep_alive": KEEP_ALIVES,
+        "transport/link/rx/max_message_size": 2 * MAX_SEALED_BYTES,  # else 1 GiB is put together before it is refused
         **(security or {}),
     }
 

@@ -28,6 +28,7 @@ from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import finite, mission_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime.network.self_reports import SelfReports, rejected, sent
 from llm_flock.runtime.network.state_row import state_row
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
@@ -42,8 +43,8 @@ SILENT_S = 1.0
 MOST_UNPROVEN = 8
 """Accusations of one robot that prove nothing, after which no more of them are judged: each takes time."""
 
-MOST_PLANS = 4096
-"""Most plans whose places are kept: far more than an honest team makes."""
+MOST_PLANS = 256
+"""Most plans of which one robot tells the places: far more than an honest one knows."""
 
 
 class Observer:
@@ -65,19 +66,17 @@ class Observer:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self.min_separation = math.inf
-        self.calls = self.calls_failed = self.tokens = self.late_commands = 0
-        self.latencies_s: list[float] = []
+        self.late_commands = 0
         self.began_s: float | None = None
         self.in_order = False
         self.alive: set[int] = set()
         self.reports: dict[int, RobotReport] = {}
         self.heard_s: dict[int, float] = {}
-        self.breakers_opened: set[int] = set()
         self.shown_to_lie: dict[int, str] = {}
         self.on_world: Callable[[WorldState], None] | None = None
         self._unproven = Counter[int]()
-        self._suppliers: dict[tuple[str, int], str] = {}
-        self._models = parse_models(config.model.model, config.mission.n_robots)
+        self._told = Counter[int]()
+        self.said = SelfReports(parse_models(config.model.model, config.mission.n_robots))
         self._config = config
         self._sink = sink
         self._on_row = on_row
@@ -149,25 +148,15 @@ class Observer:
             raise MessageError("unknown_id", f"a report of member {robot}")
         events, calls = self._checked(robot, report)
         self._take_mission(report)
-        self._take_places(report)
+        self._take_places(robot, report)
         self.reports[robot] = report
         self.heard_s[robot] = now_s = self._clock()
         if report.round and self.began_s is None:
             self.began_s = now_s
         now = max(self._row, 0)
-        if report.breakers:
-            self.breakers_opened.add(robot)
-        for event in report.happened:
-            if event.kind == "proposed":
-                by = self._models[robot] if event.detail.get("by") == "model" else "geometry"
-                self._suppliers[str(event.detail.get("plan")), robot] = by
+        self.said.take(robot, report, calls)
         for entry in (*events, *calls):
             self._sink.write(entry.model_copy(update={"round": now}))
-        for entry in calls:
-            self.calls += 1
-            self.calls_failed += entry.error is not None
-            self.tokens += entry.usage.input + entry.usage.output
-        self.latencies_s.extend(report.latencies_s)
 
     def _checked(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
         """The events and calls in a report as entries of round 0, once all of it is found to be possible."""
@@ -175,7 +164,10 @@ class Observer:
         for point in (report.waypoint, *(report.points or ())):
             if point is not None and len(point) != dim:
                 raise MessageError("wrong_length", f"a position of {len(point)} coordinates, not {dim}")
-        if report.points is not None and not (report.points and Plan(report.points).digest == report.plan_id):
+        places = len(report.points or ())
+        if places > max(self.mission.n_robots, self.mission.n_places):
+            raise MessageError("wrong_length", f"a plan of {places} places")
+        if report.points is not None and not (places and Plan(report.points).digest == report.plan_id):
             raise MessageError("malformed", "places of another plan than the digest names")
         try:
             events = [
@@ -203,11 +195,12 @@ class Observer:
         self.shown_to_lie[found[0]] = found[1]
         return True
 
-    def _take_places(self, report: RobotReport) -> None:
+    def _take_places(self, robot: int, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""
         plan_id, points = report.plan_id, report.points
-        if plan_id is None or points is None or plan_id in self._places or len(self._places) >= MOST_PLANS:
+        if plan_id is None or points is None or plan_id in self._places or self._told[robot] >= MOST_PLANS:
             return
+        self._told[robot] += 1
         self._places[plan_id] = points
         places, proposer = [list(point) for point in points], report.proposer or 0
         self._sink.write(PlanInfo(round=max(self._row, 0), plan_id=plan_id, proposer=proposer, points=places))
@@ -221,6 +214,9 @@ class Observer:
         counter, digest = report.mission
         if report.shape is None or counter <= self._counter:
             return
+        # Before anything is read that takes time.
+        if self._signed is not None and not self._signed(MissionStamp(counter, digest), report.order):
+            raise MessageError("no_order", f"the operator has not signed mission {counter}")
         try:
             mission = Mission.model_validate(report.shape)
         except ValidationError as error:
@@ -229,8 +225,6 @@ class Observer:
             raise MessageError("malformed", f"a mission: {error}") from None
         if (mission.digest, mission.n_robots, mission.dim) != (digest, self.mission.n_robots, self.mission.dim):
             raise MessageError("malformed", "a mission of another team, or another one than its digest names")
-        if self._signed is not None and not self._signed(MissionStamp(counter, digest), report.order):
-            raise MessageError("no_order", f"the operator has not signed mission {counter}")
         self._counter = counter
         self._set_mission(mission)
         self._record_mission(max(self._row, 0) + 1)
@@ -272,7 +266,7 @@ class Observer:
         (plan_id, proposer), count = plans.most_common(1)[0] if plans else ((None, None), 0)
         if plan_id is None or proposer is None or 2 * count <= len(self.robots):
             return None
-        return proposer, self._suppliers.get((plan_id, proposer))
+        return proposer, self.said.supplier(plan_id, proposer)
 
     @property
     def hopeless(self) -> str | None:
@@ -285,9 +279,9 @@ class Observer:
         return f"{count} of {len(found)} robots: {reason}"
 
     @property
-    def rejected(self) -> Counter[str]:
+    def rejected(self) -> dict[str, int]:
         """Messages that the robots refused so far, by reason."""
-        return sum((Counter(report.rejected) for report in self.reports.values()), Counter[str]())
+        return rejected(self.reports.values())
 
     @property
     def mission_s(self) -> float | None:
@@ -352,7 +346,7 @@ class Observer:
         self._seen |= set(robots)
         self._sink.write(self._state(positions))
         near = graph.distances(positions) <= self.mission.comm_range
-        reports = self.reports.values()
+        messages, volume = sent(self.reports.values())
         plan_ids = [self.reports[robot].plan_id for robot in robots]
         row = MetricsRow(
             round=self._row,
@@ -364,12 +358,12 @@ class Observer:
             distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
             robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
-            model_calls=self.calls,
-            tokens=self.tokens,
+            model_calls=self.said.calls,
+            tokens=self.said.tokens,
             cost_usd=None,
-            messages_sent=sum(report.sent for report in reports),
-            bytes_sent=sum(report.bytes for report in reports),
-            messages_rejected=dict(self.rejected),
+            messages_sent=messages,
+            bytes_sent=volume,
+            messages_rejected=self.rejected,
         )
         self._sink.write(row)
         self._row_closest = math.inf

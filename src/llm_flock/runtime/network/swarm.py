@@ -191,7 +191,7 @@ class Swarm:
         """The outcome so far."""
         observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
         seconds = sum(max(0.0, heard - (began or heard)) for heard in observer.heard_s.values())
-        ages = sorted(observer.latencies_s)
+        ages = sorted(observer.said.latencies_s)
         waypoints = by_origin(sum((Counter(report.waypoints) for report in reports), Counter[str]()))
         supplier = observer.supplier
 
@@ -206,9 +206,9 @@ class Swarm:
             n_robots=len(observer.robots),
             simulated=self.config.simulated,
             min_separation=observer.min_separation,
-            model_calls=observer.calls,
-            calls_failed=observer.calls_failed,
-            tokens=observer.tokens,
+            model_calls=observer.said.calls,
+            calls_failed=observer.said.calls_failed,
+            tokens=observer.said.tokens,
             bytes_per_robot_s=sum(report.bytes for report in reports) / seconds if seconds else 0.0,
             latency_p50_s=percentile(0.5),
             latency_p99_s=percentile(0.99),
@@ -217,7 +217,7 @@ class Swarm:
             waypoint_shares=waypoint_shares(waypoints),
             plan_robot=None if supplier is None else supplier[0],
             plan_by=None if supplier is None else supplier[1],
-            breakers_opened=tuple(sorted(observer.breakers_opened)),
+            breakers_opened=tuple(sorted(observer.said.breakers_opened)),
             messages_rejected=dict(observer.rejected),
             shown_to_lie=dict(observer.shown_to_lie),
             ended=dict(self.ended),

@@ -92,8 +92,8 @@ async def run_watch(
             "formed": observer.formed_s is not None,
             "mission_s": observer.mission_s,
             "min_separation": finite(observer.min_separation),
-            "model_calls": observer.calls,
-            "tokens": observer.tokens,
+            "model_calls": observer.said.calls,
+            "tokens": observer.said.tokens,
         }
         writer.write(SummaryMessage(result=result))
 

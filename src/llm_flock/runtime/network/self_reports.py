@@ -1,0 +1,72 @@
+"""What robots say of themselves, in sums: one of them may say anything, and sums and memory stay within bounds."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
+from itertools import chain
+
+from llm_flock.record.schema import LlmEntry
+from llm_flock.record.values import LARGEST_WHOLE
+from llm_flock.runtime.network.wire import RobotReport
+
+MOST_SUPPLIED = 256
+"""Most plans of one robot whose supplier is kept: far more than an honest one proposes."""
+
+MOST_LATENCIES = 16_384
+"""Latest latencies of each robot that are kept."""
+
+
+def bounded(count: int) -> int:
+    """A sum as far as records hold it."""
+    return min(count, LARGEST_WHOLE)
+
+
+class SelfReports:
+    """Sums over all reports of a swarm.
+
+    `models` names the model of each robot. `breakers_opened` are the robots whose model was not asked for a while.
+    """
+
+    def __init__(self, models: Sequence[str]) -> None:
+        self.calls = self.calls_failed = self.tokens = 0
+        self.breakers_opened: set[int] = set()
+        self._models = models
+        self._latencies_s: dict[int, deque[float]] = {}
+        self._suppliers: dict[int, dict[str, str]] = {}
+
+    def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
+        """Add a robot's report, whose calls have been checked."""
+        if report.breakers:
+            self.breakers_opened.add(robot)
+        supplied = self._suppliers.setdefault(robot, {})
+        for event in report.happened:
+            if event.kind == "proposed" and len(supplied) < MOST_SUPPLIED:
+                by = self._models[robot] if event.detail.get("by") == "model" else "geometry"
+                supplied[str(event.detail.get("plan"))] = by
+        for call in calls:
+            self.calls += 1
+            self.calls_failed += call.error is not None
+            self.tokens = bounded(self.tokens + call.usage.input + call.usage.output)
+        self._latencies_s.setdefault(robot, deque(maxlen=MOST_LATENCIES)).extend(report.latencies_s)
+
+    @property
+    def latencies_s(self) -> list[float]:
+        """Latest one-way latencies of beacons, of all robots [s]."""
+        return [*chain.from_iterable(self._latencies_s.values())]
+
+    def supplier(self, plan_id: str, proposer: int) -> str | None:
+        """The model that made a robot's plan, or geometry; None if the robot has not said so."""
+        return self._suppliers.get(proposer, {}).get(plan_id)
+
+
+def sent(reports: Iterable[RobotReport]) -> tuple[int, int]:
+    """Messages and bytes that robots have broadcast so far."""
+    told = list(reports)
+    return bounded(sum(report.sent for report in told)), bounded(sum(report.bytes for report in told))
+
+
+def rejected(reports: Iterable[RobotReport]) -> dict[str, int]:
+    """Messages that robots have refused so far, by reason."""
+    counts = sum((Counter(report.rejected) for report in reports), Counter[str]())
+    return {reason: bounded(count) for reason, count in counts.items()}
