@@ -27,6 +27,9 @@ MAX_ROBOTS = 2_000
 """Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
 one round can take a minute, and the time grows with about the third power of the team size."""
 
+ROOM, ROOM_PER_ROBOT = 48, 6
+"""Places for which messages have room: so many, and so many more for each robot."""
+
 MOST_OBSTACLES, MOST_CORNERS = 500, 1_024
 """Most obstacles, and corners of all polygons together: each robot examines all of them in each round."""
 
@@ -128,6 +131,7 @@ class Mission(BaseModel):
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
         self._check_velocity()
+        self._check_places()
         self._check_room()
         self.check_shape()
         self._check_obstacles()
@@ -147,6 +151,13 @@ class Mission(BaseModel):
                 f"at most max_step / 2 = {self.max_step / 2:g} per round, so that robots can catch up with their "
                 f"places (here {speed:.4g})",
             )
+
+    def _check_places(self) -> None:
+        """Check that messages have room for all places: robots could say nothing else."""
+        most = ROOM + ROOM_PER_ROBOT * self.n_robots
+        if self.n_places > most:
+            says = f"at most {most} for {self.n_robots} robots: their messages have room for no more"
+            raise InputError("places", self.n_places, says)
 
     def _check_room(self) -> None:
         """Check that random starts at least `safe_distance` apart exist, and that drawing can find them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import shlex
 from datetime import date
 from pathlib import Path
@@ -115,3 +116,10 @@ def test_the_command_asks_nothing_where_it_is_told_so(tmp_path: Path) -> None:
 def test_wrong_input_is_refused_in_words(line: str, text: str, tmp_path: Path) -> None:
     done = flock(*line.split(), cwd=tmp_path, check=False)
     assert done.returncode == 2 and text in done.stderr, done.stderr
+
+
+def test_a_row_with_an_endless_number_is_refused_in_one_line(tmp_path: Path) -> None:
+    text = (FOLDER / "simulated-careful.json").read_text(encoding="utf-8")
+    (tmp_path / "row.json").write_text(re.sub(r'"seconds": [0-9.e-]+', '"seconds": 1' + "0" * 400, text, count=1))
+    done = flock("exam", "--page", str(tmp_path), cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "a row of the leaderboard" in done.stderr and done.stderr.count("\n") == 1

@@ -17,7 +17,7 @@ from pydantic_ai.usage import RequestUsage
 from llm_flock.errors import ModelError
 from llm_flock.llm import client
 from llm_flock.llm.client import DETAIL_LENGTH, CallSettings, PydanticModel, error_kind, scrub, to_model_messages
-from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
+from llm_flock.llm.port import MOST_TOKENS, Call, ChatMessage, Reply, Usage
 
 KEY = "0123456789-abcdefghij"
 
@@ -77,6 +77,16 @@ def test_a_reply_has_text_usage_price_and_what_was_asked_for() -> None:
     assert reply.usage == Usage(input=1000, output=100, cached=400)
     assert reply.settings == {"temperature": 0.5, "seed": 3, "reasoning": "low"}
     assert reply.cost_usd == pytest.approx((600 * 1.10 + 400 * 0.55 + 100 * 4.40) / 1e6)
+
+
+def test_a_provider_may_say_any_number_of_tokens() -> None:
+    """More than a record holds ended the run of all robots."""
+
+    def answer(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
+        usage = RequestUsage(input_tokens=2**53 + 1, output_tokens=-(2**70), cache_read_tokens=2**60)
+        return ModelResponse(parts=[TextPart("Position: [1, 2]")], usage=usage)
+
+    assert ask(model(answer)).usage == Usage(input=MOST_TOKENS, output=0, cached=MOST_TOKENS)
 
 
 def test_anthropic_takes_the_unified_reasoning_setting() -> None:

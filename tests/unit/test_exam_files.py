@@ -53,6 +53,8 @@ DAMAGES: dict[str, Callable[[str], str]] = {
     "tags": lambda text: re.sub(r'"tags":\[[^]]*\]', '"tags":5', text, count=1),
     "readable": lambda text: text.replace('"readable":true', '"readable":"yes"', 1),
     "cost": lambda text: text.replace('"cost_usd":0.0', '"cost_usd":"free"', 1),
+    "endless cost": lambda text: text.replace('"cost_usd":0.0', '"cost_usd":1.7e308', 1),
+    "endless places": lambda text: re.sub(r'"n":\d+', f'"n":{2**62}', text, count=1),
     "question": lambda text: re.sub(r'"question":"[^"]*"', '"question":[1]', text, count=1),
     "unknown question": lambda text: text.replace("plan-0000", "plan-9999", 1),
     "other section": lambda text: text.replace('"section":"plan"', '"section":"nope"', 1),

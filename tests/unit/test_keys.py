@@ -99,6 +99,9 @@ def test_damaged_keys_are_refused_by_name(folder: Path, tmp_path: Path) -> None:
         "short": json.dumps({**team, "swarm": "00"}).encode(),
         "fewer": json.dumps({**team, "robots": 1}).encode(),
         "more": json.dumps({**team, "robots": 9}).encode(),
+        "endless": json.dumps({**team, "robots": 10**9}).encode(),
+        "infinite": json.dumps({**team, "robots": 1}).replace(": 1,", ": 1e999,").encode(),
+        "deep": b"[" * 100_000,
         "hex": json.dumps({**team, "public": {**team["public"], "robot-0": "zz"}}).encode(),
     }
     for case, content in wrong.items():

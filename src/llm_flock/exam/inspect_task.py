@@ -59,7 +59,7 @@ class InspectModel:
         if output.error is not None:
             raise ModelError("server", str(output.error))
         used = output.usage
-        usage = Usage() if used is None else Usage(input=used.input_tokens, output=used.output_tokens)
+        usage = Usage() if used is None else Usage.reported(used.input_tokens, used.output_tokens)
         latency_s = time.perf_counter() - began
         return Reply(text=str(output.completion), model=self.name, usage=usage, latency_s=latency_s)
 

@@ -231,7 +231,16 @@ def _read_row(path: Path) -> dict[str, Any]:
         row = cast("dict[str, Any]", json.loads(path.read_text(encoding="utf-8")))
         page_text([row])  # finds every field that is missing, or of a wrong kind
         _ = row["model"] + "", row["exam"]["count"] + 0, row["figures"]["total"]["value"] + 0
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, InputError) as error:
+    except (
+        OSError,
+        ValueError,
+        ArithmeticError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        InputError,
+    ) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise InputError("page", str(path), f"a row of the leaderboard ({why})") from None
     return row

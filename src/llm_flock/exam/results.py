@@ -25,6 +25,10 @@ COUNTS = (
     *("calls", "tokens_input", "tokens_output", "seconds", "cost_usd"),
 )
 """Fields of a result that are never below 0."""
+LARGEST = 1e12
+"""Largest of these counts and figures that is believed."""
+MOST_PLACES = 30
+"""Most robots or places of a question."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,8 +164,10 @@ def read_results(path: Path) -> tuple[Sitting, list[Outcome]]:
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
             raise RecordError(f"{path}, line {number}: damaged ({error})") from None
         counts = {name: getattr(outcome, name) for name in COUNTS}
-        wrong = next((name for name, value in counts.items() if value is not None and value < 0), None)
+        limits = {**dict.fromkeys(COUNTS, LARGEST), "n": MOST_PLACES}
+        wrong = next((name for name, value in counts.items() if not 0 <= (value or 0) <= limits[name]), None)
         if wrong is not None:
-            raise RecordError(f"{path}, line {number}: damaged ({wrong} = {counts[wrong]}: expected at least 0)")
+            says = f"{wrong} = {counts[wrong]!r:.40}: expected at least 0, and at most {limits[wrong]:g}"
+            raise RecordError(f"{path}, line {number}: damaged ({says})")
         found[outcome.question, outcome.repeat] = outcome
     return sitting, list(found.values())

@@ -128,11 +128,8 @@ class PydanticModel:
         return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
 
     def _reply(self, response: ModelResponse, reason: str | None, latency_s: float) -> Reply:
-        usage = Usage(
-            input=response.usage.input_tokens,
-            output=response.usage.output_tokens,
-            cached=response.usage.cache_read_tokens,
-        )
+        used = response.usage
+        usage = Usage.reported(used.input_tokens, used.output_tokens, used.cache_read_tokens)
         said = spoken(response.text or "")
         # A thought that does not end stays, with its mark: the record shows what was refused.
         raw = said.text.lstrip() if said.thought and not said.unfinished else response.text or ""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self, TypeAlias, cast
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm.port import Answers, Call, Reply, Usage
+from llm_flock.llm.port import MOST_TOKENS, Answers, Call, Reply, Usage
 from llm_flock.llm.providers import MODEL_FORMS
 from llm_flock.own_code import load_own
 
@@ -170,7 +170,7 @@ def _fault(reply: object) -> str | None:
         if not isinstance(value, kind):
             return f"a reply whose {name} is {type(value).__name__}"
     usage = (reply.usage.input, reply.usage.output, reply.usage.cached)
-    if not all(type(count) is int and 0 <= count < 2**53 for count in cast("tuple[Any, ...]", usage)):
+    if not all(type(count) is int and 0 <= count <= MOST_TOKENS for count in cast("tuple[Any, ...]", usage)):
         return f"a reply whose usage is {usage}"
     for name, number in (("cost_usd", reply.cost_usd), ("latency_s", reply.latency_s)):
         if number is not None and not (isinstance(cast(Any, number), int | float) and 0 <= number < math.inf):

@@ -42,6 +42,10 @@ class CallSettings:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
+MOST_TOKENS = 10**9
+"""Most tokens that are believed of one call, in each direction: sums of calls have room in a record."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
     """Tokens of one or many calls; `cached` is the part of `input` that the provider had in its cache."""
@@ -49,6 +53,12 @@ class Usage:
     input: int = 0
     output: int = 0
     cached: int = 0
+
+    @classmethod
+    def reported(cls, tokens_in: int, tokens_out: int, cached: int = 0) -> Usage:
+        """What a provider says that one call took, kept within 0 and `MOST_TOKENS`: it may say anything."""
+        read, written, known = (min(max(0, count), MOST_TOKENS) for count in (tokens_in, tokens_out, cached))
+        return cls(input=read, output=written, cached=known)
 
     def __add__(self, other: Usage) -> Usage:
         return Usage(

@@ -10,12 +10,12 @@ import difflib
 import json
 import logging
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
-from llm_flock.llm.port import Attempt, Call, ChatMessage, Kind, Reply, Usage
+from llm_flock.llm.port import MOST_TOKENS, Attempt, Call, ChatMessage, Kind, Reply, Usage
 
 logger = logging.getLogger(__name__)
 
@@ -47,13 +47,20 @@ class CassetteLine(BaseModel):
     rejected: str | None
     error: tuple[str, str] | None
     usage: Usage
-    cost_usd: float | None
-    latency_s: float
+    cost_usd: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] | None
+    latency_s: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
     faults: tuple[str, ...]
     finish_reason: str | None = None
     thought: bool = False
     clipped: str | None = None
     """The last three are missing in older cassettes."""
+
+    @field_validator("usage")
+    @classmethod
+    def _believed(cls, usage: Usage) -> Usage:
+        if usage != Usage.reported(usage.input, usage.output, usage.cached):
+            raise ValueError(f"tokens of one call are from 0 to {MOST_TOKENS}")
+        return usage
 
 
 class _Cassette:

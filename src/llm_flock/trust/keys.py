@@ -117,11 +117,13 @@ def load_public_keys(folder: Path) -> PublicKeys:
     try:
         team = cast("dict[str, Any]", json.loads(path.read_bytes()))
         swarm, robots = bytes.fromhex(team["swarm"]), int(team["robots"])
+        if not 0 < robots < len(team["public"]):
+            raise ValueError(f"{robots} robots, and {len(team['public'])} keys")
         keys = {j: bytes.fromhex(team["public"][member_name(j)]) for j in members(robots)}
         public = {j: Ed25519PublicKey.from_public_bytes(key) for j, key in keys.items()}
         known = team["version"] == 1 and len(swarm) == 16
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        why = getattr(error, "strerror", None) or repr(error)
+    except (OSError, ValueError, OverflowError, KeyError, TypeError, RecursionError) as error:
+        why = getattr(error, "strerror", None) or repr(error)[:200]
         raise InputError("keys", str(path), f"the public keys that `llm-flock keys` writes ({why})") from None
     if not known:
         raise InputError("keys", str(path), "keys of version 1")

@@ -34,9 +34,6 @@ from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
 from llm_flock.validation import input_error
 
-WITNESSES = 2
-"""Robots that have to say that a place is blocked; fewer only in a team that has fewer."""
-
 SILENT_S = 1.0
 """A robot that reports is there; it is gone once it has left the network and has been silent for this long [s]."""
 
@@ -78,6 +75,8 @@ class Observer:
         self._told = Counter[int]()
         self.said = SelfReports(parse_models(config.model.model, config.mission.n_robots))
         self._config = config
+        # Robots that have to say that a place is blocked; fewer only in a team that has fewer.
+        self._witnesses = config.network.liars + 1
         self._sink = sink
         self._on_row = on_row
         self._signed, self._judge = signed, judge
@@ -319,7 +318,7 @@ class Observer:
         reports = [self.reports[robot] for robot in robots]
         places = self._places.get(reports[0].plan_id or "", ())
         witnesses = Counter(slot for report in reports for slot in set(report.blocked))
-        blocked = [slot for slot, count in witnesses.items() if count >= min(WITNESSES, len(reports))]
+        blocked = [slot for slot, count in witnesses.items() if count >= min(self._witnesses, len(reports))]
         stamp = (self._counter, self.mission.digest)
         self._checks += 1
         self._tracker.update(

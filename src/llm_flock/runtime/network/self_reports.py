@@ -13,6 +13,9 @@ from llm_flock.runtime.network.wire import RobotReport
 MOST_SUPPLIED = 256
 """Most plans of one robot whose supplier is kept: far more than an honest one proposes."""
 
+LONGEST_ID = 64
+"""Longest name of a plan."""
+
 MOST_LATENCIES = 16_384
 """Latest latencies of each robot that are kept."""
 
@@ -41,9 +44,11 @@ class SelfReports:
             self.breakers_opened.add(robot)
         supplied = self._suppliers.setdefault(robot, {})
         for event in report.happened:
-            if event.kind == "proposed" and len(supplied) < MOST_SUPPLIED:
-                by = self._models[robot] if event.detail.get("by") == "model" else "geometry"
-                supplied[str(event.detail.get("plan"))] = by
+            plan_id = event.detail.get("plan")
+            if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > LONGEST_ID:
+                continue
+            if len(supplied) < MOST_SUPPLIED:
+                supplied[plan_id] = self._models[robot] if event.detail.get("by") == "model" else "geometry"
         for call in calls:
             self.calls += 1
             self.calls_failed += call.error is not None
