@@ -2,7 +2,7 @@
 
 An observer only listens. A swarm flies the same with one, several, or none. It believes a robot about itself and
 nothing else: positions are the sensors', a mission needs the operator's signature where the team has keys, a plan's
-places are those that its digest names, and a place counts as blocked once two robots say so.
+places are those that its digest names, and a place counts as blocked once one robot more than may lie says so.
 """
 
 from __future__ import annotations
