@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from llm_flock import formations
 from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
+from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, Roadmap, clearance
 from llm_flock.obstacles.regions import free_regions, region_of
@@ -20,23 +21,7 @@ from llm_flock.obstacles.roadmap import roadmap_of, shortest_ways
 from llm_flock.printable import hidden
 from llm_flock.validation import input_error
 
-MIN_LENGTH = 1e-3
-"""Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
-
-MAX_ROBOTS = 2_000
-"""Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
-one round can take a minute, and the time grows with about the third power of the team size."""
-
-ROOM, ROOM_PER_ROBOT = 48, 6
-"""Places for which messages have room: so many, and so many more for each robot."""
-
-MOST_OBSTACLES, MOST_CORNERS = 500, 1_024
-"""Most obstacles, and corners of all polygons together: each robot examines all of them in each round."""
-
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
-MAX_LENGTH = 1e9
-"""Largest length in a mission [units]: far more than any arena, and its square is no trouble for a double."""
-
 Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
 
 ORIENTATIONS = 72
@@ -153,8 +138,8 @@ class Mission(BaseModel):
             )
 
     def _check_places(self) -> None:
-        """Check that messages have room for all places: robots could say nothing else."""
-        most = ROOM + ROOM_PER_ROBOT * self.n_robots
+        """Check that messages have room for all places."""
+        most = max_places(self.n_robots)
         if self.n_places > most:
             says = f"at most {most} for {self.n_robots} robots: their messages have room for no more"
             raise InputError("places", self.n_places, says)
@@ -207,8 +192,8 @@ class Mission(BaseModel):
     def _check_obstacles(self) -> None:
         """Check that obstacles have the mission's dimension and leave room for the shape in some orientation."""
         corners = sum(len(obstacle.polygon or ()) for obstacle in self.obstacles)
-        if len(self.obstacles) > MOST_OBSTACLES or corners > MOST_CORNERS:
-            says = f"at most {MOST_OBSTACLES} obstacles, whose polygons have at most {MOST_CORNERS:,} corners in all"
+        if len(self.obstacles) > MAX_OBSTACLES or corners > MAX_CORNERS:
+            says = f"at most {MAX_OBSTACLES} obstacles, whose polygons have at most {MAX_CORNERS:,} corners in all"
             raise InputError("obstacles", f"{len(self.obstacles)} obstacles with {corners} corners", says)
         for obstacle in self.obstacles:
             if obstacle.dim != self.dim:

@@ -18,8 +18,8 @@ from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import Entry, MetricsRow, PlanInfo
 from llm_flock.runtime.network import swarm
-from llm_flock.runtime.network.observer import MOST_PLANS, Observer
-from llm_flock.runtime.network.self_reports import MOST_LATENCIES
+from llm_flock.runtime.network.observer import Observer
+from llm_flock.runtime.network.self_reports import MOST_LATENCIES, MOST_PLANS
 from llm_flock.runtime.network.wire import Body, ReportedEvent, RobotReport, WorldState, pack, unpack
 
 
@@ -151,6 +151,7 @@ def nested(depth: int) -> dict[str, Any]:
         ({"happened": event(x=b"raw")}, "malformed"),
         ({"happened": event(**nested(300))}, "malformed"),
         ({"calls": ({"robot": 0},)}, "malformed"),
+        ({"calls": (call(input=-1),)}, "malformed"),
         ({"calls": (nested(300),)}, "malformed"),
     ],
 )
@@ -228,10 +229,10 @@ def test_what_one_robot_tells_takes_bounded_memory() -> None:
                 latencies_s=tuple(0.001 * i for i in range(100)),
             ),
         )
-    assert len(seen.places) == MOST_PLANS and len(seen.said.latencies_s) == MOST_LATENCIES
+    assert len(seen.said.places) == MOST_PLANS and len(seen.said.latencies_s) == MOST_LATENCIES
     proposed = ReportedEvent(kind="proposed", detail={"plan": PLAN.digest, "by": "model"})
     seen.report(1, told(1, happened=(proposed,)))
-    assert seen.said.supplier(PLAN.digest, 1) == "simulated:ideal" and PLAN.digest in seen.places
+    assert seen.said.supplier(PLAN.digest, 1) == "simulated:ideal" and PLAN.digest in seen.said.places
     many = tuple((float(i), 0.0) for i in range(2000))
     with pytest.raises(MessageError, match="2000 places"):
         seen.report(1, told(1, plan_id=Plan(many).digest, points=many))

@@ -16,6 +16,7 @@ import msgspec
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.exam.ask import Outcome
+from llm_flock.exam.figures import SIZES
 from llm_flock.exam.questions import Question
 from llm_flock.file_lock import lock_file
 
@@ -25,10 +26,9 @@ COUNTS = (
     *("calls", "tokens_input", "tokens_output", "seconds", "cost_usd"),
 )
 """Fields of a result that are never below 0."""
+
 LARGEST = 1e12
 """Largest of these counts and figures that is believed."""
-MOST_PLACES = 30
-"""Most robots or places of a question."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +164,7 @@ def read_results(path: Path) -> tuple[Sitting, list[Outcome]]:
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
             raise RecordError(f"{path}, line {number}: damaged ({error})") from None
         counts = {name: getattr(outcome, name) for name in COUNTS}
-        limits = {**dict.fromkeys(COUNTS, LARGEST), "n": MOST_PLACES}
+        limits = {**dict.fromkeys(COUNTS, LARGEST), "n": SIZES[-1][1]}
         wrong = next((name for name, value in counts.items() if not 0 <= (value or 0) <= limits[name]), None)
         if wrong is not None:
             says = f"{wrong} = {counts[wrong]!r:.40}: expected at least 0, and at most {limits[wrong]:g}"

@@ -15,13 +15,14 @@ import numpy as np
 
 from llm_flock import formations, renamed
 from llm_flock.arrays import Point, Vector
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.simulated.profiles import parse_profile
-from llm_flock.mission import MAX_ROBOTS, Mission, start_volume
+from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.schedule import points_file
 

@@ -11,14 +11,12 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.bounds import MAX_POLYGON_CORNERS
 from llm_flock.errors import InputError
 from llm_flock.obstacles import polygons
 
 Finite = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False)]
-
-MOST_CORNERS = 128
-"""Most corners of one polygon: the time to divide it into convex pieces grows with their cube, here 0.2 s."""
 
 TOUCHING = 1e-9
 """A point nearer to the boundary than this counts as on it [units]."""
@@ -52,9 +50,9 @@ class Obstacle(BaseModel):
         given: dict[str, Any] = self.model_dump(exclude_none=True)
         if set(given) not in ({"center", "radius"}, {"polygon"}):
             raise InputError("obstacles", given, "either center and radius, or polygon, for each obstacle")
-        if self.polygon is not None and len(self.polygon) > MOST_CORNERS:
+        if self.polygon is not None and len(self.polygon) > MAX_POLYGON_CORNERS:
             raise InputError(
-                "obstacles", f"a polygon of {len(self.polygon)} corners", f"at most {MOST_CORNERS} corners"
+                "obstacles", f"a polygon of {len(self.polygon)} corners", f"at most {MAX_POLYGON_CORNERS} corners"
             )
         if self.polygon is not None and (len(self.polygon) < 3 or not polygons.is_simple(self.polygon)):
             allowed = "polygons of 3 or more corners that enclose an area and do not cross themselves"

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field,
 
 from llm_flock.record.values import (
     Config,
+    Count,
     Details,
     Figures,
     Finite,
@@ -139,9 +140,9 @@ class ChatLine(Entry):
 class CallUsage(Entry):
     """Tokens of one call."""
 
-    input: Whole = Field(0, description="Tokens in")
-    output: Whole = Field(0, description="Tokens out")
-    cached: Whole = Field(0, description="The part of the input that the provider had in its cache")
+    input: Count = Field(0, description="Tokens in")
+    output: Count = Field(0, description="Tokens out")
+    cached: Count = Field(0, description="The part of the input that the provider had in its cache")
 
 
 class LlmEntry(Entry):

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self, cast
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
+from llm_flock.bounds import MAX_CORNERS, MAX_OBSTACLES, MAX_ROBOTS
 from llm_flock.renamed import current_config
 
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
@@ -29,13 +30,12 @@ LARGEST_WHOLE = 2**53
 Whole = Annotated[int, Field(ge=-LARGEST_WHOLE, le=LARGEST_WHOLE)]
 """A whole number that every reader of JSON can hold."""
 
+Count = Annotated[int, Field(ge=0, le=LARGEST_WHOLE)]
+
 Round = Annotated[int, Field(ge=0, le=10**9)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
 
-MOST_ROBOTS, MOST_OBSTACLES, MOST_CORNERS = 2_000, 500, 1_024
-"""As in missions, which read numpy: a page that shows a record does not wait for that."""
-
-Rows = Annotated[list[Row], Field(max_length=MOST_ROBOTS)]
+Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
 """One position for each of several robots or places."""
 
 DEEPEST = 32
@@ -73,7 +73,7 @@ _Corner = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 class _Obstacle(BaseModel):
     center: Row | None = None
     radius: Annotated[Coordinate, Field(ge=0)] | None = None
-    polygon: Annotated[list[_Corner], Field(min_length=3, max_length=MOST_CORNERS)] | None = None
+    polygon: Annotated[list[_Corner], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -86,13 +86,13 @@ class _MissionFields(BaseModel):
     """Fields of a mission on which readers of records rely; versions of this program may write more."""
 
     shape: str
-    n_robots: Annotated[int, Field(ge=1, le=MOST_ROBOTS)]
+    n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)]
     spacing: Length
     safe_distance: Length
     comm_range: Length
     arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
     places: Whole | None = None
-    obstacles: Annotated[list[_Obstacle], Field(max_length=MOST_OBSTACLES)] = []
+    obstacles: Annotated[list[_Obstacle], Field(max_length=MAX_OBSTACLES)] = []
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -101,8 +101,8 @@ class _MissionFields(BaseModel):
             raise ValueError("arena is not two corners, each lower < upper")
         if any(one.center is not None and len(one.center) != len(low) for one in self.obstacles):
             raise ValueError("obstacles have another number of coordinates than the arena")
-        if sum(len(one.polygon or ()) for one in self.obstacles) > MOST_CORNERS:
-            raise ValueError(f"obstacles have more than {MOST_CORNERS} corners")
+        if sum(len(one.polygon or ()) for one in self.obstacles) > MAX_CORNERS:
+            raise ValueError(f"obstacles have more than {MAX_CORNERS} corners")
         return self
 
 

@@ -181,7 +181,8 @@ class Bridge:
         if state is None:
             return None
         safe_m = mission.safe_distance * self.unit_m
-        return view_of(state, self.to_world, safe_m=safe_m, comm_range=mission.comm_range, places=self.observer.places)
+        places = self.observer.said.places
+        return view_of(state, self.to_world, safe_m=safe_m, comm_range=mission.comm_range, places=places)
 
     async def live(self) -> None:
         """Show markers, state and diagnostics, until cancelled."""

@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from llm_flock.arrays import MAX_COORDINATE
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
-from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.protocol.messages.order_time import OperatorClock

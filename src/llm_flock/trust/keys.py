@@ -26,9 +26,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import InputError
 from llm_flock.members import member_name, members
-from llm_flock.mission import MAX_ROBOTS
 
 PRIVATE = 0o600
 PRIVATE_FOLDER = 0o700

@@ -10,7 +10,8 @@ import msgspec
 
 from llm_flock import graph
 from llm_flock.arrays import Point
-from llm_flock.mission import MAX_ROBOTS, Mission
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.plans import blocked_within

@@ -9,8 +9,8 @@ from typing import Annotated
 import msgspec
 
 from llm_flock.arrays import Point
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import MessageError
-from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     LAST_ROUND,

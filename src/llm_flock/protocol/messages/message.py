@@ -15,7 +15,7 @@ import msgspec
 import msgspec.structs
 
 from llm_flock.arrays import MAX_COORDINATE, Point
-from llm_flock.mission import MAX_ROBOTS
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.protocol.plan import Plan
 
 MAX_BID = 10 * MAX_COORDINATE

@@ -19,8 +19,8 @@ from typing import Annotated, Protocol, TypeAlias
 import msgspec
 from msgspec.structs import astuple
 
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import MessageError
-from llm_flock.mission import MAX_ROBOTS
 from llm_flock.protocol.messages.codec import max_payload_bytes
 from llm_flock.protocol.messages.message import (
     BLOCKED,

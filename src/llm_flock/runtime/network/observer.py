@@ -40,9 +40,6 @@ SILENT_S = 1.0
 MOST_UNPROVEN = 8
 """Accusations of one robot that prove nothing, after which no more of them are judged: each takes time."""
 
-MOST_PLANS = 256
-"""Most plans of which one robot tells the places: far more than an honest one knows."""
-
 
 class Observer:
     """Follows one swarm. Give it what arrives, and call `check` again and again.
@@ -72,7 +69,6 @@ class Observer:
         self.shown_to_lie: dict[int, str] = {}
         self.on_world: Callable[[WorldState], None] | None = None
         self._unproven = Counter[int]()
-        self._told = Counter[int]()
         self.said = SelfReports(parse_models(config.model.model, config.mission.n_robots))
         self._config = config
         # Robots that have to say that a place is blocked; fewer only in a team that has fewer.
@@ -88,7 +84,6 @@ class Observer:
         self._row_closest = math.inf
         self._checks = 0
         self._counter = 0
-        self._places: dict[str, tuple[Point, ...]] = {}
         self._seen: set[int] = set()
         self._missions = 0
         self._set_mission(config.mission)
@@ -197,10 +192,8 @@ class Observer:
     def _take_places(self, robot: int, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""
         plan_id, points = report.plan_id, report.points
-        if plan_id is None or points is None or plan_id in self._places or self._told[robot] >= MOST_PLANS:
+        if plan_id is None or points is None or not self.said.take_places(robot, plan_id, points):
             return
-        self._told[robot] += 1
-        self._places[plan_id] = points
         places, proposer = [list(point) for point in points], report.proposer or 0
         self._sink.write(PlanInfo(round=max(self._row, 0), plan_id=plan_id, proposer=proposer, points=places))
 
@@ -236,11 +229,6 @@ class Observer:
     def ordered_at(self) -> int:
         """Time of the order for the present mission; 0 for the first one."""
         return self._counter
-
-    @property
-    def places(self) -> Mapping[str, tuple[Point, ...]]:
-        """Places of every plan that a robot has named, by its digest [units]."""
-        return self._places
 
     def state(self) -> State | None:
         """Every robot as it is now, with the number of the last row; None before the first world state."""
@@ -308,7 +296,7 @@ class Observer:
 
     def goal_of(self, report: RobotReport) -> Point | None:
         """A robot's place, by the plan and the slot that it names; None without one."""
-        places = self._places.get(report.plan_id or "", ())
+        places = self.said.places.get(report.plan_id or "", ())
         return None if report.slot is None or report.slot >= len(places) else places[report.slot]
 
     def _update_formed(self, now: float, robots: list[int], distances: list[float], error: float | None) -> None:
@@ -316,7 +304,7 @@ class Observer:
             self.in_order, self._since_s = False, None
             return
         reports = [self.reports[robot] for robot in robots]
-        places = self._places.get(reports[0].plan_id or "", ())
+        places = self.said.places.get(reports[0].plan_id or "", ())
         witnesses = Counter(slot for report in reports for slot in set(report.blocked))
         blocked = [slot for slot, count in witnesses.items() if count >= min(self._witnesses, len(reports))]
         stamp = (self._counter, self.mission.digest)

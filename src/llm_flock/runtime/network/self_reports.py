@@ -1,4 +1,4 @@
-"""What robots say of themselves, in sums: one of them may say anything, and sums and memory stay within bounds."""
+"""What observers keep of robots' reports: one robot may say anything, and sums and memory stay within bounds."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from itertools import chain
 
+from llm_flock.arrays import Point
 from llm_flock.record.schema import LlmEntry
 from llm_flock.record.values import LARGEST_WHOLE
 from llm_flock.runtime.network.wire import RobotReport
 
-MOST_SUPPLIED = 256
-"""Most plans of one robot whose supplier is kept: far more than an honest one proposes."""
+MOST_PLANS = 256
+"""Most plans of which one robot tells the places, or the supplier: far more than an honest one knows."""
 
 LONGEST_ID = 64
 """Longest name of a plan."""
@@ -26,17 +27,20 @@ def bounded(count: int) -> int:
 
 
 class SelfReports:
-    """Sums over all reports of a swarm.
+    """Sums over all reports of a swarm, and the plans in them.
 
-    `models` names the model of each robot. `breakers_opened` are the robots whose model was not asked for a while.
+    `models` names the model of each robot. `breakers_opened` are the robots whose model was not asked for a while,
+    `places` those of every plan that a robot has named, by its digest [units].
     """
 
     def __init__(self, models: Sequence[str]) -> None:
         self.calls = self.calls_failed = self.tokens = 0
         self.breakers_opened: set[int] = set()
+        self.places: dict[str, tuple[Point, ...]] = {}
         self._models = models
         self._latencies_s: dict[int, deque[float]] = {}
         self._suppliers: dict[int, dict[str, str]] = {}
+        self._told = Counter[int]()
 
     def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
         """Add a robot's report, whose calls have been checked."""
@@ -47,13 +51,21 @@ class SelfReports:
             plan_id = event.detail.get("plan")
             if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > LONGEST_ID:
                 continue
-            if len(supplied) < MOST_SUPPLIED:
+            if len(supplied) < MOST_PLANS:
                 supplied[plan_id] = self._models[robot] if event.detail.get("by") == "model" else "geometry"
         for call in calls:
             self.calls += 1
             self.calls_failed += call.error is not None
             self.tokens = bounded(self.tokens + call.usage.input + call.usage.output)
         self._latencies_s.setdefault(robot, deque(maxlen=MOST_LATENCIES)).extend(report.latencies_s)
+
+    def take_places(self, robot: int, plan_id: str, places: tuple[Point, ...]) -> bool:
+        """Keep the places of a plan, whose digest has been checked; whether they are news."""
+        if plan_id in self.places or self._told[robot] >= MOST_PLANS:
+            return False
+        self._told[robot] += 1
+        self.places[plan_id] = places
+        return True
 
     @property
     def latencies_s(self) -> list[float]:

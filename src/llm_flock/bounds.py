@@ -1,0 +1,27 @@
+"""How large missions may be. Missions and those who show records of them share these; nothing heavy is imported."""
+
+from __future__ import annotations
+
+MAX_ROBOTS = 2_000
+"""Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
+one round can take a minute, and the time grows with about the third power of the team size."""
+
+MAX_OBSTACLES = 500
+"""Most obstacles of a mission: each robot examines all of them in each round."""
+
+MAX_CORNERS = 1_024
+"""Most corners of all polygons of a mission together."""
+
+MAX_POLYGON_CORNERS = 128
+"""Most corners of one polygon: the time to divide it into convex pieces grows with their cube, here 0.2 s."""
+
+MIN_LENGTH = 1e-3
+"""Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
+
+MAX_LENGTH = 1e9
+"""Largest length in a mission [units]: far more than any arena, and its square is no trouble for a double."""
+
+
+def max_places(n_robots: int) -> int:
+    """Most places of a mission. Messages of a larger one would exceed their own limit, and no robot would hear any."""
+    return 48 + 6 * n_robots
