@@ -220,6 +220,15 @@ def test_lists_and_figures_that_cannot_be_drawn_are_refused() -> None:
         MetricsRow.model_validate({**row, **rest, "procrustes_mean": far})
 
 
+def test_an_ideal_shape_of_another_space_is_refused(tmp_path: Path) -> None:
+    whole = [(one.topic, one.data) for one in iter_messages(make_record(tmp_path / "whole.mcap", n=3, rounds=1))]
+    mission = json.loads(dict(whole)["/mission"])
+    mission["ideal"] = [[*mission["ideal"][0], 0.0], *mission["ideal"][1:]]
+    odd = [(topic, json.dumps(mission).encode() if topic == "/mission" else data) for topic, data in whole]
+    with pytest.raises(RecordError, match="different numbers of coordinates"):
+        read_record(plain_file(tmp_path / "run.mcap", *odd))
+
+
 def test_a_mission_that_begins_after_the_first_state_is_refused(tmp_path: Path) -> None:
     whole = make_record(tmp_path / "whole.mcap", n=3, rounds=1)
     late = [

@@ -96,7 +96,7 @@ class _Team:
         match entry:
             case MissionInfo(mission=fields):
                 self._first = entry.round if self._first is None else min(self._first, entry.round)
-                return self._differs(fields["n_robots"], len(fields["arena"][0]), len(fields["arena"][1]))
+                return self._differs(fields["n_robots"], *map(len, (*fields["arena"], *(entry.ideal or ()))))
             case PlanInfo(points=points):
                 return self._differs(None, *map(len, points))
             case State():
