@@ -67,9 +67,12 @@ def mission_of(n: int) -> Mission:
     return Mission(shape="circle", n_robots=n, center=(side / 2, side / 2), arena=((0.0, 0.0), (side, side)))
 
 
-def rounds_to_form(n: int) -> int:
-    """How long a team has: rounds in the simulator, as many periods of a motion round against processes."""
-    return 60 + 6 * n
+def rounds_to_form(n: int, liars: int = 0) -> int:
+    """How long a team has: rounds in the simulator, as many periods of a motion round against processes.
+
+    Each liar can change the team's plan twice, which takes a large team about 13 rounds each time.
+    """
+    return 60 + 6 * n + 30 * liars
 
 
 def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Outcome:
@@ -88,7 +91,7 @@ def fly(lie: str, n: int, liars: int, seed: int, told: int | None = None) -> Out
     team = SignedTeam(mission, places, seed=seed, liars=liars, tolerated=max(1, liars) if told is None else told)
     gang = Gang({j: ToyKeys(j) for j in range(n - liars, n)}, mission, seed)
     held = 0
-    for number in range(1, rounds_to_form(n) + 1):
+    for number in range(1, rounds_to_form(n, liars) + 1):
         try:
             team.begin()
             said: list[bytes] = []

@@ -106,7 +106,7 @@ def test_one_robots_model_is_down() -> None:
 def test_another_mission_is_given_in_flight() -> None:
     async def order(swarm: Swarm) -> None:
         await asyncio.sleep(2.0)
-        assert await give_mission(swarm.config, {"shape": "line", "center": [45.0, 55.0]}, 1) == 1
+        assert await give_mission(swarm.config, {"shape": "line", "center": [45.0, 55.0]}, 1) == [1]
         await asyncio.sleep(1.0)
 
     def told(observer: Observer) -> bool:

@@ -70,7 +70,7 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
         assert {report.mission[0] for report in observer.reports.values()} == {0}
         steps.append("refused")
         code, said = await command(operator_config(config, tmp_path / "own.toml", keys))
-        assert code == 0 and "given to robot" in said, said
+        assert code == 0 and said.count("robot") == 2, said  # one more than may lie
         while observer.mission.shape != "line":  # noqa: ASYNC110 - nobody sets an event
             await asyncio.sleep(0.1)
         steps.append("taken")

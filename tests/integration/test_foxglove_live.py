@@ -279,10 +279,10 @@ def test_an_order_to_a_swarm_with_keys_needs_the_operators_key_and_repeats_earli
     config = SwarmConfig.load(None, n_robots=4, keys=str(tmp_path / "team"))
     sent: list[dict[str, object]] = []
 
-    async def give(_config: SwarmConfig, fields: dict[str, object], _robot: int | None) -> int:
+    async def give(_config: SwarmConfig, fields: dict[str, object], _robot: int | None) -> list[int]:
         mission_order(config, fields, 1)
         sent.append(fields)
-        return 1
+        return [1]
 
     monkeypatch.setattr(watch, "give_mission", give)
     orders = SwarmOrders(config, launched=False)

@@ -73,7 +73,7 @@ def test_a_formation_as_tight_as_the_safe_distance_fills_up(shape: str, n: int, 
 
 
 def test_a_spacing_without_room_to_move_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
-    for spacing in (3.16, 3.1):
+    for spacing in (3.16, 3.15, 3.1):
         llm_flock.run(llm_flock.Mission(shape="line", n_robots=2, spacing=spacing), model="geometry", rounds=0)
     (warning,) = [record.message for record in caplog.records if "room to move" in record.message]
     assert warning.startswith("spacing = 3.1 ") and "a spacing of 3.15 would do" in warning

@@ -16,7 +16,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import Entry, MetricsRow, PlanInfo
+from llm_flock.record.schema import Entry, MetricsRow, PlanInfo, ProtocolEvent
 from llm_flock.runtime.network import swarm
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.self_reports import MOST_LATENCIES, MOST_PLANS
@@ -236,6 +236,31 @@ def test_what_one_robot_tells_takes_bounded_memory() -> None:
     many = tuple((float(i), 0.0) for i in range(2000))
     with pytest.raises(MessageError, match="2000 places"):
         seen.report(1, told(1, plan_id=Plan(many).digest, points=many))
+
+
+def test_what_one_robot_tells_takes_a_bounded_share_of_the_record() -> None:
+    """Events of 200 kB: five at once, then two and a half a second; a clock that is set back gives no more."""
+    now = [50.0]
+    sink = Sink()
+    seen = Observer(CONFIG, sink, clock=lambda: now[0])
+    long = ReportedEvent(kind="noise", detail={"text": "x" * 200_000})
+
+    def taken(seconds: float) -> int:
+        """How many of ten reports are taken, spread evenly over this time."""
+        refused = 0
+        for _ in range(10):
+            now[0] += seconds / 10
+            try:
+                seen.report(0, told(0, happened=(long,)))
+            except MessageError as error:
+                assert error.reason == "too_much"
+                refused += 1
+        return 10 - refused
+
+    assert (taken(0.0), taken(4.0), taken(-100.0)) == (5, 10, 0)
+    assert sum(isinstance(entry, ProtocolEvent) for entry in sink.entries) == 15
+    seen.report(0, told(0))
+    seen.report(1, told(1, happened=(long,)))
 
 
 def test_no_mission_is_read_before_its_signature() -> None:

@@ -127,7 +127,7 @@ def swarm_mission(config: SwarmConfig, fields: dict[str, Any]) -> int:
 
     check_shape(fields.get("shape"))
     config.mission.change(**fields)
-    taker = asyncio.run(give_mission(config, fields, None))
-    if taker is None:
+    takers = asyncio.run(give_mission(config, fields, None))
+    if not takers:
         raise InputError("connect", config.network.connect, "where a swarm runs; no robot answered")
-    return taker
+    return takers[0]

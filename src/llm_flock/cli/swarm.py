@@ -241,7 +241,7 @@ def mission(
     connect: Annotated[str | None, typer.Option(help="Endpoint of a peer of the swarm [the configuration's]")] = None,
     swarm_name: Annotated[str | None, typer.Option("--swarm", help="Name of the swarm [the configuration's]")] = None,
 ) -> None:
-    """Give a running swarm another mission: one robot receives it and passes it on."""
+    """Give a running swarm another mission: one robot, with keys one more than may lie, receives it and passes it on."""
     from llm_flock.runtime.network.config import SwarmConfig
 
     fields = dict(_change(text) for text in changes)
@@ -251,10 +251,10 @@ def mission(
 
     from llm_flock.runtime.network.watch import give_mission
 
-    taker = asyncio.run(give_mission(settings, fields, robot_id))
-    if taker is None:
+    takers = asyncio.run(give_mission(settings, fields, robot_id))
+    if not takers:
         raise InputError("connect", settings.network.connect or None, says=NOBODY)
-    say(f"given to robot {taker}")
+    say("given to robot " + " and robot ".join(map(str, takers)))
 
 
 def _change(text: str) -> tuple[str, Any]:

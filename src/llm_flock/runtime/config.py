@@ -348,13 +348,14 @@ def warn_of_mission(mission: Mission) -> None:
             mission.comm_range,
             mission.spacing,
         )
-    if mission.n_places > 1 and mission.spacing < ROOM * mission.safe_distance:
+    room = ROOM * mission.safe_distance
+    if mission.n_places > 1 and mission.spacing < room and not math.isclose(mission.spacing, room):
         logger.warning(
             "spacing = %g leaves robots no room to move: they keep %g apart. The team may take long to form, or never "
             "do; a spacing of %g would do.",
             mission.spacing,
             mission.safe_distance,
-            ROOM * mission.safe_distance,
+            room,
         )
 
 

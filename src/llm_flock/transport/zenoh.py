@@ -136,20 +136,20 @@ BURST_S = 2.0
 
 
 class Allowance:
-    """How much a topic may bring: `rate` messages a second, and as many at once as in `BURST_S`. A token bucket."""
+    """How much may come: `rate` messages, or bytes, a second, and as many at once as in `BURST_S`. A token bucket."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
         self._left = self._most = max(1.0, BURST_S * rate)
         self._since = -math.inf
 
-    def spend(self, now: float) -> bool:
-        """Whether one more message is allowed now [s]; if so, it counts."""
-        self._left = min(self._most, self._left + self._rate * (now - self._since))
+    def spend(self, now: float, amount: float = 1.0) -> bool:
+        """Whether one more message, or so many bytes more, are allowed now [s]; if so, they count."""
+        self._left = min(self._most, self._left + self._rate * max(0.0, now - self._since))
         self._since = now
-        if self._left < 1.0:
+        if self._left < amount:
             return False
-        self._left -= 1.0
+        self._left -= amount
         return True
 
 

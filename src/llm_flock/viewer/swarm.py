@@ -53,7 +53,7 @@ class SwarmSource:
             InputError: the mission cannot be changed like that, or no robot answers.
         """
         self.config.mission.change(**fields)
-        taker = await give_mission(self.config, fields, None)
-        if taker is None:
+        takers = await give_mission(self.config, fields, None)
+        if not takers:
             raise InputError("connect", self.config.network.connect, says="no robot answers there")
-        return taker
+        return takers[0]

@@ -140,11 +140,14 @@ class Observer:
         """
         if not 0 <= robot < self.mission.n_robots:
             raise MessageError("unknown_id", f"a report of member {robot}")
+        now_s = self._clock()
+        if not self.said.has_room(robot, report, now_s):
+            raise MessageError("too_much", "more events and calls than records have room for")
         events, calls = self._checked(robot, report)
         self._take_mission(report)
         self._take_places(robot, report)
         self.reports[robot] = report
-        self.heard_s[robot] = now_s = self._clock()
+        self.heard_s[robot] = now_s
         if report.round and self.began_s is None:
             self.began_s = now_s
         now = max(self._row, 0)

@@ -6,16 +6,22 @@ from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from itertools import chain
 
+import msgspec
+
 from llm_flock.arrays import Point
 from llm_flock.record.schema import LlmEntry
 from llm_flock.record.values import LARGEST_WHOLE
 from llm_flock.runtime.network.wire import RobotReport
+from llm_flock.transport.zenoh import Allowance
 
 MOST_PLANS = 256
 """Most plans of which one robot tells the places, or the supplier: far more than an honest one knows."""
 
 LONGEST_ID = 64
 """Longest name of a plan."""
+
+RECORDED = 512 * 1024
+"""Events and calls of each robot that are taken [bytes/s], and those of two seconds at once: records fit on disks."""
 
 MOST_LATENCIES = 16_384
 """Latest latencies of each robot that are kept."""
@@ -41,6 +47,14 @@ class SelfReports:
         self._latencies_s: dict[int, deque[float]] = {}
         self._suppliers: dict[int, dict[str, str]] = {}
         self._told = Counter[int]()
+        self._allowances: dict[int, Allowance] = {}
+
+    def has_room(self, robot: int, report: RobotReport, now: float) -> bool:
+        """Whether what a report adds to the record is within the robot's share at this time [s]; if so, it counts."""
+        if not report.happened and not report.calls:
+            return True
+        size = len(msgspec.msgpack.encode((report.happened, report.calls)))
+        return self._allowances.setdefault(robot, Allowance(RECORDED)).spend(now, size)
 
     def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
         """Add a robot's report, whose calls have been checked."""

@@ -98,18 +98,22 @@ async def run_watch(
         writer.write(SummaryMessage(result=result))
 
 
-async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> int | None:
-    """Give another mission to one robot: the given one, or any. Returns the robot that took it, None if none did.
+async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:
+    """Give another mission to one robot, which passes it on; returns the robots it went to, none if nobody answers.
 
-    The order is later than those that robots report within `HEAR_S`, whatever the clock of this machine says.
+    Where none is named, and the team has keys, one robot more than may lie is given it: a liar might keep it. The
+    order is later than those that robots report within `HEAR_S`, whatever the clock of this machine says.
     """
     clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
     mission_order(config, dict(fields), clock.next())  # refuses what is not allowed before anybody is looked for
-    found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    found: list[int] = []
+    answered = asyncio.Event()
+    most = 1 if robot is not None or config.network.keys is None else config.network.liars + 1
 
     def on_alive(number: int, alive: bool) -> None:
-        if alive and number >= 0 and robot in (None, number) and not found.done():
-            found.set_result(number)
+        if alive and number >= 0 and robot in (None, number) and number not in found:
+            found.append(number)
+            answered.set()
 
     with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
@@ -121,10 +125,12 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
 
         receive(link, "report", RobotReport, witness)
         try:
-            taker = await asyncio.wait_for(found, MEET_S)
+            await asyncio.wait_for(answered.wait(), MEET_S)
         except TimeoutError:
-            return None
+            return []
         await asyncio.sleep(HEAR_S)
-        link.publish("mission", taker, pack(mission_order(config, dict(fields), clock.next())))
+        takers, order = found[:most], pack(mission_order(config, dict(fields), clock.next()))
+        for taker in takers:
+            link.publish("mission", taker, order)
         await asyncio.sleep(SEND_S)
-        return taker
+        return takers
