@@ -241,7 +241,7 @@ def mission(
     connect: Annotated[str | None, typer.Option(help="Endpoint of a peer of the swarm [the configuration's]")] = None,
     swarm_name: Annotated[str | None, typer.Option("--swarm", help="Name of the swarm [the configuration's]")] = None,
 ) -> None:
-    """Give a running swarm another mission: one robot, with keys one more than may lie, receives it and passes it on."""
+    """Give a running swarm another mission: one robot (with keys one more than may lie) passes it on."""
     from llm_flock.runtime.network.config import SwarmConfig
 
     fields = dict(_change(text) for text in changes)
