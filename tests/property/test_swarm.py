@@ -32,9 +32,11 @@ def swarm(
     near = graph.neighbors(positions, mission.comm_range)
     agents = [Agent(i, mission, consensus(), assignment(), shield_on=True) for i in range(n)]
     for i, agent in enumerate(agents):
-        sensed = {j: tuple(positions[j]) for j in near[i]}
+        sensed = {j: tuple(positions[j].tolist()) for j in near[i]}
         agent.handle(
-            RoundBegan(round=1, position=tuple(positions[i]), neighbors=len(sensed), sensed=sensed, observed=())
+            RoundBegan(
+                round=1, position=tuple(positions[i].tolist()), neighbors=len(sensed), sensed=sensed, observed=()
+            )
         )
         angle = rng.uniform(0, 2 * np.pi, 1) + 2 * np.pi * np.arange(n) / n
         radius = 5 / np.sin(np.pi / max(n, 2))

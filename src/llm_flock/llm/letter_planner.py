@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from llm_flock.llm.frame import frame_step
 from llm_flock.llm.letters import read_way, ways_of
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import AnswerForm
-from llm_flock.protocol.geometry import geometric_plan, straight_path
+from llm_flock.protocol.geometry import plan_by_geometry, straight_path
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 
@@ -23,8 +21,7 @@ class LetterPlanner(LanguagePlanner):
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
         """The shape in its reference orientation, by geometry."""
-        answer = geometric_plan(question)
-        return replace(answer, by="geometry") if isinstance(answer, PlanAnswer) else answer
+        return plan_by_geometry(question)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask which way to go; its end is the waypoint. A path has one position."""

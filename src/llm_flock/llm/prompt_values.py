@@ -18,6 +18,9 @@ AXES = ("x", "y", "z")
 NEAREST = 3
 """Robots that the brief prompts mention at most."""
 
+FARTHEST = 10.0
+"""Distance of the farthest goal that brief prompts name [step limits]: small models lose the direction of others."""
+
 
 def number_text(value: float) -> str:
     """A number in the shortest form, with six decimals at most: `10`, `2.5`."""
@@ -61,6 +64,18 @@ def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) 
     near = [other for distance, other in by_distance[:NEAREST] if distance < reach]
     decimals = position_decimals(mission.max_step)
     return ", ".join(short_text(other, decimals) for other in near) or "none"
+
+
+def nearer_goal(position: Point, goal: Point, max_step: float) -> Point:
+    """The goal, or the point `FARTHEST` step limits away on the straight way to one that is farther.
+
+    The point is rounded to a hundredth of the step limit: the direction counts.
+    """
+    distance = math.dist(position, goal)
+    if distance <= FARTHEST * max_step:
+        return goal
+    share, decimals = FARTHEST * max_step / distance, 2 - math.floor(math.log10(max_step))
+    return tuple(round(x + share * (g - x), decimals) for x, g in zip(position, goal, strict=True))
 
 
 @lru_cache(maxsize=64)

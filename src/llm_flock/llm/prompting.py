@@ -23,6 +23,7 @@ from llm_flock.llm.frame import Q
 from llm_flock.llm.letters import NO_WISH, LetterWay, ways_of, ways_text
 from llm_flock.llm.prompt_values import (
     MISSION,
+    nearer_goal,
     nearest_text,
     place_text,
     plan_text,
@@ -67,6 +68,7 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     "searching": lambda asked: asked.target is not None and asked.slot is not None,
     "waiting": lambda asked: asked.slot is None,
     "goal": lambda asked: place_text(asked.goal),
+    "toward": lambda asked: place_text(nearer_goal(asked.position, asked.goal, asked.mission.max_step)),
     "horizon": lambda asked: asked.horizon,
     "ways": lambda asked: ways_text(ways_of(asked)),
 }

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
 from llm_flock.llm.port import MOST_TOKENS, Attempt, Call, ChatMessage, Kind, Reply, Usage
+from llm_flock.protocol.planning import PlanQuestion
 
 logger = logging.getLogger(__name__)
 
@@ -148,6 +149,7 @@ class ReplayModel(_Cassette):
         self._path = path
         self.models: set[str] = set()
         """Names of the models that answered when the cassette was recorded."""
+        self._plans: set[tuple[int, int]] = set()
         self._marked = False
         try:
             self._file = path.open("rb")
@@ -163,6 +165,10 @@ class ReplayModel(_Cassette):
     def simulated(self) -> bool:
         """Whether a simulated stand-in answered when the cassette was recorded."""
         return self._marked or any(model.startswith("simulated:") for model in self.models)
+
+    def was_asked(self, question: PlanQuestion) -> bool:
+        """Whether the robot's model was asked for a plan in this round."""
+        return (question.robot, question.round) in self._plans
 
     async def ask(self, call: Call) -> Reply:
         """The recorded answer to this call.
@@ -230,6 +236,8 @@ class ReplayModel(_Cassette):
                 )
             offsets[key] = offset
             self.models.add(line.model)
+            if line.kind == "plan":
+                self._plans.add((line.robot, line.round))
 
     def _check_header(self, raw: bytes) -> None:
         try:

@@ -42,7 +42,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.all_to_all import AllToAll
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
-from llm_flock.protocol.membership.in_touch import FEW, InTouch
+from llm_flock.protocol.membership.in_touch import InTouch
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
 from llm_flock.protocol.membership.replanning import Gaps, Replanning
 from llm_flock.protocol.membership.seeking import Seeking
@@ -108,7 +108,7 @@ class Agent:
         self._replanning = Replanning(robot, liveness, gaps)
         validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
         all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
-        in_touch = InTouch(robot, mission.n_robots, enabled=authenticator is None and mission.n_robots > FEW)
+        in_touch = InTouch(robot, mission.n_robots, enabled=authenticator is None)
         channel = Channel(robot, mission)
         if authenticator is not None:
             evidence = Evidence(robot, authenticator, liars)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from llm_flock.errors import InputError
-from llm_flock.llm.frame import LETTERS_MODEL, trained_for
+from llm_flock.llm.frame import LETTERS_MODEL, TRAINED, trained_for
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.letters import check_wish
@@ -23,6 +23,7 @@ from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane, Pools
 from llm_flock.llm.simulated.prompt_reader import check_prompts
+from llm_flock.llm.taught_planner import TaughtPlanner, is_taught
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
 from llm_flock.protocol.verification.steps import check_answer, fit_answer
@@ -112,13 +113,17 @@ class TeamPlanners:
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
+            knows = is_taught if text == TRAINED else None
             asked: LanguageModel
             if name.kind == "geometry":
                 return GeometryPlanner(rng)
             if name.kind == "replay":
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
-                asked = Metered(self._replays[text], self._meter)
+                replay = self._replays[text]
+                asked = Metered(replay, self._meter)
+                if TRAINED in replay.models:
+                    knows = replay.was_asked
             elif name.kind == "own":
                 asked = Limited(self._own_model(robot, text), self._limits)
             else:
@@ -126,7 +131,7 @@ class TeamPlanners:
                 asked = Limited(remote, on_board if name.kind == "local" else self._limits)
             prompts = self._prompts[text]
             kind = LetterPlanner if prompts.letters else LanguagePlanner
-            return kind(
+            planner = kind(
                 robot,
                 asked,
                 prompts,
@@ -138,6 +143,7 @@ class TeamPlanners:
                 clips=clips,
                 frame=model.frame or ("own" if trained_for(text) else "world"),
             )
+            return planner if knows is None else TaughtPlanner(planner, knows)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of

@@ -12,9 +12,11 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.agreement.auction import AuctionAssignment, merge, rank, reclaimed
+from llm_flock.protocol.events import Broadcast, CommRoundBegan
 from llm_flock.protocol.membership.all_to_all import PATIENCE, VERSION, optimal_assignment
-from llm_flock.protocol.membership.in_touch import DIGESTS, FEW, InTouch, placed
+from llm_flock.protocol.membership.in_touch import DIGESTS, InTouch, placed
 from llm_flock.protocol.membership.search import MANY
+from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, NO_OWNER, UNSAID, BidTable, PositionReport
 from llm_flock.protocol.plan import Plan
 
@@ -167,8 +169,8 @@ def test_a_robot_that_no_joint_table_places_takes_what_it_leaves_free() -> None:
     assert math.isclose(claim.table[2][1], -20.0) and placed(claim.table) == 2
 
 
-@pytest.mark.parametrize(("n", "jointly"), [(FEW, 0), (FEW + 1, FEW + 1)])
-def test_teams_of_more_than_ten_are_placed_together(n: int, jointly: int) -> None:
+@pytest.mark.parametrize(("n", "jointly"), [(2, 2), (11, 11), (MANY, MANY), (MANY + 1, 0)])
+def test_small_teams_are_placed_together(n: int, jointly: int) -> None:
     middle = 5.0 * (n - 1), 0.0
     mission = Mission(shape="line", n_robots=n, center=middle, arena=((-200, -100), (200, 100)), comm_range=400.0)
     row = Plan.of([[10.0 * k, 0.0] for k in range(n)])
@@ -177,3 +179,16 @@ def test_teams_of_more_than_ten_are_placed_together(n: int, jointly: int) -> Non
     for _ in range(2):
         team.comm_round()
     assert team.plans == [row] * n and {placed(agent.claim.table) for agent in team.agents} == {jointly}
+
+
+@pytest.mark.parametrize("n", [5, MANY + 1])
+def test_who_places_nobody_together_states_no_positions(n: int) -> None:
+    """The paper's rule has no table to write."""
+    mission = Mission(shape="circle", n_robots=n, arena=((-200, -200), (300, 300)))
+    row = Plan.of(mission.ideal or ())
+    for preset, stated in (("paper", False), ("flock", True)):
+        team = DrivenTeam(mission, preset, [row] * n)
+        team.begin([(10.0 * k, 20.0) for k in range(n)])
+        (effect,) = team.agents[0].handle(CommRoundBegan())
+        assert isinstance(effect, Broadcast)
+        assert (decode(effect.payload, n, 2).positions is not None) is stated

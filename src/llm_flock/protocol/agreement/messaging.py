@@ -72,8 +72,8 @@ class Messaging:
     def broadcast(self, course: Course | None = None) -> bytes:
         """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
-        positions = None
-        if agreement.all_to_all.collecting:
+        positions, tabled = None, claim.table is not None or claim.slot is None  # else nobody is placed together
+        if tabled and agreement.all_to_all.collecting:
             positions = agreement.all_to_all.report(
                 agreement.mission,
                 agreement.plan,
@@ -81,7 +81,7 @@ class Messaging:
                 settled=given_all_to_all(claim.table, claim.slot),
                 greeting=self._dissemination.greets,
             )
-        elif agreement.in_touch.collecting:
+        elif tabled and agreement.in_touch.collecting:
             positions = agreement.in_touch.report(agreement.position, claim.table, greeting=self._dissemination.greets)
         standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim, course
         payload = self._dissemination.unchanged(*standing)

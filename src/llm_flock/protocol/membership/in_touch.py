@@ -25,9 +25,6 @@ from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, BidTable, PositionReport, TeamPositions
 from llm_flock.protocol.plan import Plan
 
-FEW = 10
-"""Teams of up to this many robots do without: bids and exchanges settle them as quickly."""
-
 DIGESTS = 2**16
 """Number of digests; two joint assignments of as many robots share one by chance, and are then sorted out by bids."""
 
@@ -74,7 +71,7 @@ class InTouch:
     def report(self, position: Point, table: BidTable | None, *, greeting: bool) -> dict[int, PositionReport] | None:
         """The reports to broadcast: those that are new, and the own one [units; frame of the mission] in a `greeting`.
 
-        None where the table places all robots, or where there is no table to write.
+        None where the table places all robots.
         """
         if not self.collecting or placed(table) >= self._n:
             self._news = {}
