@@ -58,8 +58,8 @@ def test_without_the_shield_obstacles_and_near_starts_are_left_alone() -> None:
 
 
 def test_a_known_deadlock_is_resolved_and_recorded(tmp_path: Path) -> None:
-    """Without exchanges of places, which resolve most of them earlier."""
-    places = AuctionAssignment(swaps=False)
+    """Without exchanges of places and joint assignments, which resolve most of them earlier."""
+    places = AuctionAssignment(swaps=False, joint=False)
     result = run(shape="square", n_robots=8, model="geometry", assignment=places, seed=48, out=str(tmp_path))
     assert result.formed and result.summary.waypoints["yield"] > 0
     events = read_record(tmp_path / "run.mcap").events

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from llm_flock.llm.frame import TAUGHT_PLANS
-from llm_flock.protocol.geometry import plan_by_geometry
+from llm_flock.llm.geometry import plan_by_geometry
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 
 

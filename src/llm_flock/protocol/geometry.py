@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -41,12 +40,6 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         reason = reason or objection
     why = f"the first was refused: {reason}" if reason else "obstacles are in the way of all of them"
     return NoAnswer(cause="answer", reason=f"geometry found no orientation and shift that fits; {why}")
-
-
-def plan_by_geometry(question: PlanQuestion) -> PlanAnswer | NoAnswer:
-    """As `geometric_plan`, for a planner whose model is not asked: the answer says who made it."""
-    answer = geometric_plan(question)
-    return replace(answer, by="geometry") if isinstance(answer, PlanAnswer) else answer
 
 
 def _turned(mission: Mission, angle_rad: float) -> Points:
