@@ -31,6 +31,7 @@ def _run() -> None:
     from llm_flock.renamed import current_flag
 
     log_to_stderr()
+    os.environ.pop("MPLBACKEND", None)  # figures go to files; one that matplotlib does not know would end the command
     sys.argv[1:] = map(current_flag, sys.argv[1:])
     try:
         _app()()

@@ -7,20 +7,21 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from foxglove_client import FoxgloveClient
 from sample_records import FakeRun
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from llm_flock.cli.foxglove import Pacer, SwarmOrders
 from llm_flock.errors import InputError
 from llm_flock.foxglove import server as foxglove_server
 from llm_flock.foxglove import services
 from llm_flock.foxglove.channels import ChannelWriter
-from llm_flock.foxglove.gate import _is_foreign
+from llm_flock.foxglove.gate import MESSAGE_BYTES, MOST_WAITING, MessageLengths, _is_foreign
 from llm_flock.foxglove.server import FoxgloveServer, serving
 from llm_flock.foxglove.services import KILL, MISSION, Orders
 from llm_flock.listening import open_port
@@ -147,6 +148,54 @@ def test_pages_of_other_sites_are_refused_without_a_token() -> None:
         for origin in (None, "https://app.foxglove.dev", "http://localhost:8080", "file://"):
             FoxgloveClient(live.url, origin).__exit__(None, None, None)
     assert _is_foreign("http://[broken") and _is_foreign("https://")
+
+
+def frame(length: int, *, last: bool = True, kind: int = 1) -> bytes:
+    """A frame of a client's message: zeros, masked with zeros."""
+    size = bytes((length,)) if length < 126 else b"\x7e" + length.to_bytes(2) if length < 1 << 16 else b""
+    size = size or b"\x7f" + length.to_bytes(8)
+    return bytes((kind | 0x80 * last, size[0] | 0x80)) + size[1:] + bytes(4 + length)
+
+
+@pytest.mark.parametrize("cut", [1, 7, 1000, 1 << 20])
+def test_messages_are_measured_over_their_fragments(cut: int) -> None:
+    def short(*frames: bytes) -> bool:
+        stream, lengths = b"".join(frames), MessageLengths()
+        return all(lengths.take(stream[at : at + cut]) for at in range(0, len(stream), cut))
+
+    half = frame(MESSAGE_BYTES // 2, last=False), frame(MESSAGE_BYTES // 2, kind=0)
+    assert short(*half, frame(5), *half, frame(70_000), frame(0))
+    assert short(half[0], frame(100, kind=9), half[1]), "a ping between two fragments is none of them"
+    assert not short(half[0], half[0][:1] + half[1][1:], frame(1, kind=0))
+    assert not short(b"\x81\xff" + (1 << 40).to_bytes(8) + bytes(4)), "what it is going to be"
+
+
+def test_a_message_without_an_end_disconnects_its_client() -> None:
+    with server() as live, FoxgloveClient(live.url) as client, FoxgloveClient(live.url) as other:
+        with suppress(ConnectionClosed):  # while it still sends
+            client.socket.send(["x" * 65536] * 64)
+        with pytest.raises(ConnectionClosed):
+            client.listen_for(10.0)
+        FakeRun(n=4, rounds=0).write(live)
+        other.listen_for(0.1)
+
+
+def test_silent_connections_are_few() -> None:
+    """They took every file descriptor of the process, and one traceback for each stood on the terminal."""
+    with server() as live, ExitStack() as stack:
+        parts = urlsplit(live.url)
+        address = str(parts.hostname), int(parts.port or 0)
+        silent = [stack.enter_context(socket.create_connection(address)) for _ in range(MOST_WAITING + 20)]
+        closed = 0
+        for one in silent[MOST_WAITING:]:
+            one.settimeout(5.0)
+            with suppress(ConnectionResetError):
+                assert one.recv(1) == b""
+            closed += 1
+        assert closed == 20
+        silent[0].close()
+        time.sleep(0.2)
+        FoxgloveClient(live.url).__exit__(None, None, None)
 
 
 def test_no_orders_are_offered_without_a_token() -> None:

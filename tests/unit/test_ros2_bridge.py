@@ -22,7 +22,7 @@ from llm_flock.ros2.flight import FlightShow
 from llm_flock.ros2.nodes import Refused
 from llm_flock.ros2.orders import ORDERED, mission_fields, places_fields
 from llm_flock.ros2.sensors import FRESH_S, LATE_S, LOST_S, SensedBodies
-from llm_flock.ros2.types import DIAGNOSTICS, MARKERS, PATH, POSE, from_cdr, to_cdr, type_store
+from llm_flock.ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, from_cdr, to_cdr, type_store
 from llm_flock.ros2.wire import Attachment
 from llm_flock.runtime.entries import mission_info
 from llm_flock.runtime.flight.config import FlightConfig
@@ -222,6 +222,8 @@ def test_stamps_are_the_wall_clock_s_the_simulation_s_or_those_of_clock() -> Non
     following.follow(-1)
     following.follow(7)
     assert following.of(100.0) == 7
+    following.follow((2**31 - 1) * NS + 2**32 - 1)  # a clock whose nanoseconds are more than a second ended the bridge
+    assert len(drawing.PoseEncoder("map").encode((0.0, 0.0, 0.0), following.of(100.0))) > 0
 
 
 def test_refused_input_is_a_warning_once_and_counted_for_good() -> None:

@@ -60,7 +60,7 @@ def asked(tmp_path: Path, **fields: object) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    "center", ["abc", "50 50", [50], [50, 50, 50], [50, "x"], [True, 1], [float("nan"), 1], {"x": 1}]
+    "center", ["abc", "50 50", [50], [50, 50, 50], [50, "x"], [True, 1], [float("nan"), 1], [10**400, 1], {"x": 1}]
 )
 def test_a_centre_is_asked_for_in_the_words_of_the_form(tmp_path: Path, center: object) -> None:
     assert asked(tmp_path, center=center) == {"error": "Two numbers, such as 50, 50", "field": "center"}

@@ -8,6 +8,7 @@ import os
 import struct
 import sys
 import time
+import tracemalloc
 import types
 from importlib import metadata
 
@@ -18,7 +19,7 @@ from slowness import slowness
 from llm_flock.errors import InputError
 from llm_flock.llm.local import weights
 from llm_flock.llm.local.gguf import read_header
-from llm_flock.llm.local.weights import Weights, find_weights, is_packaged, split_name
+from llm_flock.llm.local.weights import LONGEST_TEMPLATE, Weights, find_weights, is_packaged, split_name
 
 
 @pytest.fixture(autouse=True)
@@ -96,6 +97,37 @@ def test_a_head_of_endless_strings_takes_no_time(tmp_path):
         assert time.process_time() - began < 2.0 * slowness()
 
 
+def test_a_long_list_of_numbers_is_passed_over(tmp_path):
+    """A sparse file with a list of a gigabyte took two."""
+    path, count = tmp_path / "m.gguf", 1 << 30
+    with path.open("wb") as file:
+        file.write(
+            b"GGUF" + struct.pack("<IQQ", 3, 0, 1) + struct.pack("<Q", 1) + b"x" + struct.pack("<IIQ", 9, 0, count)
+        )
+        file.truncate(file.tell() + count)
+    tracemalloc.start()
+    read_header(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("token", [2**32 - 1, 2, 99_999, "2"])
+def test_a_token_that_is_added_and_not_in_the_vocabulary_is_refused(tmp_path, token):
+    about = {**MODEL, "tokenizer.ggml.tokens": ["a", "b"], "tokenizer.ggml.bos_token_id": token}
+    read_header(write_model(tmp_path / "unused.gguf", about))
+    with pytest.raises(InputError, match="a GGUF file"):
+        read_header(write_model(tmp_path / "m.gguf", {**about, "tokenizer.ggml.add_bos_token": True}))
+    good = {**about, "tokenizer.ggml.add_bos_token": True, "tokenizer.ggml.bos_token_id": 1}
+    read_header(write_model(tmp_path / "n.gguf", good))
+
+
+@pytest.mark.parametrize("template", ["{{ " + "(" * 101 + ")" * 101 + " }}", "x" * (LONGEST_TEMPLATE + 1), 3])
+def test_a_chat_template_that_the_engine_would_die_of_is_refused(tmp_path, template):
+    path = write_model(tmp_path / "m.gguf", {**MODEL, "tokenizer.chat_template": template})
+    with pytest.raises(InputError, match="a chat template of at most"):
+        find_weights(str(path))
+
+
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(InputError, match="a file that is there"):
         find_weights(str(tmp_path / "none.gguf"))
@@ -158,6 +190,13 @@ def test_digests_follow_the_file(tmp_path):
 )
 def test_an_adapter_for_another_model_is_refused(tmp_path, about, tensors):
     model, adapter = write_model(tmp_path / "m.gguf"), write_adapter(tmp_path / "a.gguf", about, tensors)
+    with pytest.raises(InputError, match="made for this very model"):
+        find_weights(f"{model}+{adapter}")
+
+
+def test_an_adapter_for_a_row_of_numbers_is_refused(tmp_path):
+    model = write_model(tmp_path / "m.gguf", tensors={"norm.weight": (64,)})
+    adapter = write_adapter(tmp_path / "a.gguf", LORA, {"norm.weight.lora_b": (4, 64)})
     with pytest.raises(InputError, match="made for this very model"):
         find_weights(f"{model}+{adapter}")
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, cast,
 import typer
 
 from llm_flock.errors import InputError
+from llm_flock.text_files import read_text
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -230,7 +231,7 @@ def with_output_folder(settings: Config, kind: str = "", *, record: bool, typed:
 def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     try:
-        given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
+        given = text if text.lstrip()[:1] in ("[", "{") else read_text(Path(text))
         found = json.loads(given)
     except json.JSONDecodeError as error:
         before, after = error.doc[: error.pos][-SHOWN:], error.doc[error.pos :][:SHOWN]

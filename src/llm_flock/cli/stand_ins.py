@@ -49,6 +49,8 @@ def stand_ins(
     """Stand in for drones: point masses that speak their protocol over UDP, for flights without hardware."""
     host = "127.0.0.1"
     if crazyflies is None:
+        if port + count - 1 > LAST_PORT:
+            raise InputError("count", count, f"at most {LAST_PORT + 1 - port}: each has a port, from {port} on")
         homes = grid(count, spacing)
     else:
         host, port, homes = _from_file(crazyflies)
@@ -102,10 +104,19 @@ def _from_file(path: Path) -> tuple[str, int, list[Position]]:
     from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
 
     drones = read_crazyflies(path)
-    parts = [urlsplit(drone.uri) for drone in drones]
-    first = parts[0]
-    for k, (drone, part) in enumerate(zip(drones, parts, strict=True)):
-        follows = part.scheme == "udp" and part.hostname == first.hostname and part.port == (first.port or 0) + k
-        if not follows or part.hostname is None or part.port is None:
+    found = [_udp(drone.uri) for drone in drones]
+    host, first = found[0] or ("", 0)
+    for k, (drone, end) in enumerate(zip(drones, found, strict=True)):
+        if end != (host, first + k):
             raise InputError(f"robots.{drone.name}.uri", drone.uri, "udp://HOST:PORT, one port after the other")
-    return str(first.hostname), int(first.port or 0), [drone.home for drone in drones]
+    return host, first, [drone.home for drone in drones]
+
+
+def _udp(uri: str) -> tuple[str, int] | None:
+    """Host and port of a UDP address, None if it has none."""
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:  # no number, or one that is too large
+        return None
+    return None if parts.scheme != "udp" or host is None or port is None else (host, port)

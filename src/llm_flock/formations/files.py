@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
+from llm_flock.text_files import read_text
 
 
 def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
@@ -22,7 +23,7 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
         InputError: the file cannot be read, or its rows are not all 2 or all 3 finite numbers.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except (OSError, ValueError) as error:  # no UTF-8, or no name of a file
         raise InputError(field, str(path), f"a readable file ({getattr(error, 'strerror', None) or error})") from None
     rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text, path, field)

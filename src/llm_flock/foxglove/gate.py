@@ -30,6 +30,12 @@ BEHIND_S = 0.05
 a client that subscribed at once was told "Unknown channel ID", and never saw the channel."""
 
 MOST_CLIENTS = 32
+MOST_WAITING = 64
+"""Connections whose request is not there yet; more are closed at once, for a process has few file descriptors."""
+
+MESSAGE_BYTES = 1 << 20
+"""Longest message of a client, over all its fragments: the server would keep 64 MiB of one that does not end."""
+
 PIECE_BYTES = 65536
 APPS = frozenset({"app.foxglove.dev", "embed.foxglove.dev"})
 """Pages, besides those of this machine, that may connect without a token: Foxglove's own."""
@@ -50,7 +56,7 @@ class ClientGate:
         self._server = server
         self._token = token
         self._greeting = greeting
-        self._clients = 0
+        self._clients = self._waiting = 0
         self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
         self._thread = threading.Thread(target=self._run, daemon=True, name="foxglove-gate")
@@ -84,6 +90,9 @@ class ClientGate:
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One client, from its request to its end."""
+        if self._waiting >= MOST_WAITING:
+            writer.transport.abort()
+            return
         try:
             with contextlib.suppress(OSError, asyncio.IncompleteReadError, TimeoutError, asyncio.CancelledError):
                 await self._pass(reader, writer)
@@ -91,11 +100,14 @@ class ClientGate:
             writer.transport.abort()
 
     async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._waiting += 1
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
         except asyncio.LimitOverrunError:
             await _refuse(writer, "431 Request Header Fields Too Large", "the request is too long")
             return
+        finally:
+            self._waiting -= 1
         shown, refusal = self._judge(head.decode("latin-1"))
         if refusal is None and self._clients >= MOST_CLIENTS:
             refusal = ("503 Service Unavailable", f"{MOST_CLIENTS} clients are connected")
@@ -112,7 +124,7 @@ class ClientGate:
             if shown and self._greeting and answer.startswith(b"HTTP/1.1 101"):
                 inner.write(_text_frame(self._greeting))
             ways = {
-                asyncio.create_task(_copy(reader, inner, BEHIND_S)),
+                asyncio.create_task(_copy(reader, inner, BEHIND_S, MessageLengths())),
                 asyncio.create_task(_copy(inner_reader, writer)),
             }
             try:
@@ -160,8 +172,50 @@ def _is_foreign(origin: str | None) -> bool:
     return parts.scheme in ("http", "https") and not (site is not None and (site in APPS or is_loopback(site)))
 
 
-async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, behind_s: float = 0.0) -> None:
+class MessageLengths:
+    """Follows the messages in a client's stream (RFC 6455, section 5.2), whose content it does not look at."""
+
+    def __init__(self) -> None:
+        self._head = bytearray()
+        self._left = self._length = 0  # of this frame's payload still to come, and of this message so far [bytes]
+
+    def take(self, piece: bytes) -> bool:
+        """Whether every message is short enough, with the next piece of the stream."""
+        at = 0
+        while at < len(piece):
+            if self._left:
+                skipped = min(self._left, len(piece) - at)
+                self._left, at = self._left - skipped, at + skipped
+                continue
+            self._head.append(piece[at])
+            at += 1
+            if len(self._head) < 2:
+                continue
+            short = self._head[1] & 0x7F
+            extended = {126: 2, 127: 8}.get(short, 0)
+            if len(self._head) < 2 + extended + (4 if self._head[1] & 0x80 else 0):
+                continue
+            length = int.from_bytes(self._head[2 : 2 + extended]) if extended else short
+            last, kind = self._head[0] & 0x80, self._head[0] & 0x0F
+            self._left = length
+            self._head.clear()
+            whole = length if kind >= 8 else self._length + length  # control frames come between fragments
+            if whole > MESSAGE_BYTES:
+                return False
+            if kind < 8:
+                self._length = 0 if last else whole
+        return True
+
+
+async def _copy(
+    reader: asyncio.StreamReader,
+    writer: asyncio.StreamWriter,
+    behind_s: float = 0.0,
+    lengths: MessageLengths | None = None,
+) -> None:
     while piece := await reader.read(PIECE_BYTES):
+        if lengths is not None and not lengths.take(piece):
+            return
         await asyncio.sleep(behind_s)
         writer.write(piece)
         await asyncio.wait_for(writer.drain(), SLOW_S)

@@ -22,6 +22,9 @@ logger = logging.getLogger(__name__)
 
 VERSION = 1
 HEADER = "llm_flock_cassette"
+LONGEST_LINE = 1 << 26
+"""Lines of a cassette are shorter [bytes]."""
+
 DIFF_LINES = 40
 """Longest difference that an error shows [lines]."""
 
@@ -157,6 +160,9 @@ class ReplayModel(_Cassette):
             raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
         try:
             self._offsets = self._index()
+        except OSError as error:
+            self._file.close()
+            raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
         except BaseException:
             self._file.close()
             raise
@@ -212,14 +218,16 @@ class ReplayModel(_Cassette):
     def _index(self) -> dict[tuple[int, int, int], int]:
         """Byte offset of every attempt; checks the whole file, line by line."""
         offsets: dict[tuple[int, int, int], int] = {}
-        self._check_header(self._file.readline())
+        self._check_header(self._file.readline(LONGEST_LINE))
         number = 1
         while True:
             offset = self._file.tell()
-            raw = self._file.readline()
+            raw = self._file.readline(LONGEST_LINE)
             if not raw:
                 return offsets
             number += 1
+            if len(raw) == LONGEST_LINE:
+                raise RecordError(f"{self._path}, line {number}: damaged: a line of {LONGEST_LINE} bytes or more")
             try:
                 line = CassetteLine.model_validate_json(raw)
             except ValidationError as error:

@@ -20,7 +20,7 @@ from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes
 from llm_flock.ros2.orders import RATE, MissionGiver, check_frame, checked_position, mission_fields, places_fields
 from llm_flock.ros2.sensors import SensedBodies
-from llm_flock.ros2.types import CLOCK, NS, POINTS, POSE, TEXT
+from llm_flock.ros2.types import CLOCK, LATEST_NS, NS, POINTS, POSE, TEXT
 from llm_flock.ros2.wire import Attachment
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.connection import refusing
@@ -81,7 +81,7 @@ class Stamps:
 
     def follow(self, stamp_ns: int) -> None:
         """Take what /clock says."""
-        self._told_ns = max(0, stamp_ns)
+        self._told_ns = min(max(0, stamp_ns), LATEST_NS)
 
     def of(self, wall_s: float) -> int:
         """The stamp of a moment by the wall clock."""

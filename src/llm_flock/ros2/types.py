@@ -30,6 +30,8 @@ MOST_BYTES = 1 << 20
 """Largest message that is read [bytes]."""
 
 NS = 1_000_000_000
+LATEST_NS = 2**31 * NS - 1
+"""Latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign."""
 
 
 @cache

@@ -25,6 +25,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.schedule import MOST_ROUNDS, Change, Schedule, build_schedule, load_points
+from llm_flock.text_files import read_text
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.validation import fields_of, input_error, unknown_section
 
@@ -302,7 +303,7 @@ def read_toml(field: str, path: Path) -> dict[str, Any]:
         InputError: for `field`: the file cannot be read, or is not TOML; or for a value, see `check_values`.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         if _DEEP_KEY.search(text) is not None:
             raise InputError(field, str(path), f"keys of at most {DEEPEST} parts")
         found = tomllib.loads(text)

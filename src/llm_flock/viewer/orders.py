@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import re
 import threading
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
+from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.errors import FieldError, FlockError, InputError
 from llm_flock.printable import printable
 from llm_flock.viewer.deletion import delete_record
@@ -179,7 +179,9 @@ def _check_center(given: object, *, space: bool) -> None:
     if given in (None, ""):
         return
     numbers = _list(given)
-    good = all(isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one) for one in numbers)
+    good = all(
+        isinstance(one, int | float) and not isinstance(one, bool) and abs(one) <= MAX_COORDINATE for one in numbers
+    )
     if not good or len(numbers) not in ((2, 3) if space else (2,)):
         more = ", or three in space" if space else ""
         raise FieldError("center", None, says=f"two numbers, such as 50, 50{more}")

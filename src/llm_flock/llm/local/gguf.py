@@ -28,6 +28,7 @@ _MOST_STRINGS = 1 << 21
 _MOST_TEXT = 1 << 24
 """Names and texts together [bytes]; chat templates have some ten thousand, and names some fifty each."""
 
+_TOKENS = "tokenizer.ggml.tokens"
 _MOST_ALIGNMENT = 1 << 16
 _SIZES = (
     "block_count",
@@ -136,7 +137,7 @@ class _Reader:
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
         self._at = 0
-        self._strings = self._text_bytes = 0
+        self._strings = self._text_bytes = self._listed = self._vocabulary = 0
 
     def header(self) -> Header:
         if self._take(4) != b"GGUF" or self._scalar("I") not in (2, 3):
@@ -148,6 +149,8 @@ class _Reader:
         for _ in range(n_values):
             name = self._text()
             value = self._value(self._scalar("I"))
+            if name == _TOKENS:
+                self._vocabulary = self._listed
             if value is not None:
                 metadata[name] = value
         tensors: dict[str, Tensor] = {}
@@ -157,6 +160,11 @@ class _Reader:
                 raise ValueError
             shape = tuple(self._scalar("Q") for _ in range(dims))
             tensors[name] = Tensor(shape, entry=self._at, format=self._scalar("I"), offset=self._scalar("Q"))
+        for name in ("bos", "eos"):
+            token = metadata.get(f"tokenizer.ggml.{name}_token_id")
+            added = metadata.get(f"tokenizer.ggml.add_{name}_token") is True and token is not None
+            if added and (type(token) is not int or not 0 <= token < self._vocabulary):  # the engine would abort
+                raise ValueError
         alignment = metadata.get("general.alignment", _ALIGNMENT)
         if not isinstance(alignment, int) or not 0 < alignment <= _MOST_ALIGNMENT:
             raise ValueError
@@ -174,10 +182,11 @@ class _Reader:
         if kind != _ARRAY:
             return self._scalar(_SCALARS[kind])
         inner, count = self._scalar("I"), self._scalar("Q")
+        self._listed = count
         if inner == _STRING:
             self._skip_strings(count)
         else:
-            self._take(count * struct.calcsize(_SCALARS[inner]))
+            self._pass(count * struct.calcsize(_SCALARS[inner]))
         return None
 
     def _skip_strings(self, count: int) -> None:
@@ -188,7 +197,7 @@ class _Reader:
         for _ in range(count):
             at += length.size + length.unpack_from(self._data, at)[0]
         self._at = at
-        self._take(0)
+        self._pass(0)
 
     def _scalar(self, form: str) -> Any:
         (value,) = struct.unpack("<" + form, self._take(struct.calcsize("<" + form)))
@@ -202,7 +211,10 @@ class _Reader:
         return self._take(length).decode("utf-8", "replace")
 
     def _take(self, count: int) -> bytes:
+        self._pass(count)
+        return self._data[self._at - count : self._at]
+
+    def _pass(self, count: int) -> None:
         if count > len(self._data) - self._at:  # also after `_skip_strings` went beyond the end
             raise ValueError
         self._at += count
-        return self._data[self._at - count : self._at]

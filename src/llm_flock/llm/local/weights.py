@@ -25,6 +25,12 @@ LETTERS = "letters"
 
 _WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{NO_ADAPTER}|{LETTERS}|.+\.gguf)")
 
+LONGEST_TEMPLATE = 1 << 17
+"""Longest chat template [characters]; those that explain tools have some ten thousand."""
+
+DEEPEST = 100
+"""Deepest brackets in one."""
+
 ENGINE_MISSING = (
     "needs the engine: pip install ./packages/llm-flock-smollm2-adapter '.[local]' in a checkout of LLM-Flock"
 )
@@ -100,11 +106,24 @@ def find_weights(text: str) -> Weights:
     header = read_header(model)
     if header.is_adapter:
         raise InputError("model", str(model), "a model; this file is an adapter: MODEL.gguf+ADAPTER.gguf")
-    if "tokenizer.chat_template" not in header.metadata:
+    template = header.metadata.get("tokenizer.chat_template")
+    if template is None:
         raise InputError("model", str(model), "an instruct model; this file has no chat template")
+    if not isinstance(template, str) or len(template) > LONGEST_TEMPLATE or _nested(template) > DEEPEST:
+        allowed = f"a chat template of at most {LONGEST_TEMPLATE} characters, with brackets at most {DEEPEST} deep"
+        raise InputError("model", str(model), allowed)
     if adapter is not None:
         check_adapter(adapter, read_header(adapter), header)
     return Weights(model, adapter, packaged=name == SMOLLM2)
+
+
+def _nested(template: str) -> int:
+    """How deep brackets are nested in a template: the engine's parser calls itself for each."""
+    depth = deepest = 0
+    for one in template:
+        depth += (one in "([{") - (one in ")]}")
+        deepest = max(deepest, depth)
+    return deepest
 
 
 def check_adapter(path: Path, adapter: Header, model: Header) -> None:
@@ -118,7 +137,8 @@ def check_adapter(path: Path, adapter: Header, model: Header) -> None:
         # W + B A: the rows of A are as long as those of W, and B has as many rows.
         axis = {"lora_a": 0, "lora_b": 1}.get(part)
         target = model.tensors.get(base)
-        if axis is None or target is None or len(tensor.shape) != 2 or tensor.shape[axis] != target.shape[axis]:
+        flat = target is not None and len(tensor.shape) == len(target.shape) == 2
+        if axis is None or target is None or not flat or tensor.shape[axis] != target.shape[axis]:
             fits = False
     if not fits:
         raise InputError("model", str(path), "an adapter that was made for this very model")

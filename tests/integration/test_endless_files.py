@@ -1,0 +1,64 @@
+"""Files without an end, and files that cannot be read, where a command takes the name of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command_line import flock
+
+from llm_flock import text_files
+from llm_flock.llm import replay
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short bounds: at the real ones each command reads 64 MB."""
+    monkeypatch.setattr(text_files, "MOST_CHARACTERS", 1 << 16)
+    monkeypatch.setattr(replay, "LONGEST_LINE", 1 << 16)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "--no-record", "--config", "{}"),
+        ("run", "--no-record", "--robots", "3", "--shape", "points:{}"),
+        ("run", "--no-record", "--obstacles", "{}"),
+        ("run", "--no-record", "--model", "replay:{}"),
+        ("sweep", "{}"),
+        ("fly", "--dry-run", "--config", "{}"),
+        ("fly", "--dry-run", "--crazyflies", "{}"),
+        ("stand-ins", "--crazyflies", "{}", "--seconds", "0"),
+    ],
+    ids=" ".join,
+)
+def test_a_file_without_an_end_is_refused(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    done = flock(*(argument.format("/dev/zero") for argument in arguments), cwd=tmp_path, check=False)
+    assert done.returncode in (1, 2) and "error: " in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+def test_a_cassette_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    """As on a disk that fails."""
+    done = flock("run", "--no-record", "--model", "replay:/proc/self/mem", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "a cassette that can be read" in done.stderr, done.stderr
+
+
+def test_a_line_of_a_cassette_has_a_length(tmp_path: Path) -> None:
+    path = tmp_path / "long.jsonl"
+    path.write_text('{"llm_flock_cassette":1}\n' + "x" * (1 << 17), encoding="ascii")
+    done = flock("run", "--no-record", "--model", f"replay:{path}", cwd=tmp_path, check=False)
+    assert done.returncode == 1 and "line 2: damaged: a line of 65536 bytes or more" in done.stderr, done.stderr
+
+
+def test_more_stand_ins_than_ports_are_refused_at_once(tmp_path: Path) -> None:
+    done = flock("stand-ins", "30000000", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "at most 45686" in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("address", ["udp://127.0.0.1:99999", "udp://127.0.0.1:1e", "udp://[::1", "udp://127.0.0.1"])
+def test_stand_ins_for_an_address_that_is_none_are_refused(address: str, tmp_path: Path) -> None:
+    path = tmp_path / "drones.yaml"
+    robot = f'{{enabled: true, type: t, uri: "{address}", initial_position: [0, 0, 0]}}'
+    path.write_text(f"fileversion: 3\nrobot_types: {{t: {{}}}}\nrobots: {{a: {robot}}}\n", encoding="utf-8")
+    done = flock("stand-ins", "--crazyflies", str(path), "--seconds", "0", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "udp://HOST:PORT" in done.stderr, done.stderr
