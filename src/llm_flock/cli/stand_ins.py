@@ -49,8 +49,8 @@ def stand_ins(
     """Stand in for drones: point masses that speak their protocol over UDP, for flights without hardware."""
     host = "127.0.0.1"
     if crazyflies is None:
-        if port + count - 1 > LAST_PORT:
-            raise InputError("count", count, f"at most {LAST_PORT + 1 - port}: each has a port, from {port} on")
+        if count > LAST_PORT:
+            raise InputError("count", count, f"at most {LAST_PORT}: each has a port")
         homes = grid(count, spacing)
     else:
         host, port, homes = _from_file(crazyflies)
