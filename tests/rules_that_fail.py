@@ -1,5 +1,6 @@
 """Consensus rules that break a run, importable by the workers of a pool as `rules_that_fail:NAME`."""
 
+import asyncio
 import os
 import signal
 from collections.abc import Sequence
@@ -24,6 +25,16 @@ class Raising:
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
         raise Unpicklable("no", "choice")
+
+
+@dataclass(frozen=True)
+class Cancelling:
+    """Raises what asyncio raises in a task that is cancelled, though nobody cancels it."""
+
+    name: str = "cancelling"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        raise asyncio.CancelledError
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import sys
 from pathlib import Path
@@ -48,3 +49,17 @@ def _import(module: str) -> ModuleType:
     except ModuleNotFoundError:
         sys.path.remove(here)
         raise
+
+
+def shown(error: BaseException) -> str:
+    """An exception of a user's code in words, also one that has none."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # noqa: BLE001 - a user's code may raise anything, here too
+        return f"{type(error).__name__}, which cannot be shown"
+
+
+def is_cancelled() -> bool:
+    """Whether the running task is being cancelled. A user's code may also raise a cancellation of its own."""
+    task = asyncio.current_task()
+    return task is None or task.cancelling() > 0

@@ -43,6 +43,14 @@ def test_trials_that_break_off_are_counted_with_their_reason() -> None:
     assert row.errors == ("seed 20: Unpicklable: no choice",)
 
 
+def test_a_trial_that_cancels_itself_breaks_off() -> None:
+    """The sweep around it ended, without a word why."""
+    (row,) = compare(
+        build_cells([("triangle", 3)], ["flock"], consensus="rules_that_fail:Cancelling"), trials=2, jobs=1
+    )
+    assert (row.trials, row.broken) == (2, 2) and row.errors[0].startswith("seed 0: CancelledError")
+
+
 def test_a_refused_trial_ends_it_all_with_the_reason() -> None:
     with pytest.raises(InputError, match="model = 'nobody:x'") as refused:
         compare([Cell(config=build_config(model="nobody:x"))], trials=3)

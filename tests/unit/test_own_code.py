@@ -10,6 +10,7 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError, ModelError
+from llm_flock.llm import own
 from llm_flock.llm.own import OwnModel
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 from llm_flock.llm.providers import parse_model
@@ -216,3 +217,55 @@ def test_nothing_of_a_record_is_imported(folder: Path) -> None:
     record = llm_flock.read_record(folder / "run")
     assert record._repr_html_() and record.to_polars().height
     assert "my_own_models" not in sys.modules
+
+
+class Unspeakable(Exception):
+    def __str__(self) -> str:
+        raise ValueError("no words")
+
+
+@pytest.mark.parametrize("raised", [asyncio.CancelledError(), SystemExit(0), Unspeakable()], ids=repr)
+def test_whatever_a_model_raises_is_a_failed_call(raised: BaseException) -> None:
+    """A cancellation of its own ended the run, and `sys.exit` with exit code 0."""
+
+    class Raising:
+        async def ask(self, call: Call) -> str:
+            raise raised
+
+    with pytest.raises(ModelError) as caught:
+        asyncio.run(OwnModel(Raising()).ask(CALL))
+    assert caught.value.kind == "refused" and type(raised).__name__ in str(caught.value)
+
+
+def test_a_run_that_is_cancelled_is_cancelled_in_a_model_too() -> None:
+    class Waiting:
+        async def ask(self, call: Call) -> str:
+            await asyncio.sleep(60.0)
+            return ""
+
+    async def stop() -> None:
+        task = asyncio.create_task(OwnModel(Waiting()).ask(CALL))
+        await asyncio.sleep(0.01)
+        task.cancel()
+        await task
+
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(stop())
+
+
+@pytest.mark.parametrize("closing", [RuntimeError("stuck"), None])
+def test_a_model_that_cannot_be_closed_costs_no_result(
+    closing: Exception | None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Closing(Echo):
+        async def ask(self, call: Call) -> str:
+            return "hm"
+
+        async def aclose(self) -> None:
+            if closing is not None:
+                raise closing
+            await asyncio.sleep(60.0)
+
+    monkeypatch.setattr(own, "CLOSE_S", 0.05)
+    asyncio.run(OwnModel(Closing(), name="mine:Closing").aclose())
+    assert "mine:Closing could not be closed" in caplog.text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 
 import pytest
@@ -205,3 +206,14 @@ def test_what_is_not_known_is_not_answered():
         packet(5, 0, [9]),
     ):
         assert firmware.handle(raw, 0.0) == []
+
+
+def test_no_packet_ends_a_stand_in():
+    """One byte to one of them stopped the thread that serves them all."""
+    rng = random.Random(0)
+    packets = [bytes([first]) for first in range(256)]
+    packets += [bytes([rng.choice(packets)[0], *rng.randbytes(rng.randrange(40))]) for _ in range(20_000)]
+    firmware = drone(auto_arm=True)
+    for number, data in enumerate(packets):
+        firmware.handle(data, 0.01 * number)
+    assert one(firmware.handle(packet(15, 0, b"ping"), 1000.0)) == (15, 0, b"ping")

@@ -107,6 +107,14 @@ def test_what_is_not_allowed_is_named(tmp_path: Path, options: dict[str, Any], f
     assert error.value.field.split(".")[-1] == field.split(".")[-1], error.value
 
 
+@pytest.mark.parametrize("name", ["..", ".", "a/b", ""])
+def test_a_name_stays_below_its_folder(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "sweep.toml"
+    path.write_text(f'[sweep]\nname = "{name}"\nseeds = 1\n[grid]\nshape = ["line"]\n', encoding="utf-8")
+    with pytest.raises(InputError, match="not only dots"):
+        load_sweep(path)
+
+
 def test_a_file_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a file that can be read"):
         load_sweep(tmp_path / "nothing.toml")

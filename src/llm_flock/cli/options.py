@@ -45,6 +45,9 @@ SHORT = {"n_robots": "--robots", "router": "--ros2"}
 JSON_LISTS = frozenset({"obstacles", "changes", "drones"})
 """Fields that are lists of tables: their flags take JSON, or the name of a JSON file."""
 
+SHOWN_AS = {**dict.fromkeys(sorted(JSON_LISTS), "JSON|FILE"), "start_positions": "FILE"}
+"""What help shows in place of a value, where it does not follow from the field's type."""
+
 NOT_FLAGS = frozenset({"points"})
 """Fields without a flag: `--shape points:FILE` sets them."""
 
@@ -90,7 +93,7 @@ PANELS = {
 
 def _parameter(field: str, info: FieldInfo, panel: str) -> inspect.Parameter:
     """A flag as the keyword parameter of a command; None means not given."""
-    kind, metavar = (str, "JSON|FILE") if field in JSON_LISTS else _flag_type(info.annotation)
+    kind, metavar = (str, SHOWN_AS[field]) if field in SHOWN_AS else _flag_type(info.annotation)
     flag = SHORT.get(field, "--" + field.replace("_", "-"))
     shown = info.get_default(call_default_factory=True)
     option = typer.Option(
@@ -177,6 +180,9 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
         half = len(corner) // 2
         low, high = (corner[:half], corner[half:]) if len(corner) >= 4 else ((0.0,) * len(corner), corner)
         values["arena"] = (low, high)
+    if "start_area" in values:
+        corner = _numbers("start_area", values["start_area"])
+        values["start_area"] = (corner[: len(corner) // 2], corner[len(corner) // 2 :])
     if "geofence" in values:
         box = _numbers("geofence", values["geofence"])
         values["geofence"] = (box[:3], box[3:])

@@ -141,7 +141,7 @@ def _register(sweep: Sweep, store: Store) -> None:
         if path.exists():
             try:
                 known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
-            except (msgspec.MsgspecError, RecursionError) as error:
+            except (OSError, msgspec.MsgspecError, RecursionError) as error:
                 raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
             gone = [
                 f"{cell}, seed {seed}"

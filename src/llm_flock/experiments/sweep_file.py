@@ -43,9 +43,9 @@ class SweepTable(_Table):
     """`[sweep]`: the sweep as a whole."""
 
     name: str = Field(
-        pattern=r"^[\w.-]+$",
+        pattern=r"^[\w.-]*[\w-][\w.-]*$",
         max_length=100,
-        json_schema_extra={"expected": "letters, digits, '.', - and _"},
+        json_schema_extra={"expected": "letters, digits, '.', - and _, not only dots"},
         description="Name; results go to runs/NAME by default",
     )
     about: str = Field(default="", description="One sentence about the sweep; reports open with it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.llm.limits import Spent
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.sharing import CallLane
+from llm_flock.own_code import is_cancelled, shown
 from llm_flock.record.schema import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import versions
 from llm_flock.runtime.api import RECORD_NAME, run_async
@@ -140,10 +142,12 @@ async def fly(
     metrics, error = _Metrics(), None
     try:
         await run_async(config=config, sink=metrics, lane=lane, on_round=on_round, progress=False, trace=False)
-    except Exception as reason:  # it is stored, counted and shown
-        if scratch is None and isinstance(reason, InputError):
+    except (Exception, asyncio.CancelledError) as reason:  # it is stored, counted and shown
+        if (scratch is None and isinstance(reason, InputError)) or (
+            isinstance(reason, asyncio.CancelledError) and is_cancelled()
+        ):
             raise
-        error = f"{type(reason).__name__}: {reason}"
+        error = shown(reason)
     summary = None if metrics.result is None else {**metrics.result, "record": None}
     formed = summary is not None and summary["formed"] and error is None
     record = None if out is None or (formed and keep == "failed") else Path(out) / RECORD_NAME

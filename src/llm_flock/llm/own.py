@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import inspect
 import json
@@ -15,9 +16,12 @@ from typing import Any, Self, TypeAlias, cast
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm.port import MOST_TOKENS, Answers, Call, Reply, Usage
 from llm_flock.llm.providers import MODEL_FORMS
-from llm_flock.own_code import load_own
+from llm_flock.own_code import is_cancelled, load_own, shown
 
 logger = logging.getLogger(__name__)
+
+CLOSE_S = 10.0
+"""Longest wait for a model of the user's own to close [s]."""
 
 ModelChoice: TypeAlias = str | Answers | Sequence[str | Answers]
 """One model for all robots, by its name or as an object, or one for each."""
@@ -58,7 +62,7 @@ class OwnModel:
         try:
             model = make()
         except Exception as error:  # a user's code may raise anything
-            allowed = f"a class that is called without arguments ({type(error).__name__}: {error})"
+            allowed = f"a class that is called without arguments ({shown(error)})"
             raise InputError("model", name, allowed) from error
         return cls(model, name=name)
 
@@ -71,12 +75,14 @@ class OwnModel:
         except TimeoutError as error:
             raise ModelError("timeout", f"{self.name}: {error or 'no answer in time'}") from error
         except OSError as error:
-            raise ModelError("connection", f"{self.name}: {type(error).__name__}: {error}") from error
-        except Exception as error:  # a user's code may raise anything
+            raise ModelError("connection", f"{self.name}: {shown(error)}") from error
+        except (Exception, SystemExit, asyncio.CancelledError) as error:  # a user's code may raise anything
+            if isinstance(error, asyncio.CancelledError) and is_cancelled():
+                raise
             if not self._told:
                 self._told = True
                 logger.warning("robot %d, %s failed", call.robot, self.name, exc_info=True)
-            raise ModelError("refused", f"{self.name} failed: {type(error).__name__}: {error}") from error
+            raise ModelError("refused", f"{self.name} failed: {shown(error)}") from error
         found = Reply(text=reply, model=self.name) if isinstance(reply, str) else reply
         if (fault := _fault(found)) is not None:
             raise ModelError("garbage", f"{self.name} returned {fault}")
@@ -87,7 +93,12 @@ class OwnModel:
         """Close what was made here, if it has an `aclose`; an object that was handed over stays open."""
         close = getattr(self._model, "aclose", None)
         if self.made and close is not None:
-            await close()
+            try:
+                await asyncio.wait_for(close(), CLOSE_S)
+            except (Exception, SystemExit, asyncio.CancelledError) as error:  # the result is there already
+                if isinstance(error, asyncio.CancelledError) and is_cancelled():
+                    raise
+                logger.warning("%s could not be closed: %s", self.name, shown(error))
 
     @property
     def source(self) -> str | None:

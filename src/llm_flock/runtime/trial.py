@@ -15,6 +15,7 @@ import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
+from llm_flock.own_code import shown
 from llm_flock.protocol import events
 from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.protocol.membership.liveness import patience
@@ -122,7 +123,7 @@ class Trial:
             self.stopped = "interrupted"
             raise
         except Exception as error:
-            self.stopped, self.reason = "failed", f"{type(error).__name__}: {error}"
+            self.stopped, self.reason = "failed", shown(error)
             raise
         finally:
             for agent in self.roster.agents:

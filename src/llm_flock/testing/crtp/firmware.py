@@ -161,7 +161,10 @@ class Firmware:
             return [b"\xff"]
         port, channel, data = raw[0] >> 4, raw[0] & 3, raw[1:]
         self.advance(now)
-        answer = self._answer(port, channel, data, now)
+        try:
+            answer = self._answer(port, channel, data, now)
+        except (IndexError, ValueError, struct.error):  # too short, or nonsense: the firmware drops it too
+            return []
         return [] if answer is None else [packet(port, channel, answer)]
 
     def _answer(self, port: int, channel: int, data: bytes, now: float) -> bytes | None:
