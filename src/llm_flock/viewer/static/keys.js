@@ -28,7 +28,7 @@ export function showKeys() {
 export function listenToKeys(acts) {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
-    if (event.target.closest("input:not([type=checkbox]), textarea, select, [role=tab], dialog")) return;
+    if (event.target.closest("input:not([type=checkbox]), textarea, select, [role=tab], dialog[open]")) return;
     if (event.key === " " && event.target.closest("button, a, summary, input")) return;
     const act = acts[event.shiftKey && event.key.startsWith("Arrow") ? `Shift${event.key}` : event.key];
     if (!act) return;
