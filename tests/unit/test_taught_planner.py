@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from llm_flock.distill.evaluation import PLAN_TEAMS
+from llm_flock.distill.examples import TEAMS
 from llm_flock.llm.frame import TAUGHT_PLANS, frame_step
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm.prompt_values import FARTHEST, nearer_goal
@@ -39,6 +41,10 @@ class Saying:
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         return StepAnswer(waypoint=(1.0, 2.0))
+
+
+def test_what_it_knows_is_what_the_recipe_teaches() -> None:
+    assert {(shape, n) for shape, sizes in TEAMS for n in sizes} == TAUGHT_PLANS == set(PLAN_TEAMS)
 
 
 @pytest.mark.parametrize(("shape", "n"), sorted(TAUGHT_PLANS))
