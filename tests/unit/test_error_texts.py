@@ -104,7 +104,10 @@ def test_an_error_of_a_file_names_field_and_section(
             "[sweep]\nname = 'a'\nseeds = 1\n[grid]\nteam = ['triangle/10']",
             "grid.team = 'triangle/10': a triangle takes 3, 6, 9, 12, ... robots",
         ),
-        ("[sweep]\nname = 'a b'\nseeds = 1\n[grid]", "name = 'a b': expected letters, digits, '.', - and _"),
+        (
+            "[sweep]\nname = 'a b'\nseeds = 1\n[grid]",
+            "name = 'a b': expected letters, digits, '.', - and _, not only dots",
+        ),
         ("[sweep]\nname = 'a'\nseeds = 1\n[grid]\nshap = ['x']", "unknown field 'shap'; did you mean 'shape'?"),
     ],
 )
