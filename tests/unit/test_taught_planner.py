@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from llm_flock.distill.evaluation import PLAN_TEAMS
 from llm_flock.distill.examples import TEAMS
-from llm_flock.llm.frame import TAUGHT_PLANS, frame_step
+from llm_flock.llm.frame import frame_step
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm.prompt_values import FARTHEST, nearer_goal
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter
-from llm_flock.llm.taught_planner import TaughtPlanner, is_taught
+from llm_flock.llm.taught_planner import TAUGHT_PLANS, TaughtPlanner, is_taught
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -44,10 +43,10 @@ class Saying:
 
 
 def test_what_it_knows_is_what_the_recipe_teaches() -> None:
-    assert {(shape, n) for shape, sizes in TEAMS for n in sizes} == TAUGHT_PLANS == set(PLAN_TEAMS)
+    assert {(shape, n) for shape, sizes in TEAMS for n in sizes} == set(TAUGHT_PLANS)
 
 
-@pytest.mark.parametrize(("shape", "n"), sorted(TAUGHT_PLANS))
+@pytest.mark.parametrize(("shape", "n"), TAUGHT_PLANS)
 def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
     question = asked(shape, n)
     assert is_taught(question) and asyncio.run(TaughtPlanner(Saying()).plan(question)) is SAID

@@ -6,7 +6,6 @@ import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
-from urllib.parse import urlsplit
 
 import typer
 
@@ -102,21 +101,11 @@ def grid(count: int, spacing_m: float) -> list[Position]:
 def _from_file(path: Path) -> tuple[str, int, list[Position]]:
     """Host, first port and places of a file's drones, whose ports have to follow one another."""
     from llm_flock.robots.crazyflie.crazyflies_yaml import read_crazyflies
+    from llm_flock.robots.crazyflie.link import host_and_port
 
     drones = read_crazyflies(path)
-    found = [_udp(drone.uri) for drone in drones]
-    host, first = found[0] or ("", 0)
-    for k, (drone, end) in enumerate(zip(drones, found, strict=True)):
-        if end != (host, first + k):
+    host, first = host_and_port(drones[0].uri) or ("", 0)
+    for k, drone in enumerate(drones):
+        if not drone.uri.startswith("udp://") or host_and_port(drone.uri) != (host, first + k):
             raise InputError(f"robots.{drone.name}.uri", drone.uri, "udp://HOST:PORT, one port after the other")
     return host, first, [drone.home for drone in drones]
-
-
-def _udp(uri: str) -> tuple[str, int] | None:
-    """Host and port of a UDP address, None if it has none."""
-    try:
-        parts = urlsplit(uri)
-        host, port = parts.hostname, parts.port
-    except ValueError:  # no number, or one that is too large
-        return None
-    return None if parts.scheme != "udp" or host is None or port is None else (host, port)

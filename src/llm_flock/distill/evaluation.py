@@ -22,12 +22,10 @@ from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.taught_planner import TAUGHT_PLANS
 from llm_flock.protocol.planning import Answer, PlanAnswer, PlanQuestion, Question, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
 from llm_flock.protocol.verification.steps import check_answer, clip_waypoint
-
-PLAN_TEAMS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
-"""Shapes and sizes of the questions for a plan."""
 
 OTHER_TEAMS: tuple[tuple[str, int], ...] = (
     *(("line", n) for n in (3, 5, 8)),
@@ -182,7 +180,7 @@ class Evaluator:
         rng = np.random.default_rng([self._seed, 3])
         return self._motion([blocked_step(rng) for _ in range(count)], in_the_way=True)
 
-    def plans(self, count: int, teams: Sequence[tuple[str, int]] = PLAN_TEAMS) -> list[PlanFigures]:
+    def plans(self, count: int, teams: Sequence[tuple[str, int]] = TAUGHT_PLANS) -> list[PlanFigures]:
         """Ask for `count` plans of each team, by robots in turn, at held-out centres and spacings."""
         out: list[PlanFigures] = []
         prompts = self.prompts_of_plans(count, teams)
@@ -200,7 +198,7 @@ class Evaluator:
         return out
 
     def prompts_of_plans(
-        self, count: int, teams: Sequence[tuple[str, int]] = PLAN_TEAMS
+        self, count: int, teams: Sequence[tuple[str, int]] = TAUGHT_PLANS
     ) -> dict[str, tuple[frozenset[tuple[str, str]], int]]:
         """The different prompts of `plans`, by team, and how many of them the recipe teaches. Asks nothing."""
         found: dict[str, tuple[frozenset[tuple[str, str]], int]] = {}

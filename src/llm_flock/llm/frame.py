@@ -26,9 +26,6 @@ A = TypeVar("A", PlanAnswer, StepAnswer)
 TRAINED = "local:smollm2"
 """The model that is trained for its own frame and the brief prompts; an adapter may follow after a plus sign."""
 
-TAUGHT_PLANS = frozenset({("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10)})
-"""Shapes and numbers of places of the plans that its packaged adapter was taught."""
-
 LETTERS_MODEL = "local:smollm2+letters"
 """The model that is trained for the prompts `letters`."""
 

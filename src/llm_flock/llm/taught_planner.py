@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from llm_flock.llm.frame import TAUGHT_PLANS
 from llm_flock.llm.geometry import plan_by_geometry
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+
+TAUGHT_PLANS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
+"""Shapes and numbers of places of the plans that the packaged adapter was taught."""
 
 
 def is_taught(question: PlanQuestion) -> bool:

@@ -144,7 +144,7 @@ class Allowance:
         self._since = -math.inf
 
     def spend(self, now: float, amount: float = 1.0) -> bool:
-        """Whether one more message, or so many bytes more, are allowed now [s]; if so, they count."""
+        """Count one more message, or this many bytes, at this time [s]; return False, counting nothing, if too many."""
         self._left = min(self._most, self._left + self._rate * max(0.0, now - self._since))
         self._since = now
         if self._left < amount:

@@ -72,7 +72,8 @@ class Messaging:
     def broadcast(self, course: Course | None = None) -> bytes:
         """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
-        positions, tabled = None, claim.table is not None or claim.slot is None  # else nobody is placed together
+        positions = None
+        tabled = claim.table is not None or claim.slot is None  # a rule without tables places nobody together
         if tabled and agreement.all_to_all.collecting:
             positions = agreement.all_to_all.report(
                 agreement.mission,
