@@ -183,6 +183,15 @@ def test_the_code_that_the_glossary_names_exists(name: str) -> None:
     assert found(name)
 
 
+PAPER = (ROOT / "docs" / "explanation" / "the-paper-in-this-code.md").read_text(encoding="utf-8")
+PAPER_NAMES = sorted({name for name in SPAN.findall(PAPER) if re.fullmatch(r"[a-z_]+(\.\w+)+", name)})
+
+
+@pytest.mark.parametrize("name", PAPER_NAMES)
+def test_the_code_of_the_paper_exists(name: str) -> None:
+    assert found(name)
+
+
 def test_a_name_that_does_not_exist_is_noticed() -> None:
     assert not found("protocol.agent.Mind") and not found("protocol.talks") and found("protocol.agent.Agent.goal")
 
