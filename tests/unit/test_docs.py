@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import functools
 import importlib
 import inspect
@@ -111,7 +112,7 @@ def test_tests_that_pages_name_exist() -> None:
         for name in (file.name, *re.findall(r"^def (test_\w+)\(", file.read_text(encoding="utf-8"), re.MULTILINE))
     }
     examples = {"test_my_rule", "test_my_model", "test_my_own_model", "test_my_prompts", "test_my_shape"}
-    for page in PAGES:
+    for page in (*PAGES, *(ROOT / "docs" / "data").glob("*.csv")):
         named = {Path(span).name for span in SPAN.findall(FENCE.sub("", page.read_text(encoding="utf-8")))}
         assert {name for name in named if name.startswith("test_")} <= existing | examples, page.name
 
@@ -138,6 +139,16 @@ def test_every_page_is_in_a_table_of_contents() -> None:
 )
 def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
     assert faults_in(line, {"run": {"--seed"}}) == faults
+
+
+def test_every_file_of_figures_has_its_command() -> None:
+    with (ROOT / "docs" / "data" / "commands.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert all(row["What was asked"] and row["Command"] for row in rows)
+    known = commands()
+    assert [fault for row in rows for line in SPAN.findall(row["Command"]) for fault in faults_in(line, known)] == []
+    files = {path.name for path in (ROOT / "docs" / "data").iterdir()} - {"commands.csv", "theorem-tests.csv"}
+    assert {row["File"] for row in rows} == files
 
 
 def test_every_key_of_the_summary_is_documented() -> None:
