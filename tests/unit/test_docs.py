@@ -111,7 +111,7 @@ def test_tests_that_pages_name_exist() -> None:
         for file in (ROOT / "tests").rglob("test_*.py")
         for name in (file.name, *re.findall(r"^def (test_\w+)\(", file.read_text(encoding="utf-8"), re.MULTILINE))
     }
-    examples = {"test_my_rule", "test_my_model", "test_my_own_model", "test_my_prompts", "test_my_shape"}
+    examples = {"test_my_model", "test_my_own_model", "test_my_prompts", "test_my_shape"}
     for page in (*PAGES, *(ROOT / "docs" / "data").glob("*.csv")):
         named = {Path(span).name for span in SPAN.findall(FENCE.sub("", page.read_text(encoding="utf-8")))}
         assert {name for name in named if name.startswith("test_")} <= existing | examples, page.name
