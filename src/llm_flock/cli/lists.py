@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.table import Table
 
+from llm_flock import plugins
 from llm_flock.cli.doctor import is_set
 from llm_flock.cli.terminal import Screen
 
@@ -26,11 +27,8 @@ def models() -> None:
     for provider in PROVIDERS.values():
         known = "yes" if is_set(provider.key_env) else "no"
         table.add_row(provider.name, provider.key_env, known, provider.base_url or "-", provider.example)
-    for name, example in (
-        ("local", "local:smollm2"),
-        ("simulated", "simulated:ideal"),
-        ("geometry", "geometry"),
-        ("replay", "replay:FILE"),
-    ):
+    here = {name: source.example for name, source in plugins.load_all("models")}
+    here |= {"simulated": "simulated:ideal", "geometry": "geometry", "replay": "replay:FILE"}
+    for name, example in here.items():
         table.add_row(name, "-", "-", "this process", example)
     Screen().show(table, copied=("key in", "default address", "example"))

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
+from llm_flock import plugins
 from llm_flock.cli.extensions import Finding
 from llm_flock.errors import InputError
-from llm_flock.extras import require
+from llm_flock.extras import ExtraMissing, require
 from llm_flock.foxglove.options import Service, with_foxglove
 
 DEFAULT_PORT = 8765
@@ -88,9 +89,9 @@ def view(
         found = records_in(found)
     watched = None
     if connect is not None or config is not None:
-        from llm_flock.runtime.network.config import SwarmConfig
-
-        watched = SwarmConfig.load(config, connect=connect, swarm=swarm)
+        if "swarm" not in plugins.entries("watches"):
+            raise ExtraMissing("view --connect", "network")
+        watched = plugins.load("watches", "swarm")(config, connect, swarm)
     # Whatever can fail does so before an address is shown.
     models, reader = tuple(model or ()), None
     if models:
