@@ -72,14 +72,6 @@ def test_the_address_is_the_content_wherever_files_are_put(tmp_path: Path) -> No
     assert trial_id(build_config(prompts=str(prompts))) != before
 
 
-def test_the_address_outlives_renamed_settings() -> None:
-    """Ids of the version that brought the circuit breaker."""
-    assert trial_id(build_config(seed=1)) == "247289b2368f24958f5d"
-    assert trial_id(build_config(seed=1, protocol="paper")) == "148113a53d58b6f3b892"
-    assert trial_id(build_config(gaps="replan", comm_rounds=3)) == "0de98fce7eb1eda78be0"
-    assert trial_id(build_config(seed=1, max_answer_tokens=9)) != trial_id(build_config(seed=1))
-
-
 @pytest.mark.parametrize(
     ("options", "field"),
     [

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from llm_flock import formations, renamed
+from llm_flock import formations
 from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
@@ -118,24 +118,9 @@ def _waits(model: str) -> bool:
     return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
-ADDED: Mapping[str, frozenset[str]] = {
-    "limits": frozenset({"max_answer_tokens"}),
-    "model": frozenset({"wish"}),
-    "trial": frozenset({"start_area"}),
-}
-"""Settings, by section, that are younger than the first sweeps; none is given unless it is set."""
-
-
 def trial_id(config: RunConfig) -> str:
-    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights.
-
-    Renamed settings count under their old names, and later ones only where they are given, so that a sweep that was
-    started before goes on.
-    """
+    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
     sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
-    for name, fields in ADDED.items():
-        sections[name] = {f: value for f, value in sections[name].items() if value is not None or f not in fields}
-    plain = {name: renamed.former(section) for name, section in sections.items()}
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
     for model in models_of(config):
@@ -144,7 +129,7 @@ def trial_id(config: RunConfig) -> str:
             files.append(_digest(Path(name.model)))
         elif name.kind == "local":
             files.extend(find_weights(name.model).digests().values())
-    text = json.dumps([plain, files], sort_keys=True, separators=(",", ":"))
+    text = json.dumps([sections, files], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
 

@@ -13,7 +13,6 @@ from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from llm_flock import renamed
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock.experiments.trial import KeepRecords
@@ -152,9 +151,8 @@ def _trials(
     for name in variables:
         if name not in {**file.variables, **file.grid}:
             raise InputError("set", name, says=unknown("variable or axis", name, (*file.variables, *file.grid)))
-    given = renamed.current({field: value for field, value in overrides.items() if value is not None})
-    grid = renamed.current(file.grid)
-    axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in grid.items()}
+    given = {field: value for field, value in overrides.items() if value is not None}
+    axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in file.grid.items()}
     for name in axes.keys() & variables.keys() - file.variables.keys():
         axes[name] = _kept(name, axes[name], variables[name])
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
@@ -212,12 +210,11 @@ def _point(axis: str, value: Any) -> _Point:
         label = fields.pop("name", None)
         if not isinstance(label, str) or not label:
             raise InputError(f"grid.{axis}", fields, "tables with a `name`")
-        return _Point(label, renamed.current(fields))
+        return _Point(label, fields)
     if axis == "team":
         ((shape, n_robots),) = parse_teams(str(value))
         return _Point(str(value), {"shape": shape, "n_robots": n_robots})
-    fields = renamed.current({axis: value})
-    return _Point(str(fields[axis]), fields)
+    return _Point(str(value), {axis: value})
 
 
 def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Point]) -> Cell:

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from llm_flock import renamed
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.llm.frame import FrameName
 from llm_flock.metrics import deadline
@@ -270,8 +269,8 @@ class RunConfig(ConfigSection):
                 raise unknown_section(name, cls)
             if not isinstance(section, Mapping):
                 raise InputError(name, section, f"a section: [{name}], and below it FIELD = VALUE")
-            data[name] = renamed.current(cast("Mapping[str, Any]", section))
-        for field, value in renamed.current(overrides).items():
+            data[name] = dict(cast("Mapping[str, Any]", section))
+        for field, value in overrides.items():
             if value is not None:
                 data.setdefault(cls.section_of(field), {})[field] = value
         mission = data.get("mission", {})
