@@ -17,11 +17,9 @@ from llm_flock import formations
 from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
-from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.models import parse_models
+from llm_flock.llm.models import model_digests, parse_models, waits
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
-from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.schedule import points_file
@@ -103,19 +101,12 @@ class TrialSpec:
     @property
     def waits(self) -> bool:
         """Whether the trial mostly waits for answers, so that many of its kind fit into one process."""
-        return any(map(_waits, self.models))
+        return any(map(waits, self.models))
 
 
 def models_of(config: RunConfig) -> tuple[str, ...]:
     """The models that a configuration uses, each once."""
     return tuple(dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)))
-
-
-def _waits(model: str) -> bool:
-    name = parse_model(model)
-    if name.kind != "simulated":
-        return name.kind in ("provider", "local", "own")
-    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
 def trial_id(config: RunConfig) -> str:
@@ -127,8 +118,7 @@ def trial_id(config: RunConfig) -> str:
         name = parse_model(model)
         if name.kind == "replay":
             files.append(_digest(Path(name.model)))
-        elif name.kind == "local":
-            files.extend(find_weights(name.model).digests().values())
+        files.extend(model_digests(model).values())
     text = json.dumps([sections, files], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 

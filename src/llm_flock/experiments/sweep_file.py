@@ -20,6 +20,7 @@ from llm_flock.llm.providers import PROVIDERS
 from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission
 from llm_flock.runtime.config import RunConfig, build_config, read_toml
+from llm_flock.runtime.forecast import OUTPUT_TOKENS, PROFILE
 from llm_flock.text_files import read_text
 from llm_flock.validation import input_error
 
@@ -77,10 +78,8 @@ class ProviderTable(_Table):
 class ExpectTable(_Table):
     """`[expect]`: the assumptions of `--dry-run` about language models."""
 
-    output_tokens: Positive = Field(default=400, description="Tokens of an answer, reasoning included")
-    profile: str = Field(
-        default="distorted@0.3,overshoot@0.3", description="Stand-in that rehearses the cells of real models"
-    )
+    output_tokens: Positive = Field(default=OUTPUT_TOKENS, description="Tokens of an answer, reasoning included")
+    profile: str = Field(default=PROFILE, description="Stand-in that rehearses the cells of real models")
 
 
 class SweepFile(_Table):

@@ -13,6 +13,7 @@ import numpy as np
 from llm_flock.errors import InputError, unknown
 from llm_flock.extras import require
 from llm_flock.llm.local.model import EngineLeases, LocalModel
+from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
@@ -101,6 +102,24 @@ def _setting(name: str, text: str) -> Any:
     if not 0 <= value <= (2 if warm else 2**63 - 1):
         raise InputError(field, text, "a number from 0 to 2" if warm else "a whole number of at least 0")
     return value
+
+
+def waits(model: str) -> bool:
+    """Whether a model mostly waits for answers, so that runs with it need little of a processor."""
+    name = parse_model(model)
+    if name.kind != "simulated":
+        return name.kind in ("provider", "local", "own")
+    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
+
+
+def model_digests(model: str) -> Mapping[str, str]:
+    """SHA-256 of the weights of a model that answers on this machine, by file; empty for any other model.
+
+    Raises:
+        InputError: the files of a model on board are missing or unfit.
+    """
+    name = parse_model(model)
+    return find_weights(name.model).digests() if name.kind == "local" else {}
 
 
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
