@@ -21,7 +21,6 @@ from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission
 from llm_flock.runtime.config import RunConfig, build_config, read_toml
 from llm_flock.runtime.forecast import OUTPUT_TOKENS, PROFILE
-from llm_flock.text_files import read_text
 from llm_flock.validation import input_error
 
 MOST_TRIALS = 100_000
@@ -126,7 +125,7 @@ def load_sweep(
     given = {name: value for name, value in (budget or {}).items() if value is not None}
     try:
         data = read_toml("file", path)
-        text = read_text(path)
+        text = path.read_text(encoding="utf-8")
         if isinstance(table := data.get("budget", {}), dict):
             data["budget"] = {**cast("dict[str, Any]", table), **given}
         if seeds is not None and isinstance(table := data.get("sweep"), dict):
