@@ -23,9 +23,9 @@ from llm_flock.llm.models import parse_models
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
+from llm_flock.record.schema import LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
-from llm_flock.runtime.entries import finite, mission_info
+from llm_flock.runtime.entries import metrics_row, mission_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.self_reports import SelfReports, rejected, sent
@@ -337,16 +337,14 @@ class Observer:
         self._sink.write(self._state(positions))
         near = graph.distances(positions) <= self.mission.comm_range
         messages, volume = sent(self.reports.values())
-        plan_ids = [self.reports[robot].plan_id for robot in robots]
-        row = MetricsRow(
-            round=self._row,
-            procrustes_mean=error,
-            procrustes_mean_squared=None,
-            min_separation=finite(metrics.min_separation(positions)),
-            segment_separation=finite(self._row_closest),
-            plans_in_use=metrics.plans_in_use(plan_ids),
-            distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
-            robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+        row = metrics_row(
+            self._row,
+            plan_ids=[self.reports[robot].plan_id for robot in robots],
+            slots=[self.reports[robot].slot for robot in robots],
+            at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+            error=None if error is None else (error, None),
+            separation=metrics.min_separation(positions),
+            on_segment=self._row_closest,
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
             model_calls=self.said.calls,
             tokens=self.said.tokens,
@@ -359,17 +357,4 @@ class Observer:
         self._row_closest = math.inf
         self._sink.write(RoundEnd(round=self._row))
         if self._on_row is not None:
-            self._on_row(
-                TrialProgress(
-                    round=self._row,
-                    rounds=0,
-                    at_goal=row.robots_at_goal,
-                    n_robots=len(robots),
-                    plans_in_use=row.plans_in_use,
-                    distinct_goals=row.distinct_goals,
-                    error=error,
-                    model_calls=row.model_calls,
-                    tokens=row.tokens,
-                    cost_usd=None,
-                )
-            )
+            self._on_row(TrialProgress.of(row, rounds=0, n_robots=len(robots)))
