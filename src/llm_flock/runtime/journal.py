@@ -218,7 +218,7 @@ class Journal:
                     plans_in_use=metrics.plans_in_use(plan_ids),
                     distinct_goals=metrics.distinct_goals(plan_ids, slots),
                     robots_at_goal=self.at_goal,
-                    connected=team.connected(roster.awake),
+                    connected=team.readings.connected(roster.awake),
                     model_calls=self.calls,
                     tokens=self.usage.total,
                     cost_usd=self.cost_usd,

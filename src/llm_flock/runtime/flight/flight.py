@@ -204,7 +204,7 @@ class Flight:
             return TimedPlanner(planner, safety.think_s, silent, lambda: supervisor.trip(trouble))
 
         planners.wrap(timed)
-        rules, start = config.protocol.rules(), team.places
+        rules, start = config.protocol.rules(), team.readings.places
         trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
         if self._broken_record is not None:
@@ -233,7 +233,7 @@ class Flight:
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         """Take off and flock, until the mission or the flight ends; then return, if that is asked for."""
-        homes = homes_of(self._config, team.places)
+        homes = homes_of(self._config, team.readings.places)
         try:
             self._enter(TAKING_OFF)
             await supervisor.while_safe(take_off(self._config, team, log))
@@ -274,7 +274,7 @@ class Flight:
     async def _return(self, team: FlyingTeam, homes: Points, log: FlightLog) -> None:
         self._enter("returning")
         log.note("returning")
-        away = await fly_home(self._config, team, team.fly_together, homes)
+        away = await fly_home(self._config, team.readings, team.fly_together, homes)
         names = [team.names[robot] for robot in away]
         log.note("returned", not_home=names)
         if names:
