@@ -22,7 +22,7 @@ from ros2_messages import SAMPLES, definition, points, same
 from zenoh_router import listener, router
 
 from llm_flock.errors import MessageError
-from llm_flock.robots.positions import PoseFrame
+from llm_flock.robots.pose import PoseFrame
 from llm_flock.ros2 import drawing
 from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.poses import RosPoses

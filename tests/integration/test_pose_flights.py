@@ -12,7 +12,7 @@ import pytest
 from flights import figures, flight_config, yes
 
 from llm_flock.errors import InputError
-from llm_flock.robots.positions import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import deadman, positions
 from llm_flock.runtime.flight.config import DroneConfig, FlightConfig

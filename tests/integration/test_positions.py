@@ -19,7 +19,7 @@ from flights import figures
 
 from llm_flock.errors import InputError
 from llm_flock.record.reader import read_record
-from llm_flock.robots.positions import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.positions.datagram import datagram_of
 from llm_flock.robots.positions.mocap import MocapPoses
 from llm_flock.robots.positions.udp import UdpPoses

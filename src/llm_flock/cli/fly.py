@@ -107,9 +107,9 @@ async def _fly(
 
     from llm_flock.cli.keyboard import Keyboard, ask
     from llm_flock.record.writer import both
-    from llm_flock.ros2.flight import poses_of, showing_flight
     from llm_flock.runtime.flight.fleet import build_fleet
     from llm_flock.runtime.flight.flight import TAKING_OFF, Flight
+    from llm_flock.runtime.flight.shown import ros2_bridge
 
     async def confirm(report: PreflightReport) -> bool:
         if not as_json:
@@ -139,8 +139,11 @@ async def _fly(
     waited: set[str] = set()
     bar, on_round = live_line(settings.mission.shape, enabled=live)
     async with AsyncExitStack() as stack:
-        sink = both(sink, await stack.enter_async_context(showing_flight(settings)))
-        fleet, poses = build_fleet(settings), poses_of(settings)
+        if settings.ros2.router is not None:
+            names = [drone.name for drone in settings.fleet.drones]
+            showing = ros2_bridge().showing_flight(settings.ros2, names, settings.frame, settings.safety.low_battery_v)
+            sink = both(sink, await stack.enter_async_context(showing))
+        fleet = build_fleet(settings)
         flight = Flight(
             settings,
             fleet,
@@ -148,7 +151,6 @@ async def _fly(
             on_stage=while_shown(on_stage),
             on_connect=while_shown(on_connect),
             sink=sink,
-            poses=poses,
         )
         with Keyboard(flight) as keyboard:
             try:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager, closing
 from typing import Any
 
@@ -19,8 +19,12 @@ from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes
 from llm_flock.ros2.poses import RosPoses
 from llm_flock.ros2.recorded import RecordedTeam, positions_of
-from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.ros2.types import prepare
+from llm_flock.runtime.mission_frame import MissionFrame
 from llm_flock.runtime.network.connection import refusing
+from llm_flock.runtime.ros2_config import Ros2Config
+
+__all__ = ["poses_of", "prepare", "showing_flight"]  # the plug-in, see llm_flock.runtime.flight.shown
 
 TEAM = "flock"
 """Namespace of a flight's topics, unless configured."""
@@ -29,14 +33,14 @@ TEAM = "flock"
 class FlightShow:
     """A sink that shows the entries of a flight."""
 
-    def __init__(self, graph: Graph, config: FlightConfig) -> None:
+    def __init__(
+        self, graph: Graph, config: Ros2Config, drones: Sequence[str], frame: MissionFrame, low_battery_v: float
+    ) -> None:
         self.faults = Refused()
-        n_robots = config.mission.n_robots
-        self._nodes = TeamNodes(graph, config.ros2, TEAM, n_robots, clock=False)
-        self._team = RecordedTeam(config.frame.to_world, config.world.scale_m)
-        self._names = [drone.name for drone in config.fleet.drones] or [str(robot) for robot in range(n_robots)]
-        self._safety = config.safety
-        self._period_s, self._due_s = 1.0 / config.ros2.ros_rate_hz, 0.0
+        self._nodes = TeamNodes(graph, config, TEAM, len(drones), clock=False)
+        self._team = RecordedTeam(frame.to_world, frame.scale_m)
+        self._names, self._low_battery_v = drones, low_battery_v
+        self._period_s, self._due_s = 1.0 / config.ros_rate_hz, 0.0
         self._sample: BodySample | None = None
         self._event: FlightEvent | None = None
 
@@ -84,33 +88,31 @@ class FlightShow:
         if sample is None:
             return found
         for name, up, volts, link in zip(self._names, sample.flying, sample.battery_v, sample.link, strict=True):
-            low = volts is not None and volts < self._safety.low_battery_v
+            low = volts is not None and volts < self._low_battery_v
             level = ERROR if link == 0.0 else WARN if low else OK
             said = "link lost" if link == 0.0 else "flying" if up else "on the ground"
             found.append((name, level, said, {"battery [V]": volts, "link": link}))
         return found
 
 
-def poses_of(config: FlightConfig) -> RosPoses | None:
-    """The source of a flight's poses in ROS 2; None where they come from elsewhere."""
-    if config.positions.pose_source != "ros2":
-        return None
-    return RosPoses(config.ros2, TEAM, [drone.name for drone in config.fleet.drones])
+def poses_of(config: Ros2Config, drones: Sequence[str]) -> RosPoses:
+    """The source of these drones' poses."""
+    return RosPoses(config, TEAM, drones)
 
 
 @asynccontextmanager
-async def showing_flight(config: FlightConfig) -> AsyncGenerator[RecordSink | None]:
-    """A sink that shows a flight in ROS 2; None where no router is configured.
+async def showing_flight(
+    config: Ros2Config, drones: Sequence[str], frame: MissionFrame, low_battery_v: float
+) -> AsyncGenerator[RecordSink]:
+    """A sink that shows a flight in ROS 2, with a warning below this voltage.
 
     Raises:
         InputError: the router does not answer, or the extra is not installed, or another bridge shows this team.
     """
-    if config.ros2.router is None:
-        yield None
-        return
-    with closing(Graph(config.ros2.router, config.ros2.ros_domain)) as graph:
-        graph.check_free(config.ros2.namespace(TEAM), TEAM_NODE)
-        show = FlightShow(graph, config)
+    assert config.router is not None, "without a router, nothing is shown"
+    with closing(Graph(config.router, config.ros_domain)) as graph:
+        graph.check_free(config.namespace(TEAM), TEAM_NODE)
+        show = FlightShow(graph, config, drones, frame, low_battery_v)
         task = asyncio.create_task(show.live())
         try:
             yield show

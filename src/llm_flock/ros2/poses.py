@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from llm_flock.errors import MessageError
-from llm_flock.robots.positions import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.orders import check_frame, checked_position
 from llm_flock.ros2.types import POSE

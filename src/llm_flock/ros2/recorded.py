@@ -12,7 +12,7 @@ from llm_flock.mission import input_error
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.record.schema import BodySample, Entry, MissionInfo, PlanInfo, RunInfo, State
 from llm_flock.ros2.drawing import Position, TeamView, ToWorld, scaled, view_of
-from llm_flock.runtime.flight.config import WorldConfig, mission_frame
+from llm_flock.runtime.mission_frame import WorldConfig
 
 
 def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int) -> tuple[ToWorld, float]:
@@ -32,7 +32,7 @@ def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int)
     low, high = (tuple(corner) for corner in mission.mission["arena"])
     if not len(low) == len(high) == dim:
         raise RecordError(f"corners of an arena with {len(low)} and {len(high)} coordinates, not {dim}")
-    return mission_frame(world, low, high).to_world, world.scale_m
+    return world.frame(low, high).to_world, world.scale_m
 
 
 class RecordedTeam:

@@ -29,7 +29,7 @@ from llm_flock.robots.crazyflie.telemetry import (
     fault_of,
     says,
 )
-from llm_flock.robots.positions.pose import Pose
+from llm_flock.robots.pose import Pose
 from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4

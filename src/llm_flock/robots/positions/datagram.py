@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 
 from llm_flock.errors import MessageError
-from llm_flock.robots.positions.pose import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
 
 MOST_BYTES = 16_384
 """Largest datagram that is read: more than a hundred drones [bytes]."""

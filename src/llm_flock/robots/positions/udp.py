@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from llm_flock.errors import InputError, MessageError
+from llm_flock.robots.pose import PoseFrame
 from llm_flock.robots.positions.datagram import MOST_BYTES, frame_of
 from llm_flock.robots.positions.gate import UNKNOWN
-from llm_flock.robots.positions.pose import PoseFrame
 
 SILENT_S = 1.0
 """A sender that sends nothing usable for this long may be followed by another one [s]."""

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from itertools import product
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
-from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
+from llm_flock.runtime.config import ConfigSection, RunConfig, metres, seconds
 from llm_flock.runtime.flight.drones import ROUNDING_M, check_drones, check_starts
-from llm_flock.runtime.flight.frame import MissionFrame
+from llm_flock.runtime.mission_frame import Metres, MissionFrame, WorldConfig
 from llm_flock.runtime.positions_config import PositionsConfig
 from llm_flock.runtime.ros2_config import Ros2Config
-
-Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 
 NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
@@ -29,33 +25,8 @@ HEIGHT_TRACKING_M = 0.15
 """Default of `height_tracking_m` in the plane: a Crazyflie's stock controller overshoots a take-off by 8 cm [m]."""
 
 
-def _length(default: float, description: str) -> Any:
-    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
-
-
 def _seconds(default: float, description: str) -> Any:
     return seconds(default, description, most=3600)
-
-
-class WorldConfig(ConfigSection):
-    """Place of the mission in the world frame of the localisation system, z up."""
-
-    scale_m: float = _length(0.1, "Length of one mission unit")
-    stretch: float = Field(
-        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
-    )
-    yaw_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
-    )
-    origin_m: tuple[Metres, Metres] = Field(
-        default=(0.0, 0.0), description="Middle of the arena in the world, x and y [m]"
-    )
-    altitude_m: float = _length(1.0, "Height of a mission in the plane, or of the middle of the arena: z")
-    floor_m: Metres = Field(default=0.0, description="Height of the floor: z [m]")
-    geofence: tuple[tuple[Metres, Metres, Metres], tuple[Metres, Metres, Metres]] = Field(
-        default=((-6.0, -6.0, -0.5), (6.0, 6.0, 2.5)),
-        description="Lower and upper corner of the box that no drone may leave, in the world [m]",
-    )
 
 
 class DroneConfig(ConfigSection):
@@ -136,9 +107,9 @@ class FleetConfig(ConfigSection):
 class SafetyConfig(ConfigSection):
     """Distances to keep, conditions to monitor, and times to react."""
 
-    min_separation_m: float = _length(0.2, "Smallest distance between two drones side by side, centre to centre")
-    downwash_m: float = _length(0.6, "Smallest distance between two drones above each other")
-    tracking_m: float = _length(0.05, "Largest distance between a drone and its set-point, as late as the team is")
+    min_separation_m: float = metres(0.2, "Smallest distance between two drones side by side, centre to centre")
+    downwash_m: float = metres(0.6, "Smallest distance between two drones above each other")
+    tracking_m: float = metres(0.05, "Largest distance between a drone and its set-point, as late as the team is")
     height_tracking_m: float | None = Field(
         default=None,
         gt=0,
@@ -160,7 +131,7 @@ class SafetyConfig(ConfigSection):
     settle_s: float = _seconds(1.0, "Longest wait after a motion for the drones to arrive")
     take_off_s: float = _seconds(2.5, "Duration of a take-off")
     land_s: float = _seconds(3.0, "Duration of a landing")
-    start_tolerance_m: float = _length(0.15, "Preflight: largest distance from the given start position")
+    start_tolerance_m: float = metres(0.15, "Preflight: largest distance from the given start position")
     ready_battery_v: float = Field(default=3.8, ge=0, le=100, description="Preflight: lowest battery voltage [V]")
     ready_link: float = Field(default=0.7, ge=0, le=1, description="Preflight: smallest share of acknowledged packets")
     low_battery_v: float = Field(
@@ -168,9 +139,9 @@ class SafetyConfig(ConfigSection):
     )
     low_battery_s: float = _seconds(1.0, "Time for which the battery must stay low before that")
     stall_s: float = _seconds(0.5, "Largest age of a position estimate")
-    jump_m: float = _length(0.3, "Largest jump of a position estimate, beyond what a drone can fly")
+    jump_m: float = metres(0.3, "Largest jump of a position estimate, beyond what a drone can fly")
     off_course_s: float = _seconds(0.5, "Longest time that a drone may be farther than tracking_m from its set-point")
-    cut_outside_m: float = _length(1.0, "Cut the motors of a drone that is this far outside the geofence")
+    cut_outside_m: float = metres(1.0, "Cut the motors of a drone that is this far outside the geofence")
     silent_rounds: int = Field(
         default=3,
         ge=1,
@@ -183,18 +154,6 @@ class SafetyConfig(ConfigSection):
         default="land", description="After the mission: land on the spot, or return to above the starts and land there"
     )
     reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
-
-
-def mission_frame(world: WorldConfig, low: Point, high: Point) -> MissionFrame:
-    """A mission in the world, by the corners of its arena [units]."""
-    return MissionFrame(
-        anchor=tuple((a + b) / 2 for a, b in zip(low, high, strict=True)),
-        scale_m=world.scale_m,
-        stretch=world.stretch if len(low) == 3 else 1.0,
-        yaw=math.radians(world.yaw_deg),
-        origin=world.origin_m,
-        altitude_m=world.altitude_m,
-    )
 
 
 class FlightConfig(RunConfig):
@@ -342,7 +301,7 @@ class FlightConfig(RunConfig):
     @property
     def frame(self) -> MissionFrame:
         """The mission in the world."""
-        return mission_frame(self.world, *self.mission.arena)
+        return self.world.frame(*self.mission.arena)
 
     @property
     def driver_limits(self) -> MotionLimits:

@@ -13,7 +13,8 @@ from llm_flock.errors import RecordError
 from llm_flock.protocol.planning import Planner
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Robot, RobotError
-from llm_flock.robots.positions import PoseFeed, PoseSource
+from llm_flock.robots.pose import PoseSource
+from llm_flock.robots.positions import PoseFeed
 from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.flight.claims import claimed
