@@ -19,7 +19,7 @@ from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing
 from llm_flock.robots.base import RobotError, RobotState
-from llm_flock.robots.crazyflie.lighthouse import LIGHTHOUSE_LOG, lighthouse_in_words
+from llm_flock.robots.crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.positions import PoseFeed, PoseGate

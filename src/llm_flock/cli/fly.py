@@ -173,7 +173,7 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
     import asyncio
 
     from llm_flock.runtime.flight.dry_run import dry_run
-    from llm_flock.runtime.flight.radios import radio_plan
+    from llm_flock.runtime.flight.preflight import radio_plan
 
     plan = asyncio.run(dry_run(settings))
     if as_json:
@@ -252,7 +252,7 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
 
 def _radio_tables(settings: FlightConfig) -> list[Table]:
     """What each radio has to carry; no table where no drone is called by radio."""
-    from llm_flock.runtime.flight.radios import radio_plan
+    from llm_flock.runtime.flight.preflight import radio_plan
 
     table = Table(
         "radio", "channels", "drones", r"needed \[1/s]", r"can \[1/s]", "share", r"turn \[ms]", title="radios"

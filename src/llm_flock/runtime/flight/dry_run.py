@@ -14,10 +14,11 @@ from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
 from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.bodies import InstantBodies
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, driver_of, with_drones
 from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import Descent, plan_landing
+from llm_flock.runtime.flight.sections import DroneConfig
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners

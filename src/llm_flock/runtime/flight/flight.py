@@ -25,8 +25,7 @@ from llm_flock.runtime.flight.landing import FELL, LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import Trouble, TroubleKind
 from llm_flock.runtime.flight.positions import checks_of, feeding, watching
-from llm_flock.runtime.flight.preflight import Check, PreflightReport, preflight
-from llm_flock.runtime.flight.radios import radio_checks
+from llm_flock.runtime.flight.preflight import Check, PreflightReport, preflight, radio_checks
 from llm_flock.runtime.flight.supervisor import FlightEnded, FlightSupervisor
 from llm_flock.runtime.flight.takeoff import TakeOffFailed, take_off
 from llm_flock.runtime.flight.team import FlyingTeam, NotArrived, SetPointRefused
