@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -83,16 +84,7 @@ class RecordedTeam:
         measured = self._measured
         if measured is None or len(measured) != len(view.positions):
             return view
-        return TeamView(
-            positions=measured,
-            waypoints=view.waypoints,
-            goals=view.goals,
-            phases=view.phases,
-            plan_ids=view.plan_ids,
-            places=view.places,
-            links=view.links,
-            safe_m=view.safe_m,
-        )
+        return replace(view, positions=measured)
 
     def state_json(self) -> dict[str, Any]:
         """The protocol's state."""
