@@ -24,7 +24,7 @@ from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.positions import PoseFeed, PoseGate
 from llm_flock.robots.positions.mocap import frame_of_bodies
-from llm_flock.ros2.poses import RosPoses
+from llm_flock.ros2.flight import RosPoses
 from llm_flock.ros2.wire import Attachment
 from llm_flock.runtime.flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source
 from llm_flock.runtime.ros2_config import Ros2Config
