@@ -108,9 +108,9 @@ async def _fly(
 
     from llm_flock.cli.keyboard import Keyboard, ask
     from llm_flock.record.writer import both
-    from llm_flock.ros2.flight import poses_of, showing_flight
     from llm_flock.runtime.flight.fleet import build_fleet
     from llm_flock.runtime.flight.flight import TAKING_OFF, Flight
+    from llm_flock.runtime.flight.shown import ros2_bridge
 
     async def confirm(report: PreflightReport) -> bool:
         if not as_json:
@@ -140,8 +140,11 @@ async def _fly(
     waited: set[str] = set()
     bar, on_round = live_line(settings.mission.shape, enabled=live)
     async with AsyncExitStack() as stack:
-        sink = both(sink, await stack.enter_async_context(showing_flight(settings)))
-        fleet, poses = build_fleet(settings), poses_of(settings)
+        if settings.ros2.router is not None:
+            names = [drone.name for drone in settings.fleet.drones]
+            showing = ros2_bridge().showing_flight(settings.ros2, names, settings.frame, settings.safety.low_battery_v)
+            sink = both(sink, await stack.enter_async_context(showing))
+        fleet = build_fleet(settings)
         flight = Flight(
             settings,
             fleet,
@@ -149,7 +152,6 @@ async def _fly(
             on_stage=while_shown(on_stage),
             on_connect=while_shown(on_connect),
             sink=sink,
-            poses=poses,
         )
         with Keyboard(flight) as keyboard:
             try:
@@ -172,7 +174,7 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
     import asyncio
 
     from llm_flock.runtime.flight.dry_run import dry_run
-    from llm_flock.runtime.flight.radios import radio_plan
+    from llm_flock.runtime.flight.preflight import radio_plan
 
     plan = asyncio.run(dry_run(settings))
     if as_json:
@@ -251,7 +253,7 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
 
 def _radio_tables(settings: FlightConfig) -> list[Table]:
     """What each radio has to carry; no table where no drone is called by radio."""
-    from llm_flock.runtime.flight.radios import radio_plan
+    from llm_flock.runtime.flight.preflight import radio_plan
 
     table = Table(
         "radio", "channels", "drones", r"needed \[1/s]", r"can \[1/s]", "share", r"turn \[ms]", title="radios"
