@@ -11,11 +11,12 @@ import shlex
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import typer.main
 
+from llm_flock import plugins
 from llm_flock.cli import app
 from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.runtime.config import RunConfig
@@ -97,7 +98,11 @@ def test_configuration_examples_are_valid(page: Path, tmp_path: Path) -> None:
     for language, body in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "toml":
             found = tomllib.loads(body)
-            if "sweep" in found:
+            if "project" in found:  # an entry point of a distribution of one's own
+                assert found["project"]["entry-points"].keys() <= {
+                    f"llm_flock.{kind}" for kind in get_args(plugins.Kind)
+                }
+            elif "sweep" in found:
                 (tmp_path / "sweep.toml").write_text(body, encoding="utf-8")
                 assert load_sweep(tmp_path / "sweep.toml").trials
             else:
