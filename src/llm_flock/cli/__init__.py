@@ -27,7 +27,7 @@ from llm_flock.cli.doctor import doctor, is_set
 from llm_flock.cli.exam import exam
 from llm_flock.cli.export import export
 from llm_flock.cli.fly import fly
-from llm_flock.cli.foxglove import PACE, Pacer, run_orders, showing_run
+from llm_flock.cli.foxglove import PACE, Pacer, showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -46,7 +46,7 @@ from llm_flock.cli.sweep import sweep
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require
-from llm_flock.foxglove.options import Service, with_foxglove
+from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of, refuse_foxglove
 from llm_flock.viewer.command import view
 
 app = typer.Typer(
@@ -72,7 +72,6 @@ RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or
 
 @command
 @with_config_flags()
-@with_foxglove
 def run(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
@@ -88,8 +87,8 @@ def run(
             show_default=False,
         ),
     ] = None,
-    *,
-    service: Service,
+    foxglove: Foxglove = False,
+    foxglove_port: FoxglovePort = None,
     **flags: Any,
 ) -> None:
     """Fly one mission and record it. Every field of the configuration is a flag.
@@ -97,13 +96,13 @@ def run(
     Without --out, the record goes to a new folder under runs/.
     """
     from llm_flock.runtime.config import RunConfig
-    from llm_flock.runtime.orders import RunOrders
 
+    port = port_of(foxglove, foxglove_port)
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
     settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record, typed=flags["out"])
     if dry_run:
-        service.refuse("a dry run")
+        refuse_foxglove(port, "a dry run")
         if pace is not None:
             raise InputError("pace", pace, says="has no effect in a dry run")
         from llm_flock.cli.expected import show_expected_run
@@ -113,11 +112,10 @@ def run(
     from llm_flock.runtime.api import run as run_trial
 
     bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
-    orders = RunOrders(settings)
     try:
-        with showing_run(service, settings, run_orders(orders)) as sink, bar:
-            pace = PACE if service.on and pace is None else pace
-            steer = None if pace is None else Pacer(pace, orders)
+        with showing_run(port, settings) as sink, bar:
+            pace = PACE if port is not None and pace is None else pace
+            steer = None if pace is None else Pacer(pace)
             result = run_trial(config=settings, on_round=on_round, sink=sink, steer=steer, trace=False)
     except KeyboardInterrupt:
         where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""

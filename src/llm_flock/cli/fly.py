@@ -30,7 +30,7 @@ from llm_flock.cli.options import (
 from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
 from llm_flock.extras import require_posix
-from llm_flock.foxglove.options import Service, with_foxglove
+from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of, refuse_foxglove
 
 if TYPE_CHECKING:
     from llm_flock.record.writer import RecordSink
@@ -46,7 +46,6 @@ WORD = "fly"
 
 
 @with_config_flags(without=SET_BY_FLY, kind=FLIGHT)
-@with_foxglove
 def fly(
     config: ConfigPath = None,
     dry_run: Annotated[
@@ -56,36 +55,35 @@ def fly(
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
-    *,
-    service: Service,
+    foxglove: Foxglove = False,
+    foxglove_port: FoxglovePort = None,
     **flags: Any,
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
     In flight, r lets all drones return to their starts and land there, l (or Ctrl-C) lands them where they are, and
-    x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
+    x (or Ctrl-C twice) cuts all motors.
     """
     import asyncio
 
     from llm_flock.runtime.flight.config import FlightConfig
     from llm_flock.runtime.flight.fleet import with_drones
 
+    port = port_of(foxglove, foxglove_port)
     if config is None and not dry_run and not (flags["drones"] or flags["crazyflies"]):
         says = "fly needs to know the drones: --config FILE, such as examples/flight.toml, or --crazyflies FILE"
         raise FieldError("config", says=f"{says} (--dry-run needs neither)")
     if not dry_run:
         require_posix("fly")
-    from llm_flock.foxglove.services import Orders
-
     if dry_run:
-        service.refuse("a dry run")
+        refuse_foxglove(port, "a dry run")
         refuse_ros2(flags, "has no effect in a dry run")
     settings = with_drones(load_shown(FlightConfig, config, flags))
     if dry_run:
         _dry_run(settings, json_output)
         return
     settings = with_output_folder(settings, "flight-", record=record, typed=flags["out"])
-    with showing_run(service, settings, Orders()) as sink:
+    with showing_run(port, settings) as sink:
         result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet, sink=sink))
     summary = None if result.result is None else result.result.summary
     if json_output:
