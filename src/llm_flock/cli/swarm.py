@@ -17,8 +17,7 @@ from rich.table import Table
 
 from llm_flock.cli.display import live_line
 from llm_flock.cli.export import needed
-from llm_flock.cli.extensions import Finding
-from llm_flock.cli.foxglove import SwarmOrders, showing_run
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -34,10 +33,10 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import chosen, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
-from llm_flock.foxglove.options import Service, with_foxglove
 from llm_flock.record.words import rules_text
 
 if TYPE_CHECKING:
@@ -98,19 +97,20 @@ def world(config: ConfigPath = None, **flags: Any) -> None:
 
 
 @with_config_flags(without=BODIES_HERE, kind=SWARM)
-@with_foxglove
+@extended("sinks")
 def swarm(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission on this machine with a process for each robot, one for the world and one for the record."""
     import asyncio
 
+    sinks = chosen(extensions)
     require("network", "swarm")
     require_posix("swarm")
     from llm_flock.ros2.run import swarm_shown
@@ -125,16 +125,10 @@ def swarm(
     shape, n_robots = settings.mission.shape, settings.mission.n_robots
     waiting = f"starting {n_robots} robots, each a process ..."
     bar, on_round = live_line(shape, enabled=not quiet and not json_output, waiting=waiting)
-    from llm_flock.foxglove.services import Orders
-
-    given = SwarmOrders(settings, launched=True)
-    orders = Orders(mission=given.mission, kill=given.kill)
     signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
-        with showing_run(service, settings, orders) as sink, ExitStack() as shown:
-            flight = swarm_shown(
-                settings, on_round, sink, on_start=given.start, on_launch=lambda: shown.enter_context(bar)
-            )
+        with showing(sinks, settings) as sink, ExitStack() as shown:
+            flight = swarm_shown(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
             result = asyncio.run(flight)
     except KeyboardInterrupt:
         say(f"interrupted; all {n_robots} robots have ended", error=True)
@@ -201,26 +195,24 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
 
 
 @with_config_flags(without=BODIES_HERE, kind=SWARM)
-@with_foxglove
+@extended("sinks")
 def watch(
     config: ConfigPath = None,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
     from llm_flock.ros2.run import run_bridge
     from llm_flock.runtime.network.config import SwarmConfig
 
+    sinks = chosen(extensions)
     settings = load_shown(SwarmConfig, config, flags)
     where = f" at {settings.network.connect}" if settings.network.connect else ""
     waiting = f"waiting for robots of swarm {settings.network.swarm!r}{where} ..."
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet, waiting=waiting)
-    from llm_flock.foxglove.services import Orders
-
-    orders = Orders(mission=SwarmOrders(settings, launched=False).mission)
-    with showing_run(service, settings, orders) as sink, bar:
+    with showing(sinks, settings) as sink, bar:
         _run_until_stopped(run_bridge(settings, settings.record, on_round, sink))
 
 
