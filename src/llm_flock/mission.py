@@ -60,7 +60,9 @@ class Mission(BaseModel):
     shape: str = Field(
         default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."
     )
-    n_robots: int = Field(default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
+    n_robots: int = Field(
+        default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N", json_schema_extra={"flag": "robots"}
+    )
     places: int | None = Field(
         default=None, ge=1, le=MAX_ROBOTS, description="Number of places in the formation; one per robot if unset"
     )

@@ -70,7 +70,7 @@ LINES = {
 }
 """Command lines that have nothing to fly or draw, and what else they must not import."""
 
-LINES_OF_VIEW = ("view --help", "view --port x", "view no-such-file", "view --base-url http://localhost")
+LINES_OF_VIEW = ("view --help-all", "view --port x", "view no-such-file", "view --base-url http://localhost")
 
 PROBE = """
 import json, sys

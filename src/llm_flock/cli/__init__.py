@@ -35,7 +35,6 @@ from llm_flock.cli.options import (
     JsonOutput,
     Quiet,
     Record,
-    parse_flags,
     with_config_flags,
     with_output_folder,
 )
@@ -54,6 +53,7 @@ app = typer.Typer(
     cls=Commands,
     help="Robots that agree on a formation, each with its own language model and without a central controller.",
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -70,8 +70,15 @@ def start(ctx: typer.Context) -> None:
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
 
+SHOWN = (
+    *("shape", "n_robots", "obstacles", "protocol", "model", "base_url", "loss"),
+    *("rounds", "seed", "kill", "out"),
+)
+"""Fields that `run --help` lists."""
+
+
 @command
-@with_config_flags()
+@with_config_flags(shown=SHOWN)
 @with_foxglove
 def run(
     config: ConfigPath = None,
@@ -101,7 +108,7 @@ def run(
 
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
-    settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record, typed=flags["out"])
+    settings = with_output_folder(RunConfig.load(config, **flags), record=record, typed=flags.get("out"))
     if dry_run:
         service.refuse("a dry run")
         if pace is not None:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from llm_flock.cli.options import add_config_flags
-from llm_flock.flags import FlagErrors, PlainHelp
+from llm_flock.flags import PlainHelp
 
 Function = TypeVar("Function", bound=Callable[..., None])
 
@@ -36,9 +36,8 @@ class _Built(Mapping[str, Any]):
         function = _FUNCTIONS[name]
         group = _GROUPS.get(name)
         if group is None:
-            add_config_flags(function)
             group = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-            group.command(name, cls=PlainHelp)(function)
+            group.command(name, cls=PlainHelp)(add_config_flags(function))
         built = typer.main.get_command(group)
         built.name = name
         return built
@@ -50,7 +49,7 @@ class _Built(Mapping[str, Any]):
         return len(_FUNCTIONS)
 
 
-class Commands(FlagErrors):
+class Commands(TyperGroup):
     """Lists commands by their first line of help alone, and builds the one that is called."""
 
     def __init__(self, **attributes: Any) -> None:

@@ -29,6 +29,7 @@ OPTIONS: dict[str, Any] = {
         typer.Option(
             help="Address to serve it at; any but this machine's own needs a token",
             show_default=HOST,
+            hidden=True,
             rich_help_panel=PANEL,
         ),
     ],
@@ -39,6 +40,7 @@ OPTIONS: dict[str, Any] = {
             max=65535,
             help="Port to serve it at; 0 takes a free one",
             show_default=str(PORT),
+            hidden=True,
             rich_help_panel=PANEL,
         ),
     ],
@@ -47,6 +49,7 @@ OPTIONS: dict[str, Any] = {
         typer.Option(
             help="Token that Foxglove must show, 16 characters or more; whoever shows it may give orders",
             show_default=False,
+            hidden=True,
             rich_help_panel=PANEL,
         ),
     ],

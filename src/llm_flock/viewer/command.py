@@ -9,7 +9,7 @@ import typer
 
 from llm_flock.errors import InputError
 from llm_flock.extras import require
-from llm_flock.flags import FlagErrors, PlainHelp
+from llm_flock.flags import PlainHelp
 from llm_flock.foxglove.options import Service, with_foxglove
 
 DEFAULT_PORT = 8765
@@ -130,9 +130,9 @@ def view(
 
 app = typer.Typer(
     name="llm-flock",
-    cls=FlagErrors,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 """This command without the others, which take as long to load again; `llm_flock.cli.app` has it too."""
