@@ -113,8 +113,8 @@ def fields_of(annotation: Any) -> Mapping[str, FieldInfo]:
 
 def extra(info: FieldInfo, key: str) -> str | None:
     """A text that the definition of a field has in its `json_schema_extra`: `expected`, or the name of its `flag`."""
-    extras = cast("dict[str, object]", info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {})
-    said = extras.get(key)
+    extras: object = info.json_schema_extra
+    said = cast("dict[str, object]", extras).get(key) if isinstance(extras, dict) else None
     return said if isinstance(said, str) else None
 
 

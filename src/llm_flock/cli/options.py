@@ -76,8 +76,8 @@ def add_config_flags(command: Command) -> Command:
     readers: dict[str, Reader] = {}
     for title, section in getattr(importlib.import_module(module), name).model_fields.items():
         panel = section.title or title.capitalize()
-        for field, info in {} if title in without_sections else fields_of(section.annotation).items():
-            if field not in without:
+        for field, info in fields_of(section.annotation).items():
+            if field not in without and title not in without_sections:
                 parameter, readers[field] = _flag(field, info, panel, hidden=field not in shown)
                 parameters.append(parameter)
 
