@@ -55,7 +55,7 @@ class Mission(BaseModel):
         InputError: fields contradict each other. `build_mission` raises InputError in both cases.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     shape: str = Field(
         default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."

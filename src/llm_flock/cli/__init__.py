@@ -104,7 +104,6 @@ def run(
     Without --out, the record goes to a new folder under runs/.
     """
     from llm_flock.runtime.config import RunConfig
-    from llm_flock.runtime.orders import RunOrders
 
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
@@ -118,6 +117,7 @@ def run(
         show_expected_run(settings, as_json=json_output)
         return
     from llm_flock.runtime.api import run as run_trial
+    from llm_flock.runtime.orders import RunOrders
 
     bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
     orders = RunOrders(settings)

@@ -54,7 +54,7 @@ _DEEP_KEY = re.compile(rf"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*
 class ConfigSection(BaseModel):
     """A part of the configuration: immutable, and without unknown fields."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 def seconds(default: float, description: str, *, most: float | None = None) -> Any:
