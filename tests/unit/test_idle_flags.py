@@ -72,5 +72,5 @@ def test_a_token_that_is_refused_is_not_shown(tmp_path: Path) -> None:
 
 
 def test_the_help_keeps_its_units(tmp_path: Path) -> None:
-    text = " ".join(flock("swarm", "--help", cwd=tmp_path).stdout.replace("│", " ").split())
+    text = " ".join(flock("swarm", "--help-all", cwd=tmp_path).stdout.replace("│", " ").split())
     assert "Length of one mission unit [m]; 1 if unset" in text and "End the swarm after this time [s]" in text

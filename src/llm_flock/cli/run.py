@@ -16,7 +16,6 @@ from llm_flock.cli.options import (
     JsonOutput,
     Quiet,
     Record,
-    parse_flags,
     with_config_flags,
     with_output_folder,
 )
@@ -24,8 +23,14 @@ from llm_flock.cli.sinks import PACE, Pacer, chosen, refuse, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 
+SHOWN = (
+    *("shape", "n_robots", "obstacles", "protocol", "model", "base_url", "loss"),
+    *("rounds", "seed", "kill", "out"),
+)
+"""Fields that `run --help` lists."""
 
-@with_config_flags()
+
+@with_config_flags(shown=SHOWN)
 @extended("sinks")
 def run(
     config: ConfigPath = None,
@@ -55,7 +60,7 @@ def run(
     sinks = chosen(extensions)
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
-    settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record, typed=flags["out"])
+    settings = with_output_folder(RunConfig.load(config, **flags), record=record, typed=flags.get("out"))
     if dry_run:
         refuse(sinks, "a dry run")
         if pace is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import socket
-from collections.abc import Coroutine, Iterator
+from collections.abc import Coroutine, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
@@ -21,15 +21,10 @@ from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
-    ROS2,
-    SET_BY_SWARM,
-    SWARM,
     ConfigPath,
     JsonOutput,
     Quiet,
     Record,
-    load_shown,
-    parse_flags,
     with_config_flags,
     with_output_folder,
 )
@@ -56,10 +51,31 @@ NOBODY = "no swarm answers there; `robot` and `swarm` take the same --connect an
 
 NOT_FORMED = "[bold red]no[/]"
 
-WITHOUT_OUT = SET_BY_SWARM | ROS2 | {"out"}
+SWARM = "llm_flock.runtime.network.config:SwarmConfig"
 
-BODIES_HERE = SET_BY_SWARM | {"ros_poses", "ros_pose_topic"}
-"""Fields that have no meaning where another process has the robots' bodies and sensors."""
+SHOWN = ("shape", "n_robots", "model", "base_url", "swarm", "listen", "connect", "keys")
+"""Fields that the help of each command lists."""
+
+NOT_IN_SWARMS = ("kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds")
+"""Fields of runs that swarms of processes do not support."""
+
+BODIES_ELSEWHERE = (*NOT_IN_SWARMS, "ros_poses", "ros_pose_topic")
+"""Fields without a meaning where another process has the robots' bodies and sensors, too."""
+
+
+def _load(config: Path | None, flags: Mapping[str, Any]) -> SwarmConfig:
+    """The configuration of a command that may show its team in ROS 2.
+
+    Raises:
+        InputError: a value is not allowed, or a flag of ROS 2 was typed and there is no --ros2.
+    """
+    from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.runtime.ros2_config import refuse_ros2
+
+    settings = SwarmConfig.load(config, **flags)
+    if settings.ros2.router is None:
+        refuse_ros2(flags, "has no effect without --ros2")
+    return settings
 
 
 def _run_until_stopped(work: Coroutine[Any, Any, None]) -> None:
@@ -71,7 +87,7 @@ def _run_until_stopped(work: Coroutine[Any, Any, None]) -> None:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
-@with_config_flags(without=WITHOUT_OUT, kind=SWARM)
+@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out"), without_sections=("ros2",))
 def robot(
     robot_id: Annotated[int, typer.Option("--id", min=0, help="Id of this robot in the swarm")],
     config: ConfigPath = None,
@@ -81,22 +97,26 @@ def robot(
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.robot import run_robot
 
-    _run_until_stopped(run_robot(SwarmConfig.load(config, **parse_flags(flags)), robot_id))
+    _run_until_stopped(run_robot(SwarmConfig.load(config, **flags), robot_id))
 
 
-@with_config_flags(without=WITHOUT_OUT, kind=SWARM)
+@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out"), without_sections=("ros2",))
 def world(config: ConfigPath = None, **flags: Any) -> None:
     """Simulate the bodies and sensors of a swarm. Listens where the robots connect."""
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.swarm import world_config
     from llm_flock.runtime.network.world import run_world
 
-    settings = world_config(SwarmConfig.load(config, **parse_flags(flags)))
+    settings = world_config(SwarmConfig.load(config, **flags))
     listens = f"the world listens on {settings.network.listen}"
     _run_until_stopped(run_world(settings, lambda: say(listens, error=True)))
 
 
-@with_config_flags(without=BODIES_HERE, kind=SWARM)
+@with_config_flags(
+    SWARM,
+    shown=(*SHOWN, "protocol", "obstacles", "loss", "seed", "max_s", "out"),
+    without=BODIES_ELSEWHERE,
+)
 @extended("sinks")
 def swarm(
     config: ConfigPath = None,
@@ -114,10 +134,9 @@ def swarm(
     require("network", "swarm")
     require_posix("swarm")
     from llm_flock.ros2.run import swarm_shown
-    from llm_flock.runtime.network.config import SwarmConfig
 
-    settings = load_shown(SwarmConfig, config, flags)
-    settings = with_output_folder(settings, "swarm-", record=record, typed=flags["out"])
+    settings = _load(config, flags)
+    settings = with_output_folder(settings, "swarm-", record=record, typed=flags.get("out"))
     if settings.record is not None:
         from llm_flock.record.writer import check_new
 
@@ -194,7 +213,7 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     return table
 
 
-@with_config_flags(without=BODIES_HERE, kind=SWARM)
+@with_config_flags(SWARM, shown=(*SHOWN, "router", "out"), without=BODIES_ELSEWHERE)
 @extended("sinks")
 def watch(
     config: ConfigPath = None,
@@ -205,10 +224,9 @@ def watch(
 ) -> None:
     """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
     from llm_flock.ros2.run import run_bridge
-    from llm_flock.runtime.network.config import SwarmConfig
 
     sinks = chosen(extensions)
-    settings = load_shown(SwarmConfig, config, flags)
+    settings = _load(config, flags)
     where = f" at {settings.network.connect}" if settings.network.connect else ""
     waiting = f"waiting for robots of swarm {settings.network.swarm!r}{where} ..."
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet, waiting=waiting)
@@ -216,7 +234,7 @@ def watch(
         _run_until_stopped(run_bridge(settings, settings.record, on_round, sink))
 
 
-@with_config_flags(without=SET_BY_SWARM, kind=SWARM)
+@with_config_flags(SWARM, shown=(*SHOWN, "router", "ros_missions", "ros_poses", "unit_m", "out"), without=NOT_IN_SWARMS)
 def ros2(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
     """Show a running swarm as nodes of ROS 2, until Ctrl-C, and take missions and poses from there; no ROS is needed.
 
@@ -228,7 +246,7 @@ def ros2(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
     from llm_flock.ros2.run import run_bridge
     from llm_flock.runtime.network.config import SwarmConfig
 
-    settings = with_router(SwarmConfig.load(config, **parse_flags(flags)))
+    settings = with_router(SwarmConfig.load(config, **flags))
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet)
     with bar:
         _run_until_stopped(run_bridge(settings, settings.record, on_round))

@@ -22,6 +22,7 @@ FoxglovePort = Annotated[
         max=65535,
         help="Port to serve it at; 0 takes a free one",
         show_default=str(PORT),
+        hidden=True,
         rich_help_panel=PANEL,
     ),
 ]
