@@ -37,7 +37,8 @@ def make_agent(
     With keys, `liars` robots of the team may lie together. Bodies pass each other if they are `apart` [units], the safe
     distance if not given.
     """
-    load_solvers()
+    if own_clock:
+        load_solvers()
     protocol = config.protocol
     return Agent(
         robot,
