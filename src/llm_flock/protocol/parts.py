@@ -25,6 +25,7 @@ from llm_flock.protocol.motion.leg import Leg
 from llm_flock.protocol.path_length import next_stop
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.steps import Verdict
 
 NOBODY = frozenset[int]()
 
@@ -219,13 +220,9 @@ class Verifier:
         """An answer that passed `plan`, enlarged where rounding put places too near each other."""
         return answer
 
-    def fit(self, question: StepQuestion, answer: StepAnswer) -> StepAnswer | NoAnswer:
-        """The planner's answer, clipped if that suffices; otherwise the reason to refuse it."""
-        return answer
-
-    def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The planner's waypoint, clipped if that suffices; otherwise the reason to hold. Call with every answer."""
-        return answer.waypoint if isinstance(answer, StepAnswer) else answer
+    def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
+        """What the checks make of the planner's answer."""
+        return Verdict(reason=None, fit=answer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,7 +33,7 @@ class Pace:
         """Count a waypoint that passed its checks. Returns the reason to refuse it, or None."""
         mission, goal = question.mission, question.goal
         before, after = math.dist(question.position, goal), math.dist(waypoint, goal)
-        if min(before, after) <= ROUNDING * mission.spacing or blocked(mission, question):
+        if min(before, after) <= ROUNDING * mission.spacing or blocked(question):
             return None
         gain = (before - after) / min(mission.max_step, before)
         if mission.velocity is not None and before <= mission.max_step:
