@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-
-import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
@@ -17,45 +14,12 @@ from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
 from llm_flock.protocol.motion.leg import Leg, leg_to
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.pace import Pace
-from llm_flock.protocol.parts import NO_COURSES, Parts
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import shortened
-
-
-class Observation(msgspec.Struct, frozen=True, kw_only=True):
-    """Positions that a robot observes in a round.
-
-    Attributes:
-        position: the robot's believed position [units; world frame].
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        observed: positions of other robots for the planner's question [units; world frame].
-        drift: displacement of the mission's frame so far [units]; empty if the mission stands still.
-        ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
-        courses: ways that others ask to be left free, by sender.
-        still: bodies in sight that do not move [units; world frame].
-        period: heartbeat period; None where each round counts as one.
-    """
-
-    round: int
-    position: Point
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...]
-    drift: Point = ()
-    ahead: Point = ()
-    courses: Mapping[int, Course] = NO_COURSES
-    still: tuple[Point, ...] = ()
-    period: int | None = None
-
-    def seen(self, point: Point) -> Point:
-        """A point of the world frame in the present frame of the mission."""
-        return moved(point, self.drift, -1.0)
-
-    @property
-    def here(self) -> Point:
-        """The robot's position in the frame of the mission."""
-        return self.seen(self.position)
 
 
 class Pilot:
@@ -194,7 +158,7 @@ class Pilot:
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
         held = Note("held", {"cause": cause, "reason": reason})
-        flight = self._safety.stay(scene.position, scene.sensed, scene.courses, scene.period)
+        flight = self._safety.stay(scene)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
     @property
@@ -263,17 +227,7 @@ class Pilot:
     def _fly(self, wish: Point, scene: Observation, asked: Point | None, origin: Origin) -> list[Effect]:
         """The safe move for a waypoint of this origin."""
         assert self._leg is not None, "a robot flies to a goal"
-        flight = self._safety.step(
-            scene.position,
-            scene.sensed,
-            wish,
-            self._leg,
-            self._tolerance,
-            scene.drift,
-            scene.courses,
-            scene.still,
-            scene.period,
-        )
+        flight = self._safety.step(scene, wish, self._leg, self._tolerance)
         if flight.origin is Origin.YIELD or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
             origin = flight.origin
         return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=origin)]
