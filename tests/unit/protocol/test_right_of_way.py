@@ -17,7 +17,7 @@ from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.messages.message import HIGHEST, Course
 from llm_flock.protocol.motion.leg import Leg, leg_to
 from llm_flock.protocol.motion.pilot import Observation, Pilot
-from llm_flock.protocol.motion.right_of_way import BETWEEN, KEPT, PATIENCE, RISES, RightOfWay, outside, rank
+from llm_flock.protocol.motion.right_of_way import BETWEEN, HEEDED_ROUNDS, KEPT, RISES, RightOfWay, outside, rank
 from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.parts import Parts, Safety
 
@@ -100,10 +100,10 @@ def test_rounds_within_a_heartbeat_period_count_once() -> None:
     assert kept == [True] * 4 + [False] * 8
     sensed, asked = {0: (46.0, 50.0)}, {0: course((64.0, 50.0))}
     heeded = 0
-    for k in range(4 * 2 * PATIENCE):
+    for k in range(4 * 2 * HEEDED_ROUNDS):
         other.count(GOAL, 0.0, 0.5, k // 4)
         heeded += bool(other.ways(sensed, asked))
-    assert heeded == 4 * PATIENCE
+    assert heeded == 4 * HEEDED_ROUNDS
 
 
 def test_bodies_not_in_step_are_given_wider_ways_and_block_from_farther_away() -> None:
@@ -223,10 +223,10 @@ def heeds(right: RightOfWay, sensed: dict[int, Point]) -> bool:
 def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
     """Wherever it is, also out of sight for a while; with a new mission everybody is heeded again."""
     right = RightOfWay(1, MISSION)
-    heeded = [heeds(right, {0: (46.0 - moves * (k % 2), 50.0)}) for k in range(9 * PATIENCE)]
+    heeded = [heeds(right, {0: (46.0 - moves * (k % 2), 50.0)}) for k in range(9 * HEEDED_ROUNDS)]
     periods = [(on, len([*group])) for on, group in groupby(heeded)]
-    rests = (False, 2 * PATIENCE), (False, 4 * PATIENCE)
-    assert periods == [(True, PATIENCE), rests[0], (True, PATIENCE), rests[1], (True, PATIENCE)]
+    rests = (False, 2 * HEEDED_ROUNDS), (False, 4 * HEEDED_ROUNDS)
+    assert periods == [(True, HEEDED_ROUNDS), rests[0], (True, HEEDED_ROUNDS), rests[1], (True, HEEDED_ROUNDS)]
     assert not heeds(right, {0: (46.0, 50.0)})
     assert not heeds(right, {}) and not heeds(right, {0: (46.0, 50.0)})
     right.begin_mission()
@@ -235,9 +235,13 @@ def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
 
 def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
     """Who makes way loses sight of the one that asks; the rounds between count, a few of them at a time."""
-    for every, count in ((2, PATIENCE // 2), (BETWEEN, PATIENCE // BETWEEN), (3 * BETWEEN, PATIENCE // BETWEEN)):
+    for every, count in (
+        (2, HEEDED_ROUNDS // 2),
+        (BETWEEN, HEEDED_ROUNDS // BETWEEN),
+        (3 * BETWEEN, HEEDED_ROUNDS // BETWEEN),
+    ):
         right = RightOfWay(1, MISSION)
-        seen = [heeds(right, {} if k % every else {0: (46.0, 50.0)}) for k in range(2 * PATIENCE * BETWEEN)]
+        seen = [heeds(right, {} if k % every else {0: (46.0, 50.0)}) for k in range(2 * HEEDED_ROUNDS * BETWEEN)]
         first = range(0, len(seen), every)
         assert all(seen[k] for k in first[:count]) and not seen[first[count + 1]]
 
@@ -253,7 +257,7 @@ def test_a_new_mission_makes_a_pilot_heed_everybody_again(shield_on: bool) -> No
         moved = pilot.hold(scene, "no_goal", "")[-1]
         return isinstance(moved, MoveTo) and moved.origin is Origin.YIELD
 
-    assert [yields() for _ in range(PATIENCE + 1)] == [shield_on] * PATIENCE + [False]
+    assert [yields() for _ in range(HEEDED_ROUNDS + 1)] == [shield_on] * HEEDED_ROUNDS + [False]
     pilot.begin_mission()
     assert yields() == shield_on
 

@@ -17,12 +17,6 @@ from llm_flock.protocol.motion.right_of_way import AHEAD, SHARES, SLOWED, RightO
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 from llm_flock.protocol.parts import SafeStep, Safety
 
-SHORTER = (0.5, 0.25, 0.125, 0.0625)
-"""Shares of a step that are tried where the whole one slides off the way."""
-
-SEPARATION_TOLERANCE = 1e-6
-"""Pairs that keep the safe distance to within this count as separated [units]."""
-
 
 class ShieldedSafety(Safety):
     """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
@@ -155,7 +149,7 @@ class ShieldedSafety(Safety):
         roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
             return safe
-        for shorter in (_between(here, wish, share) for share in SHORTER):
+        for shorter in (_between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
             if roadmap.straight(shorter, stop) and self._project(here, shorter, scene.others) == shorter:
                 return shorter
         return safe
@@ -179,7 +173,7 @@ class ShieldedSafety(Safety):
         Robots near such a crowd make way: those inside cannot leave while others stand around them.
         """
         limits, position, sensed = self._limits, scene.position, scene.sensed
-        limit = limits.safe_distance - 2.0 * self._noise_bound - SEPARATION_TOLERANCE
+        limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step
         near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
         crowd = _crowd({self._robot: position, **near}, limit)
