@@ -95,8 +95,8 @@ def test_a_robot_that_obstacles_alone_slow_down_asks_for_nothing() -> None:
     safety = ShieldedSafety(0, mission, 0.0)
     step = safety.step(observation((40.0, 57.6), {}), (45.7, 57.6), leg, 0.5)
     assert safety.course is None and step.waypoint[0] > 41.0
-    aside, ahead = (42.0, 50.0), ((43.0, 57.6),)
-    kept = safety._on_its_way((40.0, 57.6), leg.stop, (45.7, 57.6), aside, ahead)
+    aside, scene = (42.0, 50.0), observation((40.0, 57.6), {1: (43.0, 57.6)})
+    kept = safety._on_its_way(scene, leg.stop, (45.7, 57.6), aside)
     assert kept == aside, "no step leads on, however short"
 
 
