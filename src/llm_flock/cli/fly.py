@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line, summary_table
+from llm_flock.cli.extensions import Finding
 from llm_flock.cli.foxglove import showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
@@ -29,7 +30,7 @@ from llm_flock.cli.options import (
 )
 from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
-from llm_flock.extras import require_posix
+from llm_flock.extras import EXTRAS, require_posix
 from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of, refuse_foxglove
 
 if TYPE_CHECKING:
@@ -312,3 +313,27 @@ def _plain(result: FlightResult) -> dict[str, Any]:
         "summary": None if result.result is None else result.result.summary.to_dict(),
         "broken_record": None if result.broken_record is None else str(result.broken_record),
     }
+
+
+NO_DRONE = "none answers, by radio at the address E7E7E7E7E7; llm-flock stand-ins simulates some"
+"""Radios are searched on all channels for the address that drones are shipped with, not for others."""
+
+
+def reach_drones(
+    *,
+    drones: Annotated[
+        bool, typer.Option("--drones/--no-drones", help="Look for Crazyflies by radio, cable and UDP (a second)")
+    ] = True,
+) -> list[Finding]:
+    """What `llm-flock doctor` says of Crazyflies that answer."""
+    if not drones:
+        return []
+    if EXTRAS["crazyflie"].missing:
+        return [Finding("reach", "drone", False, "the extra crazyflie is not installed")]
+    from llm_flock.robots.crazyflie.link import in_reach
+
+    try:
+        uris = in_reach()
+    except Exception as error:  # noqa: BLE001  # drivers of radios raise anything, and this only looks
+        return [Finding("reach", "drone", False, f"the search failed: {error}")]
+    return [Finding("reach", "drone", bool(uris), ", ".join(uris) or NO_DRONE)]

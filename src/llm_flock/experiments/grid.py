@@ -17,11 +17,11 @@ from llm_flock import formations, renamed
 from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
-from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.simulated.profiles import parse_profile
+from llm_flock.llm.sources import source_of
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.schedule import points_file
@@ -114,7 +114,7 @@ def models_of(config: RunConfig) -> tuple[str, ...]:
 def _waits(model: str) -> bool:
     name = parse_model(model)
     if name.kind != "simulated":
-        return name.kind in ("provider", "local", "own")
+        return name.kind in ("provider", "plugin", "own")
     return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
@@ -142,8 +142,8 @@ def trial_id(config: RunConfig) -> str:
         name = parse_model(model)
         if name.kind == "replay":
             files.append(_digest(Path(name.model)))
-        elif name.kind == "local":
-            files.extend(find_weights(name.model).digests().values())
+        elif name.kind == "plugin":
+            files.extend(source_of(name.provider).digests(name.model).values())
     text = json.dumps([plain, files], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 

@@ -188,7 +188,7 @@ def _priced(spec: TrialSpec, found: Expected, expect: ExpectTable) -> Expected:
     names = [parse_model(text) for text in parse_models(config.model.model, config.mission.n_robots)]
     addresses = parse_base_urls(config.model.base_url, spec.models)
     calls = [found.calls / len(names) if name.kind not in ("geometry", "replay") else 0.0 for name in names]
-    answers = [expect.output_tokens if name.kind in ("provider", "local", "own") else 0.0 for name in names]
+    answers = [expect.output_tokens if name.kind in ("provider", "plugin", "own") else 0.0 for name in names]
     output = sum(count * tokens for count, tokens in zip(calls, answers, strict=True))
     share = found.tokens_input / max(1.0, found.calls)
     cost: float | None = 0.0

@@ -16,7 +16,7 @@ from llm_flock.viewer.server import Address
 
 if TYPE_CHECKING:
     from llm_flock.foxglove.server import FoxgloveServer
-    from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.runtime.watched import WatchedTeam
     from llm_flock.viewer.mission_text import MissionReader
 
 MOST_WAIT_S = 1.0
@@ -28,7 +28,7 @@ def run_viewer(
     *,
     records: Sequence[Path],
     live: bool,
-    swarm: SwarmConfig | None,
+    swarm: WatchedTeam | None,
     runs: Path,
     models: Sequence[str],
     base_url: str | None,
@@ -72,7 +72,7 @@ def run_viewer(
     if swarm is not None:
         from llm_flock.viewer.swarm import SwarmSource
 
-        source = SwarmSource(swarm, library.add(f"swarm {swarm.network.swarm}"))
+        source = SwarmSource(swarm, library.add(swarm.name))
     launcher = Launcher(library, runs, models, base_url, reader)
     if foxglove is not None:
         from llm_flock.viewer.foxglove_feed import Feed

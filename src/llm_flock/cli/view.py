@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
+from llm_flock import plugins
+from llm_flock.cli.extensions import Finding
 from llm_flock.errors import InputError
-from llm_flock.extras import require
-from llm_flock.flags import FlagErrors, PlainHelp
+from llm_flock.extras import ExtraMissing, require
 from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of
 
 DEFAULT_PORT = 8765
@@ -88,9 +89,9 @@ def view(
         found = records_in(found)
     watched = None
     if connect is not None or config is not None:
-        from llm_flock.runtime.network.config import SwarmConfig
-
-        watched = SwarmConfig.load(config, connect=connect, swarm=swarm)
+        if "swarm" not in plugins.entries("watches"):
+            raise ExtraMissing("view --connect", "network")
+        watched = plugins.load("watches", "swarm")(config, connect, swarm)
     # Whatever can fail does so before an address is shown.
     models, reader = tuple(model or ()), None
     if models:
@@ -132,19 +133,12 @@ def view(
     )
 
 
-app = typer.Typer(
-    name="llm-flock",
-    cls=FlagErrors,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-"""This command without the others, which take as long to load again; `llm_flock.cli.app` has it too."""
+def reach_browser() -> list[Finding]:
+    """What `llm-flock doctor` says of the browser that `llm-flock view` opens."""
+    import webbrowser
 
-
-@app.callback()
-def _only() -> None:
-    """Keeps the command's name on the command line, although there is one command only."""
-
-
-app.command(cls=PlainHelp)(view)
+    try:
+        browser = webbrowser.get()
+    except webbrowser.Error:
+        return [Finding("reach", "browser", False, "none here; llm-flock view prints an address for any browser")]
+    return [Finding("reach", "browser", True, getattr(browser, "name", "") or type(browser).__name__)]
