@@ -13,7 +13,7 @@ from rich.table import Table
 
 from llm_flock.cli.display import live_line, summary_table
 from llm_flock.cli.extensions import Finding
-from llm_flock.cli.foxglove import showing_run
+from llm_flock.cli.foxglove import Foxglove, FoxglovePort, port_of, refuse_foxglove, showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -31,7 +31,6 @@ from llm_flock.cli.options import (
 from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
 from llm_flock.extras import EXTRAS, require_posix
-from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of, refuse_foxglove
 
 if TYPE_CHECKING:
     from llm_flock.record.writer import RecordSink

@@ -1,22 +1,59 @@
-"""Serves the runs of commands to Foxglove, and holds a run to a pace."""
+"""Options of commands that show a run in Foxglove while it flies, and the server behind them. Loads nothing heavy."""
 
 from __future__ import annotations
 
-import asyncio
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from llm_flock.cli.terminal import say
+import typer
+
+from llm_flock.errors import InputError
 
 if TYPE_CHECKING:
     from llm_flock.foxglove.server import FoxgloveServer
     from llm_flock.runtime.config import RunConfig
-    from llm_flock.runtime.trial import Trial
 
-PACE = 2.0
-"""Rounds a second at most while Foxglove shows a run: simulated models would be over before anybody connects."""
+PANEL = "Foxglove"
+PORT = 8766
+"""Port by default: one above the viewer's, so that both can be open."""
+
+Foxglove = Annotated[
+    bool, typer.Option("--foxglove", help="Serve the run to Foxglove while it flies", rich_help_panel=PANEL)
+]
+FoxglovePort = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        max=65535,
+        help="Port to serve it at; 0 takes a free one",
+        show_default=str(PORT),
+        rich_help_panel=PANEL,
+    ),
+]
+
+
+def port_of(foxglove: bool, foxglove_port: int | None) -> int | None:
+    """The port at which a command serves its run to Foxglove; None where it was not asked to.
+
+    Raises:
+        InputError: a port was given without --foxglove.
+    """
+    if foxglove:
+        return PORT if foxglove_port is None else foxglove_port
+    if foxglove_port is not None:
+        raise InputError("foxglove_port", foxglove_port, says="has no effect without --foxglove")
+    return None
+
+
+def refuse_foxglove(port: int | None, where: str) -> None:
+    """Refuse --foxglove for a command that shows nothing there.
+
+    Raises:
+        InputError: it was given.
+    """
+    if port is not None:
+        raise InputError("foxglove", None, says=f"has no effect in {where}")
 
 
 @contextmanager
@@ -29,6 +66,7 @@ def showing_run(port: int | None, config: RunConfig) -> Generator[FoxgloveServer
     if port is None:
         yield None
         return
+    from llm_flock.cli.terminal import say
     from llm_flock.foxglove.server import FoxgloveServer
     from llm_flock.runtime.entries import run_info
 
@@ -39,16 +77,3 @@ def showing_run(port: int | None, config: RunConfig) -> Generator[FoxgloveServer
         yield server
     finally:
         server.close()
-
-
-class Pacer:
-    """Holds a run to a pace [rounds/s]."""
-
-    def __init__(self, pace: float) -> None:
-        self._pace = pace
-        self._due = 0.0
-
-    async def __call__(self, trial: Trial) -> None:
-        """Wait until the next round is due."""
-        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
-        self._due = time.monotonic() + 1.0 / self._pace

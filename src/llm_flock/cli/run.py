@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-from typing import Annotated, Any
+import time
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from llm_flock.cli.display import live_line, no_success, summary_table
-from llm_flock.cli.foxglove import PACE, Pacer, showing_run
+from llm_flock.cli.foxglove import Foxglove, FoxglovePort, port_of, refuse_foxglove, showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -22,7 +24,25 @@ from llm_flock.cli.options import (
 )
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
-from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of, refuse_foxglove
+
+if TYPE_CHECKING:
+    from llm_flock.runtime.trial import Trial
+
+PACE = 2.0
+"""Rounds a second at most while Foxglove shows a run: simulated models would be over before anybody connects."""
+
+
+class Pacer:
+    """Holds a run to a pace [rounds/s]."""
+
+    def __init__(self, pace: float) -> None:
+        self._pace = pace
+        self._due = 0.0
+
+    async def __call__(self, trial: Trial) -> None:
+        """Wait until the next round is due."""
+        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
+        self._due = time.monotonic() + 1.0 / self._pace
 
 
 @with_config_flags()

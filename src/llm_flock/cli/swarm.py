@@ -18,7 +18,7 @@ from rich.table import Table
 from llm_flock.cli.display import live_line
 from llm_flock.cli.export import needed
 from llm_flock.cli.extensions import Finding
-from llm_flock.cli.foxglove import showing_run
+from llm_flock.cli.foxglove import Foxglove, FoxglovePort, port_of, showing_run
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -37,7 +37,6 @@ from llm_flock.cli.options import (
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
-from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of
 from llm_flock.record.words import rules_text
 
 if TYPE_CHECKING:
