@@ -24,11 +24,9 @@ def main() -> None:
 def _run() -> None:
     from llm_flock.errors import FlockError, InputError
     from llm_flock.printable import log_to_stderr, printable
-    from llm_flock.renamed import current_flag
 
     log_to_stderr()
     os.environ.pop("MPLBACKEND", None)  # figures go to files; one that matplotlib does not know would end the command
-    sys.argv[1:] = map(current_flag, sys.argv[1:])
     try:
         from llm_flock.cli import app
 

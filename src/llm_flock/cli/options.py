@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, cast,
 import typer
 
 from llm_flock.errors import InputError
-from llm_flock.text_files import read_text
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -237,14 +236,14 @@ def with_output_folder(settings: Config, kind: str = "", *, record: bool, typed:
 def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     try:
-        given = text if text.lstrip()[:1] in ("[", "{") else read_text(Path(text))
+        given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
         found = json.loads(given)
     except json.JSONDecodeError as error:
         before, after = error.doc[: error.pos][-SHOWN:], error.doc[error.pos :][:SHOWN]
         where = f"after {before!r} comes {after!r}" if after.strip() else f"it ends after {before!r}"
         says = f"broken JSON in line {error.lineno}, column {error.colno}: {where} ({error.msg})"
         raise InputError(field, None, says=says) from None
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise InputError(field, text, f"a JSON list, or the name of a file with one ({why})") from None
     if not isinstance(found, list):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from llm_flock.cli.display import live_line, no_success, summary_table
-from llm_flock.cli.foxglove import Foxglove, FoxglovePort, port_of, refuse_foxglove, showing_run
+from llm_flock.cli.extensions import Extension, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -22,30 +20,13 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import PACE, Pacer, chosen, refuse, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 
-if TYPE_CHECKING:
-    from llm_flock.runtime.trial import Trial
-
-PACE = 2.0
-"""Rounds a second at most while Foxglove shows a run: simulated models would be over before anybody connects."""
-
-
-class Pacer:
-    """Holds a run to a pace [rounds/s]."""
-
-    def __init__(self, pace: float) -> None:
-        self._pace = pace
-        self._due = 0.0
-
-    async def __call__(self, trial: Trial) -> None:
-        """Wait until the next round is due."""
-        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
-        self._due = time.monotonic() + 1.0 / self._pace
-
 
 @with_config_flags()
+@extended("sinks")
 def run(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
@@ -57,12 +38,12 @@ def run(
     pace: Annotated[
         float | None,
         typer.Option(
-            help=f"Rounds a second at most, 0.01 to 1000 [{PACE:g} with --foxglove, else no limit]",
+            help=f"Rounds a second at most, 0.01 to 1000 [{PACE:g} while it is shown live, else no limit]",
             show_default=False,
         ),
     ] = None,
-    foxglove: Foxglove = False,
-    foxglove_port: FoxglovePort = None,
+    *,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission and record it. Every field of the configuration is a flag.
@@ -71,12 +52,12 @@ def run(
     """
     from llm_flock.runtime.config import RunConfig
 
-    port = port_of(foxglove, foxglove_port)
+    sinks = chosen(extensions)
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
     settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record, typed=flags["out"])
     if dry_run:
-        refuse_foxglove(port, "a dry run")
+        refuse(sinks, "a dry run")
         if pace is not None:
             raise InputError("pace", pace, says="has no effect in a dry run")
         from llm_flock.cli.expected import show_expected_run
@@ -87,8 +68,8 @@ def run(
 
     bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
     try:
-        with showing_run(port, settings) as sink, bar:
-            pace = PACE if port is not None and pace is None else pace
+        with showing(sinks, settings) as sink, bar:
+            pace = PACE if sinks and pace is None else pace
             steer = None if pace is None else Pacer(pace)
             result = run_trial(config=settings, on_round=on_round, sink=sink, steer=steer, trace=False)
     except KeyboardInterrupt:

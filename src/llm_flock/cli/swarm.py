@@ -17,8 +17,7 @@ from rich.table import Table
 
 from llm_flock.cli.display import live_line
 from llm_flock.cli.export import needed
-from llm_flock.cli.extensions import Finding
-from llm_flock.cli.foxglove import Foxglove, FoxglovePort, port_of, showing_run
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -34,6 +33,7 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import chosen, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
@@ -97,19 +97,20 @@ def world(config: ConfigPath = None, **flags: Any) -> None:
 
 
 @with_config_flags(without=BODIES_HERE, kind=SWARM)
+@extended("sinks")
 def swarm(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
-    foxglove: Foxglove = False,
-    foxglove_port: FoxglovePort = None,
+    *,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission on this machine with a process for each robot, one for the world and one for the record."""
     import asyncio
 
-    port = port_of(foxglove, foxglove_port)
+    sinks = chosen(extensions)
     require("network", "swarm")
     require_posix("swarm")
     from llm_flock.ros2.run import swarm_shown
@@ -126,7 +127,7 @@ def swarm(
     bar, on_round = live_line(shape, enabled=not quiet and not json_output, waiting=waiting)
     signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
-        with showing_run(port, settings) as sink, ExitStack() as shown:
+        with showing(sinks, settings) as sink, ExitStack() as shown:
             flight = swarm_shown(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
             result = asyncio.run(flight)
     except KeyboardInterrupt:
@@ -194,23 +195,24 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
 
 
 @with_config_flags(without=BODIES_HERE, kind=SWARM)
+@extended("sinks")
 def watch(
     config: ConfigPath = None,
     quiet: Quiet = False,
-    foxglove: Foxglove = False,
-    foxglove_port: FoxglovePort = None,
+    *,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
     from llm_flock.ros2.run import run_bridge
     from llm_flock.runtime.network.config import SwarmConfig
 
-    port = port_of(foxglove, foxglove_port)
+    sinks = chosen(extensions)
     settings = load_shown(SwarmConfig, config, flags)
     where = f" at {settings.network.connect}" if settings.network.connect else ""
     waiting = f"waiting for robots of swarm {settings.network.swarm!r}{where} ..."
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet, waiting=waiting)
-    with showing_run(port, settings) as sink, bar:
+    with showing(sinks, settings) as sink, bar:
         _run_until_stopped(run_bridge(settings, settings.record, on_round, sink))
 
 

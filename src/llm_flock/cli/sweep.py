@@ -71,7 +71,7 @@ def sweep(
     from llm_flock.cli.sweep_display import show_expected, show_status, sweep_line
     from llm_flock.experiments.store import Store
     from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
-    from llm_flock.experiments.sweep_forecast import expect_cells
+    from llm_flock.experiments.tally import expect_cells
     from llm_flock.experiments.trial import KeepRecords
 
     folder = out or Path("runs") / found.file.sweep.name

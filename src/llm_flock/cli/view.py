@@ -9,9 +9,9 @@ import typer
 
 from llm_flock import plugins
 from llm_flock.cli.extensions import Finding
-from llm_flock.cli.foxglove import Foxglove, FoxglovePort, port_of
 from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing, require
+from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of
 
 DEFAULT_PORT = 8765
 

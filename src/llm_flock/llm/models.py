@@ -103,6 +103,24 @@ def _setting(name: str, text: str) -> Any:
     return value
 
 
+def waits(model: str) -> bool:
+    """Whether a model mostly waits for answers, so that runs with it need little of a processor."""
+    name = parse_model(model)
+    if name.kind != "simulated":
+        return name.kind in ("provider", "plugin", "own")
+    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
+
+
+def model_digests(model: str) -> Mapping[str, str]:
+    """Digests of the files of a plug-in's model, by name; empty for any other model.
+
+    Raises:
+        InputError: the files are missing or unfit.
+    """
+    name = parse_model(model)
+    return source_of(name.provider).digests(name.model) if name.kind == "plugin" else {}
+
+
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
     """Refuse a money budget for models of unknown price: it would have no effect.
 

@@ -1,11 +1,11 @@
-"""A pose from outside, a frame of them, and the interfaces of those who have and of those who take them."""
+"""Poses of drones that something outside measures, and the interface of what hands them over."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias
 
 from llm_flock.robots.base import Position
 
@@ -52,26 +52,4 @@ class PoseSource(Protocol):
 
     async def close(self) -> None:
         """Hand nothing over any more; harmless when called twice or never opened."""
-        ...
-
-
-@runtime_checkable
-class TellsSenders(Protocol):
-    """A source that follows one sender, and hears when there is another one."""
-
-    def senders(self, now: float) -> tuple[str, ...]:
-        """Who was heard in the last second, in words: the one that is followed first, then the others."""
-        ...
-
-
-@runtime_checkable
-class TakesPoses(Protocol):
-    """A robot whose estimator takes poses from outside."""
-
-    async def take_pose(self, pose: Pose) -> None:
-        """Send a pose to the robot, which confirms nothing.
-
-        Raises:
-            RobotError: the link is not open, or does not take the packet.
-        """
         ...

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, TypeAlias
+
+from pydantic import Field
 
 from llm_flock.arrays import Point
 from llm_flock.robots.base import Position
+from llm_flock.runtime.config import ConfigSection, metres
+
+Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
+"""A coordinate in the world [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,3 +57,35 @@ class MissionFrame:
         if len(self.anchor) == 2:
             return plane
         return (*plane, self.anchor[2] + (position[2] - self.altitude_m) / (self.scale_m * self.stretch))
+
+
+class WorldConfig(ConfigSection):
+    """Place of the mission in the world frame of the localisation system, z up."""
+
+    scale_m: float = metres(0.1, "Length of one mission unit")
+    stretch: float = Field(
+        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
+    )
+    yaw_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
+    )
+    origin_m: tuple[Metres, Metres] = Field(
+        default=(0.0, 0.0), description="Middle of the arena in the world, x and y [m]"
+    )
+    altitude_m: float = metres(1.0, "Height of a mission in the plane, or of the middle of the arena: z")
+    floor_m: Metres = Field(default=0.0, description="Height of the floor: z [m]")
+    geofence: tuple[tuple[Metres, Metres, Metres], tuple[Metres, Metres, Metres]] = Field(
+        default=((-6.0, -6.0, -0.5), (6.0, 6.0, 2.5)),
+        description="Lower and upper corner of the box that no drone may leave, in the world [m]",
+    )
+
+    def frame(self, low: Point, high: Point) -> MissionFrame:
+        """A mission in the world, by the corners of its arena [units]."""
+        return MissionFrame(
+            anchor=tuple((a + b) / 2 for a, b in zip(low, high, strict=True)),
+            scale_m=self.scale_m,
+            stretch=self.stretch if len(low) == 3 else 1.0,
+            yaw=math.radians(self.yaw_deg),
+            origin=self.origin_m,
+            altitude_m=self.altitude_m,
+        )
