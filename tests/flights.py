@@ -12,10 +12,11 @@ from llm_flock.robots.base import Equipment
 from llm_flock.robots.cascade import pid
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.preflight import PreflightReport
+from llm_flock.runtime.flight.sections import DroneConfig
 from llm_flock.runtime.result import FlightFigures, RunResult
 
 ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}

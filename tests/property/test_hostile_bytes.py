@@ -253,7 +253,7 @@ def rewritten(source: Path, target: Path, rng: random.Random) -> None:
 def inspected(path: Path) -> None:
     found = read_record(path)
     show_overview(found)
-    show_accusations(found, None)
+    show_accusations(found, keys=None)
     for robot in range(3):
         try:
             show_conversation(found, robot, None)

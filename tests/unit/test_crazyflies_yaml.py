@@ -88,7 +88,6 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
         ("fileversion: 3", "fileversion: 2", "fileversion"),
         ("type: small", "type: huge", "robots.cf1.type"),
         ("radio://0/80/2M/E7E7E7E701", "80", "robots.cf1.uri"),
-        ("radio://0/80/2M/E7E7E7E701", "udp://127.0.0.1:19850", "robots.cf1.uri"),
         ("[0.0, 0.5, 0]", "[0.0, 0.5]", "robots.cf1.initial_position.2"),
         ("[0.0, 0.5, 0]", "[0.0, .nan, 0]", "robots.cf1.initial_position.1"),
         ("pNAcc_xy: 1.0", "pNAcc_xy: much", "robots.cf1.firmware_params.kalman.pNAcc_xy"),

@@ -172,14 +172,23 @@ def found(name: str) -> bool:
     return False
 
 
-def test_the_glossary_gives_code_for_every_term() -> None:
-    rows = [line for line in GLOSSARY.splitlines() if line.startswith("| ")]
-    terms = [line.split("|") for line in rows if not line.startswith("| Term ")]
-    assert terms and all(len(SPAN.findall(cells[-2])) for cells in terms)
+def test_the_glossary_has_forty_terms_with_their_code() -> None:
+    terms = [line for line in GLOSSARY.splitlines() if line.startswith("| ") and not line.startswith("| Term ")]
+    assert 0 < len(terms) <= 40
+    assert all(SPAN.findall(line.split("|")[-2]) for line in terms)
 
 
 @pytest.mark.parametrize("name", GLOSSARY_NAMES)
 def test_the_code_that_the_glossary_names_exists(name: str) -> None:
+    assert found(name)
+
+
+PAPER = (ROOT / "docs" / "explanation" / "the-paper-in-this-code.md").read_text(encoding="utf-8")
+PAPER_NAMES = sorted({name for name in SPAN.findall(PAPER) if re.fullmatch(r"[a-z_]+(\.\w+)+", name)})
+
+
+@pytest.mark.parametrize("name", PAPER_NAMES)
+def test_the_code_of_the_paper_exists(name: str) -> None:
     assert found(name)
 
 

@@ -27,7 +27,7 @@ def expected_use(examinee: Examinee, questions: Sequence[Question], repeats: int
         for message in messages
     )
     calls = sum(asks) * repeats
-    answers = OUTPUT_TOKENS if examinee.kind in ("provider", "local", "own") else 0
+    answers = OUTPUT_TOKENS if examinee.kind in ("provider", "plugin", "own") else 0
     tokens_in = repeats * chars / CHARS_PER_TOKEN if calls else 0.0
     tries = 1 + examinee.setup.max_retries
     most = repeats * sum(len(q.robots) * (1 if q.section == WORDS else tries) for q in questions) if calls else 0

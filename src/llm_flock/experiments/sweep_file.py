@@ -13,6 +13,7 @@ from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from llm_flock import plugins
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock.experiments.trial import KeepRecords
@@ -137,7 +138,7 @@ def load_sweep(
             raise InputError(found.field.replace("max_", "budget_"), found.value, says=found.says) from None
         raise found from None
     for name in file.providers:
-        if name not in (known := (*PROVIDERS, "local", "simulated")):
+        if name not in (known := (*PROVIDERS, *plugins.entries("models"), "simulated")):
             raise FieldError("providers", name, says=unknown(f"provider [providers.{name}]", name, known))
     parse_profile(file.expect.profile)
     return Sweep(file=file, text=text, trials=tuple(_trials(file, variables or {}, overrides)))

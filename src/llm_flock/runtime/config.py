@@ -57,6 +57,11 @@ def seconds(default: float, description: str, *, most: float | None = None) -> A
     return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [s]")
 
 
+def metres(default: float, description: str) -> Any:
+    """A field for a positive length [m]."""
+    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
+
+
 class ProtocolConfig(ConfigSection):
     """Rules by which the robots agree on one plan and on distinct places."""
 

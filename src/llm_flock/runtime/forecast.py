@@ -100,7 +100,7 @@ def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKEN
     for name in names:
         if name.kind in ("geometry", "replay"):
             continue  # asks no model
-        real = name.kind in ("provider", "local", "own")
+        real = name.kind in ("provider", "plugin", "own")
         answer = output_tokens if real else found.tokens_output / max(1.0, found.calls)
         cost: float | None = 0.0
         if name.kind == "own":

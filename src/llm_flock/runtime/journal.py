@@ -215,7 +215,7 @@ class Journal:
             error=error,
             separation=separation,
             on_segment=on_segment,
-            connected=team.connected(roster.awake),
+            connected=team.readings.connected(roster.awake),
             model_calls=self.calls,
             tokens=self.usage.total,
             cost_usd=self.cost_usd,

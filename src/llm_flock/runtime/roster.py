@@ -93,7 +93,7 @@ class Roster:
     def hears(self, team: Bodies, robot: int) -> tuple[int, ...]:
         """Awake robots within radio range of one that is awake; empty for a silent robot."""
         if not self._silent:
-            return team.in_radio_range[robot]
+            return team.readings.in_radio_range[robot]
         if robot in self._silent:
             return ()
-        return tuple(other for other in team.in_radio_range[robot] if other not in self._silent)
+        return tuple(other for other in team.readings.in_radio_range[robot] if other not in self._silent)

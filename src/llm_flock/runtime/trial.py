@@ -228,8 +228,8 @@ class Trial:
         asking: dict[int, PlanQuestion] = {}
         everybody = self.config.model.observe == "all"
         for robot in self.roster.awake:
-            seen = self.bodies.sense(robot)
-            observed = self.bodies.others(robot) if everybody else tuple(seen.sensed.values())
+            seen = self.bodies.readings.sense(robot)
+            observed = self.bodies.readings.others(robot) if everybody else tuple(seen.sensed.values())
             began = events.RoundBegan(
                 round=number,
                 position=seen.position,

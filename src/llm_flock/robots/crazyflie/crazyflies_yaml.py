@@ -98,10 +98,6 @@ def parse_crazyflies(content: object) -> tuple[YamlDrone, ...]:
             raise input_error(error, YamlDrone, within=f"robots.{name}") from None
     if not drones:
         raise InputError("robots", list(robots), "at least one that is enabled")
-    uris = [drone.uri for drone in drones]
-    for drone in drones:
-        if uris.count(drone.uri) > 1:
-            raise InputError(f"robots.{drone.name}.uri", drone.uri, "a URI that no other enabled robot has")
     return tuple(drones)
 
 

@@ -21,15 +21,15 @@ from llm_flock.arrays import Point, Points
 from llm_flock.errors import FlockError, MessageError
 from llm_flock.llm.models import parse_models
 from llm_flock.mission import Mission
+from llm_flock.protocol.events import Origin
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
+from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
 from llm_flock.runtime.entries import metrics_row, mission_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.self_reports import SelfReports, rejected, sent
-from llm_flock.runtime.network.state_row import state_row
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
 from llm_flock.validation import input_error
@@ -240,9 +240,24 @@ class Observer:
         return self._state(np.array([body.position for body in self._world.bodies]))
 
     def _state(self, positions: Points) -> State:
-        reports = {robot: self.reports[robot] for robot in self.robots}
-        goals = {robot: self.goal_of(report) for robot, report in reports.items()}
-        return state_row(max(self._row, 0), positions, reports, goals, self._seen)
+        """Every robot, for bodies at positions of shape (n, d) [units]; one that was never seen sleeps."""
+        row, living, robots = max(self._row, 0), self.robots, range(len(positions))
+        reports = [self.reports[robot] if robot in living else None for robot in robots]
+        goals = [None if report is None else self.goal_of(report) for report in reports]
+        start = Origin.START.value if row == 0 else Origin.HOLD.value
+        gone = [DEAD if robot in self._seen else ASLEEP for robot in robots]
+        return State(
+            round=row,
+            positions=positions.tolist(),
+            goals=[None if goal is None else list(goal) for goal in goals],
+            slots=[None if r is None else r.slot for r in reports],
+            plan_ids=[None if r is None else r.plan_id for r in reports],
+            influence=[0.0 if r is None else r.neighbors / len(positions) for r in reports],
+            waypoints=[None if r is None or r.waypoint is None else list(r.waypoint) for r in reports],
+            origins=[start if r is None else r.origin for r in reports],
+            open_breakers=[[] if r is None else list(r.breakers) for r in reports],
+            phases=[none if r is None else r.phase for r, none in zip(reports, gone, strict=True)],
+        )
 
     @property
     def robots(self) -> list[int]:

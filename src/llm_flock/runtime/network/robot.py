@@ -11,11 +11,11 @@ from typing import Any, cast
 from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.runtime.entries import llm_entry
-from llm_flock.runtime.network.accusations import Accuser
+from llm_flock.runtime.network.accusations import Accuser, Judge
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import REPORT_S, judge_of, load_keys, open_link, receive, refusing
+from llm_flock.runtime.network.connection import REPORT_S, load_keys, open_link, receive, refusing
 from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stopped
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock.runtime.planners import TeamPlanners
@@ -74,8 +74,7 @@ class RobotProcess:
             liars=network.liars,
             apart=config.passing_distance,
         )
-        judge = judge_of(config, keys)
-        self._accuser = None if judge is None else Accuser(judge)
+        self._accuser = None if keys is None else Accuser(Judge(keys, config))
         self.agent_loop = AgentLoop(
             config, agent, self.planners[robot], self.radio, self.body, self._broadcast, self._accuser
         )
