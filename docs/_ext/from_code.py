@@ -114,7 +114,7 @@ class CliOptions(SphinxDirective):
             for paragraph in (command.help or "").split("\n\n"):
                 if paragraph.strip():
                     section += nodes.paragraph(text=" ".join(paragraph.split()))
-            rows = [option_row(param) for param in command.params if not getattr(param, "hidden", False)]
+            rows = [option_row(param) for param in command.params]
             if rows:
                 section += table(("Argument or option", "Default", "Meaning"), rows, 2)
             sections.append(section)

@@ -57,7 +57,9 @@ def commands() -> dict[str, set[str]]:
     """Every command of the command line, with the options that it takes."""
 
     def options(command: Any) -> set[str]:
-        own = {"--help"} | {opt for param in command.params for opt in (*param.opts, *param.secondary_opts)}
+        own = {"--help", "--help-all"} | {
+            opt for param in command.params for opt in (*param.opts, *param.secondary_opts)
+        }
         return own.union(*(options(part) for part in getattr(command, "commands", {}).values()))
 
     group: Any = typer.main.get_command(app)

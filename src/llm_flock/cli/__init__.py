@@ -11,6 +11,7 @@ app = typer.Typer(
     cls=Commands,
     help="Robots that agree on a formation, each with its own language model and without a central controller.",
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 

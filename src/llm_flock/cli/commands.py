@@ -7,14 +7,14 @@ from importlib import import_module
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from llm_flock import plugins
 from llm_flock.cli.extensions import with_extensions
 from llm_flock.cli.options import add_config_flags
 from llm_flock.errors import FieldError
 from llm_flock.extras import EXTRAS
-from llm_flock.flags import FlagErrors, PlainHelp
+from llm_flock.flags import PlainHelp
 
 _CORE = {
     "run": "llm_flock.cli.run",
@@ -44,10 +44,8 @@ class _Built(Mapping[str, Any]):
         if isinstance(found, typer.Typer):
             group = found
         else:
-            function = with_extensions(found)
-            add_config_flags(function)
             group = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-            group.command(name, cls=PlainHelp)(function)
+            group.command(name, cls=PlainHelp)(add_config_flags(with_extensions(found)))
         built = typer.main.get_command(group)
         built.name = name
         return built
@@ -59,7 +57,7 @@ class _Built(Mapping[str, Any]):
         return len(_names())
 
 
-class Commands(FlagErrors):
+class Commands(TyperGroup):
     """Lists commands by their first line of help alone, and builds the one that is called."""
 
     def __init__(self, **attributes: Any) -> None:

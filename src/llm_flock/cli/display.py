@@ -160,6 +160,8 @@ def show_overview(record: RunRecord) -> None:
         console.print(Text(one_line(sentence)))
     if record.result is not None and (work := work_text(record.result)):
         console.print(Text(one_line(work)))
+    if why := record.diagnosis().why:
+        console.print(Text(one_line(why)))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
     for row in record.metrics:
         table.add_row(

@@ -12,26 +12,21 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line, summary_table
-from llm_flock.cli.extensions import Finding
-from llm_flock.cli.foxglove import showing_run
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
-    FLIGHT,
-    SET_BY_FLY,
     ConfigPath,
     JsonOutput,
     Quiet,
     Record,
-    load_shown,
-    refuse_ros2,
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import chosen, refuse, showing
 from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
 from llm_flock.extras import EXTRAS, require_posix
-from llm_flock.foxglove.options import Service, with_foxglove
 
 if TYPE_CHECKING:
     from llm_flock.record.writer import RecordSink
@@ -46,8 +41,22 @@ WORD = "fly"
 """The word that confirms a flight."""
 
 
-@with_config_flags(without=SET_BY_FLY, kind=FLIGHT)
-@with_foxglove
+SHOWN = (
+    *("shape", "n_robots", "center", "spacing", "model", "base_url", "rounds", "seed", "out"),
+    *("robot", "drones", "crazyflies", "scale_m", "origin_m", "altitude_m", "geofence"),
+    *("min_separation_m", "max_speed_m_s", "round_s", "at_end", "pose_source"),
+)
+"""Fields that `fly --help` lists."""
+
+NOT_IN_FLIGHTS = (
+    *("kill", "join", "kill_random", "join_random", "noise", "start_positions"),
+    *("unit_m", "use_sim_time", "ros_missions", "ros_poses"),
+)
+"""Fields of runs and swarms that flights do not support."""
+
+
+@with_config_flags("llm_flock.runtime.flight.config:FlightConfig", shown=SHOWN, without=NOT_IN_FLIGHTS)
+@extended("sinks")
 def fly(
     config: ConfigPath = None,
     dry_run: Annotated[
@@ -58,35 +67,37 @@ def fly(
     record: Record = True,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
     In flight, r lets all drones return to their starts and land there, l (or Ctrl-C) lands them where they are, and
-    x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
+    x (or Ctrl-C twice) cuts all motors.
     """
     import asyncio
 
     from llm_flock.runtime.flight.config import FlightConfig
     from llm_flock.runtime.flight.fleet import with_drones
+    from llm_flock.runtime.ros2_config import refuse_ros2
 
-    if config is None and not dry_run and not (flags["drones"] or flags["crazyflies"]):
+    sinks = chosen(extensions)
+    if config is None and not dry_run and not (flags.get("drones") or flags.get("crazyflies")):
         says = "fly needs to know the drones: --config FILE, such as examples/flight.toml, or --crazyflies FILE"
         raise FieldError("config", says=f"{says} (--dry-run needs neither)")
     if not dry_run:
         require_posix("fly")
-    from llm_flock.foxglove.services import Orders
-
     if dry_run:
-        service.refuse("a dry run")
+        refuse(sinks, "a dry run")
         refuse_ros2(flags, "has no effect in a dry run")
-    settings = with_drones(load_shown(FlightConfig, config, flags))
+    settings = with_drones(FlightConfig.load(config, **flags))
+    if settings.ros2.router is None:
+        refuse_ros2(flags, "has no effect without --ros2")
     if dry_run:
         _dry_run(settings, json_output)
         return
-    settings = with_output_folder(settings, "flight-", record=record, typed=flags["out"])
-    with showing_run(service, settings, Orders()) as sink:
+    settings = with_output_folder(settings, "flight-", record=record, typed=flags.get("out"))
+    with showing(sinks, settings) as sink:
         result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet, sink=sink))
     summary = None if result.result is None else result.result.summary
     if json_output:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from llm_flock.cli.display import live_line, no_success, summary_table
-from llm_flock.cli.foxglove import PACE, Pacer, run_orders, showing_run
+from llm_flock.cli.extensions import Extension, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -16,17 +16,22 @@ from llm_flock.cli.options import (
     JsonOutput,
     Quiet,
     Record,
-    parse_flags,
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import PACE, Pacer, chosen, refuse, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
-from llm_flock.foxglove.options import Service, with_foxglove
+
+SHOWN = (
+    *("shape", "n_robots", "obstacles", "protocol", "model", "base_url", "loss"),
+    *("rounds", "seed", "kill", "out"),
+)
+"""Fields that `run --help` lists."""
 
 
-@with_config_flags()
-@with_foxglove
+@with_config_flags(shown=SHOWN)
+@extended("sinks")
 def run(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
@@ -38,12 +43,12 @@ def run(
     pace: Annotated[
         float | None,
         typer.Option(
-            help=f"Rounds a second at most, 0.01 to 1000 [{PACE:g} with --foxglove, else no limit]",
+            help=f"Rounds a second at most, 0.01 to 1000 [{PACE:g} while it is shown live, else no limit]",
             show_default=False,
         ),
     ] = None,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission and record it. Every field of the configuration is a flag.
@@ -51,13 +56,13 @@ def run(
     Without --out, the record goes to a new folder under runs/.
     """
     from llm_flock.runtime.config import RunConfig
-    from llm_flock.runtime.orders import RunOrders
 
+    sinks = chosen(extensions)
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
-    settings = with_output_folder(RunConfig.load(config, **parse_flags(flags)), record=record, typed=flags["out"])
+    settings = with_output_folder(RunConfig.load(config, **flags), record=record, typed=flags.get("out"))
     if dry_run:
-        service.refuse("a dry run")
+        refuse(sinks, "a dry run")
         if pace is not None:
             raise InputError("pace", pace, says="has no effect in a dry run")
         from llm_flock.cli.expected import show_expected_run
@@ -67,11 +72,10 @@ def run(
     from llm_flock.runtime.api import run as run_trial
 
     bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
-    orders = RunOrders(settings)
     try:
-        with showing_run(service, settings, run_orders(orders)) as sink, bar:
-            pace = PACE if service.on and pace is None else pace
-            steer = None if pace is None else Pacer(pace, orders)
+        with showing(sinks, settings) as sink, bar:
+            pace = PACE if sinks and pace is None else pace
+            steer = None if pace is None else Pacer(pace)
             result = run_trial(config=settings, on_round=on_round, sink=sink, steer=steer, trace=False)
     except KeyboardInterrupt:
         where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""

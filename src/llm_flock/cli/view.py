@@ -11,12 +11,11 @@ from llm_flock import plugins
 from llm_flock.cli.extensions import Finding
 from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing, require
-from llm_flock.foxglove.options import Service, with_foxglove
+from llm_flock.foxglove.options import Foxglove, FoxglovePort, port_of
 
 DEFAULT_PORT = 8765
 
 
-@with_foxglove
 def view(
     records: Annotated[
         list[Path] | None,
@@ -65,13 +64,14 @@ def view(
         ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")] = True,
-    *,
-    service: Service,
+    foxglove: Foxglove = False,
+    foxglove_port: FoxglovePort = None,
 ) -> None:
     """Watch runs in a browser: replay records, follow one that is being written, watch a swarm, or fly simulated runs.
 
     Without a record, the page opens with the form that starts runs.
     """
+    live_port = port_of(foxglove, foxglove_port)
     require("view", "view")
     from llm_flock.viewer.canvases import player_options
     from llm_flock.viewer.page import html
@@ -98,15 +98,19 @@ def view(
         from llm_flock.viewer.mission_text import MissionReader
 
         reader = MissionReader(models[0], base_url)
-    foxglove = service.listen()
+    server = None
+    if live_port is not None:
+        from llm_flock.foxglove.server import MOST_ROBOTS, FoxgloveServer
+
+        server = FoxgloveServer(live_port, MOST_ROBOTS)
     address = listen(host, port, token)
     if len(found) == 1 and watched is None and address.token is None:
         # A single run is drawn at once. With a token, nothing is shown before the browser has shown it.
         title = title_of(found[0])
         address.startup.show(html(title, player_options([(FIRST_KEY, title)])).encode(), address.hosts)
     typer.echo(address.url)
-    if foxglove is not None:
-        typer.echo(f"Foxglove: {foxglove.url('ws')}", err=True)
+    if server is not None:
+        typer.echo(f"Foxglove: {server.url}", err=True)
     typer.echo("Ctrl-C ends the viewer", err=True)
     if browser:
         import threading
@@ -125,7 +129,7 @@ def view(
         models=models,
         base_url=base_url,
         reader=reader,
-        foxglove=foxglove,
+        foxglove=server,
     )
 
 

@@ -14,6 +14,8 @@ from llm_flock import plugins
 from llm_flock.errors import RecordError
 from llm_flock.extras import ExtraMissing
 from llm_flock.record import RECORD_NAME
+from llm_flock.record.diagnosis import Diagnosis, diagnose
+from llm_flock.record.history import RunHistory
 from llm_flock.record.schema import (
     CHANNELS,
     BodySample,
@@ -95,6 +97,14 @@ class RunRecord:
     def models(self) -> tuple[str, ...]:
         """The models that were called, each once, in the order of their first calls."""
         return tuple(dict.fromkeys(entry.model for entry in self.llm))
+
+    def diagnosis(self) -> Diagnosis:
+        """Who or what kept the team from its last mission; empty for a run that formed, or has no round."""
+        if (self.result or {}).get("formed"):
+            return Diagnosis()
+        end = () if self.result is None else (SummaryMessage(result=self.result),)
+        seen = (self.run, *self.missions, *self.plans, *self.states, *self.metrics, *self.events, *self.llm)
+        return diagnose(RunHistory.of((*seen, RoundEnd(round=self.rounds), *end)))
 
     def animate(self, *, fps: int = 12) -> Any:
         """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round.

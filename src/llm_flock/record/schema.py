@@ -44,7 +44,7 @@ SILENT = frozenset({DEAD, ASLEEP})
 class Entry(BaseModel):
     """Base of all recorded messages. Optional fields that are None are left out of the file."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=(), defer_build=True)
 
     def encoded(self) -> bytes:
         """The message as it is written: compact JSON in UTF-8."""

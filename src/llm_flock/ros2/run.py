@@ -33,7 +33,6 @@ async def swarm_shown(
     config: SwarmConfig,
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
-    on_start: Callable[[Swarm], None] = lambda _: None,
     on_launch: Callable[[], object] = lambda: None,
 ) -> SwarmResult:
     """As `llm_flock.runtime.network.swarm.run_swarm`, shown in ROS 2 where a router is configured.
@@ -44,7 +43,6 @@ async def swarm_shown(
     async with showing(config) as show:
 
         def begin(swarm: Swarm) -> None:
-            on_start(swarm)
             if show is not None:
                 show(swarm.config, swarm.observer)
 

@@ -49,7 +49,7 @@ LONGEST_SHOWN = 256
 class ConfigSection(BaseModel):
     """A part of the configuration: immutable, and without unknown fields."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 def seconds(default: float, description: str, *, most: float | None = None) -> Any:
@@ -65,7 +65,9 @@ def metres(default: float, description: str) -> Any:
 class ProtocolConfig(ConfigSection):
     """Rules by which the robots agree on one plan and on distinct places."""
 
-    protocol: Literal["flock", "paper", "baseline"] = Field(default="flock", description="Preset for the options below")
+    protocol: Literal["flock", "paper", "baseline"] = Field(
+        default="flock", description="Preset for the rules, checks and fallback"
+    )
     consensus: str | None = Field(
         default=None, description="Plan consensus: none, influence, provenance, or package.module:Class [preset's]"
     )
@@ -211,10 +213,10 @@ class RunConfig(ConfigSection):
 
     mission: Mission = Field(default_factory=Mission)
     protocol: ProtocolConfig = Field(default_factory=ProtocolConfig)
-    model: ModelConfig = Field(default_factory=ModelConfig)
-    limits: LimitConfig = Field(default_factory=LimitConfig)
-    links: LinkFaults = Field(default_factory=LinkFaults)
-    trial: TrialConfig = Field(default_factory=TrialConfig)
+    model: ModelConfig = Field(default_factory=ModelConfig, title="Language models")
+    limits: LimitConfig = Field(default_factory=LimitConfig, title="Limits and budget")
+    links: LinkFaults = Field(default_factory=LinkFaults, title="Messages")
+    trial: TrialConfig = Field(default_factory=TrialConfig, title="Run")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -26,7 +26,7 @@ from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
-from llm_flock.runtime.roster import Roster, make_agent
+from llm_flock.runtime.roster import Roster, make_agent, parts_of
 from llm_flock.runtime.rules import Rules
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.summary import summarize
@@ -97,7 +97,9 @@ class Trial:
         n_robots = config.mission.n_robots
         self.config = config
         self.schedule = config.schedule()
-        self.roster = Roster(lambda robot: make_agent(config, rules, robot), n_robots, self.schedule.asleep)
+        self.roster = Roster(
+            lambda robot: make_agent(config, robot, parts_of(config, rules, robot)), n_robots, self.schedule.asleep
+        )
         self.planners = planners
         self.bodies = bodies
         self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))

@@ -139,7 +139,7 @@ class SteeredRun:
     @property
     def dead(self) -> frozenset[int]:
         """Robots that are dead, or will be with the next round."""
-        states = self.recording.states
+        states = self.recording.history.states
         phases = states[-1].phases if states else ()
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 

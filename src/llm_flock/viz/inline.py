@@ -104,6 +104,7 @@ def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
     rows = [
         ("protocol", protocol_text(record.run.config)),
         ("formed", formed),
+        ("why not", record.diagnosis().why),
         ("rounds", str(record.rounds)),
         ("plans in use", str(last.plans_in_use)),
         ("distinct goals", str(last.distinct_goals)),

@@ -42,10 +42,10 @@ class FlightConfig(RunConfig):
     """
 
     world: WorldConfig = Field(default_factory=WorldConfig)
-    fleet: FleetConfig = Field(default_factory=FleetConfig)
+    fleet: FleetConfig = Field(default_factory=FleetConfig, title="Drones")
     safety: SafetyConfig = Field(default_factory=SafetyConfig)
-    positions: PositionsConfig = Field(default_factory=PositionsConfig)
-    ros2: Ros2Config = Field(default_factory=Ros2Config)
+    positions: PositionsConfig = Field(default_factory=PositionsConfig, title="Positions from outside")
+    ros2: Ros2Config = Field(default_factory=Ros2Config, title="ROS 2")
 
     @model_validator(mode="after")
     def _check_flight(self) -> Self:

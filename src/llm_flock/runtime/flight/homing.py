@@ -14,7 +14,7 @@ import numpy as np
 from llm_flock.arrays import Point, Points
 from llm_flock.mission import Mission
 from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.flight.config import FlightConfig
 
@@ -44,7 +44,7 @@ class WayHome:
     def __init__(self, mission: Mission, homes: Points, near: float) -> None:
         self._mission, self._near = mission, near
         self._homes: list[Point] = [tuple(row) for row in homes.tolist()]
-        self._safety = [Safety(robot, mission, 0.0) for robot in range(len(homes))]
+        self._safety = [ShieldedSafety(robot, mission, 0.0) for robot in range(len(homes))]
 
     def far(self, places: Points) -> list[int]:
         """Drones that are not at home yet."""

@@ -82,7 +82,7 @@ class SwarmConfig(RunConfig):
     """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
     network: NetworkConfig = Field(default_factory=NetworkConfig)
-    ros2: Ros2Config = Field(default_factory=Ros2Config)
+    ros2: Ros2Config = Field(default_factory=Ros2Config, title="ROS 2")
 
     @model_validator(mode="after")
     def _check_swarm(self) -> Self:
