@@ -24,7 +24,6 @@
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
 `agreement` agents agree on a number: our consensus rule beside discussions; see benchmarks/agreement.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
-`forecasts` what `--dry-run` says of large teams, beside what they use; see benchmarks/forecasts.py (takes minutes)
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
             may go wrong in one; see benchmarks/flight.py and benchmarks/flight_cases.py (only when named)
@@ -52,7 +51,6 @@ from benchmarks import (
     containment,
     flight,
     flight_cases,
-    forecasts,
     lies,
     links,
     local,
@@ -203,7 +201,6 @@ if __name__ == "__main__":
         "arrivals": arrivals.main,
         "containment": containment.main,
         "lies": lies.main,
-        "forecasts": forecasts.main,
         "lies-curve": lies.curve,
         "lies-swarm": lies.swarm,
         "local-letters": local.letters,

@@ -37,8 +37,9 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import leg_to
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.right_of_way import RightOfWay
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 from llm_flock.protocol.verification.steps import shortened
 
@@ -135,7 +136,7 @@ def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **chan
 def motion_alone(scene: Scene) -> Flight:
     """Safe steps in lockstep; each robot heads straight for its own goal, and hears those within radio range."""
     mission, goals = scene.mission, _rows(scene.goals)
-    team = [Safety(robot, mission, 0.0) for robot in range(mission.n_robots)]
+    team = [ShieldedSafety(robot, mission, 0.0) for robot in range(mission.n_robots)]
 
     def advance(positions: Points) -> list[Points]:
         here = _rows(positions)
@@ -149,7 +150,8 @@ def motion_alone(scene: Scene) -> Flight:
             heard = {
                 j: course for j, course in said.items() if j in seen and math.dist(x, here[j]) <= mission.comm_range
             }
-            step = safety.step(x, seen, wish, leg, metrics.AT_GOAL * mission.spacing, courses=heard)
+            observed = Observation(position=x, sensed=seen, courses=heard)
+            step = safety.step(observed, wish, leg, metrics.AT_GOAL * mission.spacing)
             moves.append(step.waypoint)
         return [np.array(moves)]
 

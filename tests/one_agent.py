@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rounds import round_began
+from whole_agent import whole_agent
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
@@ -14,8 +15,7 @@ from llm_flock.protocol.events import (
     Planned,
     RoundBegan,
 )
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer
 
@@ -25,7 +25,7 @@ BETTER = Plan.of([[50.0, 45.0], [60.0, 45.0], [55.0, 53.66]])
 
 
 def make(robot: int = 0, *, shield_on: bool = True) -> Agent:
-    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on)
+    return whole_agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on)
 
 
 def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
@@ -47,7 +47,7 @@ def foreign(
         neighbors=2,
         plan=plan,
         provenance=provenance,
-        mission=MissionStamp(0 if mission_text is None else 7, "0" * 16),
+        stamp=MissionStamp(0 if mission_text is None else 7, "0" * 16),
         mission_text=mission_text,
     )
     return encode(message)

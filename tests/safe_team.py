@@ -4,13 +4,14 @@ import math
 from collections import Counter
 
 import numpy as np
+from rounds import observation
 
 from llm_flock.metrics import AT_GOAL, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, segment_clearance
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import ShieldedSafety
 
 SAFE = 3.0
 
@@ -24,7 +25,7 @@ class SafeTeam:
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.robots = [Safety(i, self.mission, 0.0) for i in range(n)]
+        self.robots = [ShieldedSafety(i, self.mission, 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.origins: Counter[str] = Counter()
         self.courses: dict[int, Course] = {}
@@ -57,7 +58,9 @@ class SafeTeam:
             if share < 1.0:
                 wish = tuple(x + share * (g - x) for x, g in zip(rows[i], leg.stop, strict=True))
             courses = {j: course for j, course in self.courses.items() if j in sensed and self.heard(i, j)}
-            flight = safety.step(rows[i], sensed, wish, leg, AT_GOAL * self.mission.spacing, courses=courses)
+            flight = safety.step(
+                observation(rows[i], sensed, courses=courses), wish, leg, AT_GOAL * self.mission.spacing
+            )
             self.origins[flight.origin.value] += 1
             self.kinds.update(note.kind for note in flight.notes)
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))

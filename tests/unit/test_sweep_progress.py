@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 from sweeps import small
 
-from llm_flock.cli.sweep_display import duration, progress_text, short
+from llm_flock.cli.expected import short
+from llm_flock.cli.sweep_display import duration, progress_text
 from llm_flock.experiments.grid import TrialSpec
-from llm_flock.experiments.sweep_forecast import Expected, Tally
+from llm_flock.experiments.tally import Tally
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.limits import Spent
 from llm_flock.runtime.trial import TrialProgress
@@ -45,31 +46,21 @@ def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
     assert tally.eta_s == 0 and (tally.over, tally.formed, tally.broken, tally.cut) == (4, 2, 1, 1)
 
 
-@pytest.mark.parametrize("summary", [{"rounds": 7, "formed": True}, {}, None])
-def test_a_sweep_without_a_number_of_rounds_goes_on(tmp_path: Path, summary: dict[str, object] | None) -> None:
-    """By default a run ends by its deadline, and its configuration has no number of rounds."""
-    specs = small(tmp_path, seeds=1).trials
-    config = {"mission": {"n_robots": 3}, "trial": {"rounds": None}}
-    plain = {"id": "other", "cell": "other", "axes": {}, "config": config, "rounds": {}, "code": ""}
-    flown = TrialResult(**plain, summary=summary, error=None if summary else "x", cut=False, simulated=True)
-    tally = Tally(clock=lambda: 0.0)
-    tally.begin([flown], specs)
-    assert tally.trials == 1 + len(specs) and tally.over == 1
-
-
 def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
     now = [0.0]
-    specs = small(tmp_path, seeds=1).trials
-    one = Expected(calls=100, tokens_input=900, tokens_output=100, cost_usd=0.5)
-    tally = Tally({spec.cell: one for spec in specs}, clock=lambda: now[0])
+    specs = small(tmp_path, seeds=2).trials
+    tally = Tally(clock=lambda: now[0])
     tally.begin((), specs)
-    assert tally.forecast == Spent(calls=200, tokens=2000, cost_usd=1.0)
+    assert tally.eta_s is None
+    finish(tally, specs[0], 100)
+    finish(tally, specs[1], 100)
+    assert tally.forecast == Spent(calls=400, tokens=4000, cost_usd=4.0)
     now[0] = 10.0
-    for spec in specs:
+    for spec in specs[2:]:
         tally.progress(spec, progress(1, 25))
-    assert tally.eta_s == pytest.approx(30.0)
-    tally.progress(specs[0], progress(15, 1000))
-    assert tally.eta_s == pytest.approx(10.0 * 80 / 120), "never more than nearly done before it has landed"
+    assert tally.eta_s == pytest.approx(10.0 * 150 / 250)
+    tally.progress(specs[2], progress(15, 1000))
+    assert tally.eta_s == pytest.approx(10.0 * 80 / 320), "never more than nearly done before it has landed"
 
 
 def test_the_line_says_what_is_spent_and_what_is_expected(tmp_path: Path) -> None:

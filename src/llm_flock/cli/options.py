@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar, U
 import typer
 
 from llm_flock.errors import InputError
-from llm_flock.text_files import read_text
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -184,7 +183,7 @@ def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     around = 20  # characters shown on either side of the place where JSON breaks
     try:
-        given = text if text.lstrip()[:1] in ("[", "{") else read_text(Path(text))
+        given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
         found = json.loads(given)
     except json.JSONDecodeError as error:
         before, after = error.doc[: error.pos][-around:], error.doc[error.pos :][:around]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Coroutine, Mapping
+import socket
+from collections.abc import Coroutine, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
@@ -15,7 +16,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line
-from llm_flock.cli.foxglove import SwarmOrders, showing_run
+from llm_flock.cli.export import needed
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -26,15 +28,24 @@ from llm_flock.cli.options import (
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import chosen, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
-from llm_flock.foxglove.options import Service, with_foxglove
 from llm_flock.record.words import rules_text
 
 if TYPE_CHECKING:
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.swarm import SwarmResult
+
+BAG = "bag"
+"""Folder of a bag."""
+
+ROUTER = "tcp/127.0.0.1:7447"
+"""Where a swarm's peers find each other unless the configuration says otherwise."""
+
+PATIENCE_S = 2.0
+"""Longest wait for a router [s]."""
 
 NOBODY = "no swarm answers there; `robot` and `swarm` take the same --connect and --swarm"
 
@@ -106,19 +117,20 @@ def world(config: ConfigPath = None, **flags: Any) -> None:
     shown=(*SHOWN, "protocol", "obstacles", "loss", "seed", "max_s", "out"),
     without=BODIES_ELSEWHERE,
 )
-@with_foxglove
+@extended("sinks")
 def swarm(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission on this machine with a process for each robot, one for the world and one for the record."""
     import asyncio
 
+    sinks = chosen(extensions)
     require("network", "swarm")
     require_posix("swarm")
     from llm_flock.ros2.run import swarm_shown
@@ -132,16 +144,10 @@ def swarm(
     shape, n_robots = settings.mission.shape, settings.mission.n_robots
     waiting = f"starting {n_robots} robots, each a process ..."
     bar, on_round = live_line(shape, enabled=not quiet and not json_output, waiting=waiting)
-    from llm_flock.foxglove.services import Orders
-
-    given = SwarmOrders(settings, launched=True)
-    orders = Orders(mission=given.mission, kill=given.kill)
     signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
-        with showing_run(service, settings, orders) as sink, ExitStack() as shown:
-            flight = swarm_shown(
-                settings, on_round, sink, on_start=given.start, on_launch=lambda: shown.enter_context(bar)
-            )
+        with showing(sinks, settings) as sink, ExitStack() as shown:
+            flight = swarm_shown(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
             result = asyncio.run(flight)
     except KeyboardInterrupt:
         say(f"interrupted; all {n_robots} robots have ended", error=True)
@@ -208,25 +214,23 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
 
 
 @with_config_flags(SWARM, shown=(*SHOWN, "router", "out"), without=BODIES_ELSEWHERE)
-@with_foxglove
+@extended("sinks")
 def watch(
     config: ConfigPath = None,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
     from llm_flock.ros2.run import run_bridge
 
+    sinks = chosen(extensions)
     settings = _load(config, flags)
     where = f" at {settings.network.connect}" if settings.network.connect else ""
     waiting = f"waiting for robots of swarm {settings.network.swarm!r}{where} ..."
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet, waiting=waiting)
-    from llm_flock.foxglove.services import Orders
-
-    orders = Orders(mission=SwarmOrders(settings, launched=False).mission)
-    with showing_run(service, settings, orders) as sink, bar:
+    with showing(sinks, settings) as sink, bar:
         _run_until_stopped(run_bridge(settings, settings.record, on_round, sink))
 
 
@@ -274,6 +278,64 @@ def mission(
     if not takers:
         raise InputError("connect", settings.network.connect or None, says=NOBODY)
     say("given to robot " + " and robot ".join(map(str, takers)))
+
+
+def keys(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder", show_default=False)],
+    robots: Annotated[int, typer.Option(min=1, help="Number of robots", show_default=False)],
+    days: Annotated[int, typer.Option(min=1, help="Validity of the certificates [days]")] = 365,
+) -> None:
+    """Make the keys and certificates of a team whose robots are separate processes.
+
+    No file is overwritten. Each robot gets a folder: its machine needs that folder, team.json and ca.pem.
+    """
+    require("network", "keys")
+    from llm_flock.trust.keys import make_keys
+
+    make_keys(folder, robots, days=days)
+    say(f"keys of {robots} robots, operator, world and watcher in {folder}; keep {folder / 'authority'} offline")
+
+
+def export_bag(
+    record: Path | None,
+    folder: Path,
+    *,
+    ros2bag: Annotated[
+        bool, typer.Option("--ros2bag", help="Write a record as a bag of ROS 2 (MCAP), to a folder `bag`")
+    ] = False,
+    unit_m: Annotated[
+        float | None,
+        typer.Option(help="With --ros2bag: length of one mission unit [m] [1, or the flight's]", show_default=False),
+    ] = None,
+) -> Iterator[Path]:
+    """Write a record as a bag; gives the path of the bag."""
+    require("ros2", "export --ros2bag")
+    from pydantic import ValidationError
+
+    from llm_flock.ros2.bag import write_bag
+    from llm_flock.runtime.ros2_config import Ros2Config
+    from llm_flock.validation import input_error
+
+    try:
+        config = Ros2Config(unit_m=unit_m)
+    except ValidationError as error:
+        raise input_error(error, Ros2Config) from None
+    yield write_bag(needed(record), folder / BAG, config)
+
+
+def reach_router(
+    *, router: Annotated[str, typer.Option(help="Endpoint of a swarm's router or peer to reach")] = ROUTER
+) -> list[Finding]:
+    """What `llm-flock doctor` says of a swarm's endpoint: whether something listens there."""
+    host, colon, port = router.partition("/")[2].rpartition(":")
+    name = f"router at {router}"
+    if not colon or not port.isdigit() or not host or int(port) > 65535:
+        return [Finding("reach", name, False, "not an endpoint such as tcp/127.0.0.1:7447")]
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), PATIENCE_S).close()
+    except OSError as error:
+        return [Finding("reach", name, False, f"{error.strerror or error}; llm-flock swarm needs none")]
+    return [Finding("reach", name, True, "something listens there")]
 
 
 def _change(text: str) -> tuple[str, Any]:

@@ -15,10 +15,12 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
+from llm_flock.cli.expected import budget_text, cost_text, short
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_file import Sweep
-from llm_flock.experiments.sweep_forecast import Expected, Tally
+from llm_flock.experiments.tally import Tally
+from llm_flock.runtime.forecast import Expected
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
@@ -26,7 +28,7 @@ PLAIN_S = 10.0
 
 
 @contextmanager
-def sweep_line(name: str, expected: Mapping[str, Expected], *, enabled: bool) -> Generator[Tally]:
+def sweep_line(name: str, *, enabled: bool) -> Generator[Tally]:
     """One line on stderr that shows a tally: trials, ETA, and calls, tokens and money, spent and expected."""
     console = Screen(stderr=True)
     redraw = enabled and console.is_terminal
@@ -43,7 +45,7 @@ def sweep_line(name: str, expected: Mapping[str, Expected], *, enabled: bool) ->
         if enabled and not redraw:
             console.print(text, highlight=False, soft_wrap=True, markup=False)
 
-    tally = Tally(expected, on_change=show)
+    tally = Tally(on_change=show)
     bar = Bar(
         SpinnerColumn(),
         TextColumn("{task.fields[label]}", style="bold", markup=False),
@@ -112,20 +114,12 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
             highlight=False,
         )
     budget = sweep.file.budget
-    limits = {"calls": budget.max_calls, "tokens": budget.max_tokens, "US dollars": budget.max_cost}
-    shown = ", ".join(f"{value:,} {unit}" for unit, value in limits.items() if value is not None)
-    console.print(f"Budget: {shown or 'none'}.", highlight=False)
+    console.print(budget_text(budget.max_calls, budget.max_tokens, budget.max_cost), highlight=False)
 
 
 def _figures(count: int, found: Expected) -> list[str]:
-    cost = "not known" if found.cost_usd is None else f"{found.cost_usd:,.2f}"
     plain = (count, found.calls, found.at_most, found.tokens_input, found.tokens_output)
-    return [*map(short, plain), cost]
-
-
-def short(number: float) -> str:
-    """A count that fits into a column: 12,345 or 1.23 M."""
-    return f"{round(number):,}" if number < 1e6 else f"{number / 1e6:,.2f} M"
+    return [*map(short, plain), cost_text(found.cost_usd)]
 
 
 def show_status(status: SweepStatus, folder: Path, *, as_json: bool) -> None:

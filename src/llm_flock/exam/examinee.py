@@ -10,7 +10,7 @@ from typing import Any, Self, cast, get_args
 import numpy as np
 
 from llm_flock.errors import InputError
-from llm_flock.llm.frame import FrameName, trained_for
+from llm_flock.llm.frame import FrameName
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
 from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.local.weights import find_weights
@@ -20,6 +20,7 @@ from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
+from llm_flock.llm.sources import habits_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +94,7 @@ class Examinee:
         self.setup = setup
         self.name = setup.model if own is None else own.name
         self.kind = "own" if name is None else name.kind
-        trained = trained_for(self.name)
+        trained = habits_of(self.name).frame == "own"
         if setup.answers not in ("text", "json"):
             raise InputError("answers", setup.answers, "text or json")
         self.prompts = PromptSet.load(setup.prompts or ("brief" if trained else "full"), json=setup.answers == "json")
@@ -106,7 +107,7 @@ class Examinee:
         self.meter = BudgetMeter(
             Budget(max_calls=setup.max_calls, max_tokens=setup.max_tokens, max_cost_usd=setup.max_cost)
         )
-        at_once = min(setup.max_concurrent, slot_count()) if self.kind == "local" else setup.max_concurrent
+        at_once = min(setup.max_concurrent, slot_count()) if self.kind == "plugin" else setup.max_concurrent
         self._limits = CallLimits(
             rng=np.random.default_rng(setup.seed),
             max_concurrent=at_once,
@@ -134,18 +135,18 @@ class Examinee:
 
     def check(self) -> None:
         """Refuse a model whose key, address, file or profile is missing. Call before the first question."""
-        if self.kind in ("local", "provider", "simulated"):
+        if self.kind in ("plugin", "provider", "simulated"):
             self.model(0, 0)
 
     @property
     def reads_words(self) -> bool:
         """Whether it can be asked for a mission in plain words. Stand-ins and geometry cannot read any."""
-        return self.kind in ("provider", "local", "own") or (self._replay is not None and not self.simulated)
+        return self.kind in ("provider", "plugin", "own") or (self._replay is not None and not self.simulated)
 
     @property
     def weights(self) -> Mapping[str, str]:
         """Digests of the files of a model on board, by name; empty for others."""
-        return find_weights(self.name.partition(":")[2]).versions() if self.kind == "local" else {}
+        return find_weights(self.name.partition(":")[2]).versions() if self.kind == "plugin" else {}
 
     def model(self, robot: int, round_: int) -> LanguageModel:
         """The model behind one question, with the limits of the whole exam. Not for geometry, which is no model."""

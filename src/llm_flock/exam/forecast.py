@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from llm_flock.exam.examinee import Examinee
 from llm_flock.exam.questions import WORDS, Question
 from llm_flock.exam.sit import first_messages
-from llm_flock.experiments.sweep_file import ExpectTable
-from llm_flock.experiments.sweep_forecast import Expected
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import parse_model
 from llm_flock.llm.sharing import CHARS_PER_TOKEN
+from llm_flock.runtime.forecast import OUTPUT_TOKENS, Expected
 
 
 def expected_use(examinee: Examinee, questions: Sequence[Question], repeats: int) -> Expected:
@@ -20,7 +19,6 @@ def expected_use(examinee: Examinee, questions: Sequence[Question], repeats: int
 
     Prompts are rendered and measured; each answer is taken to have as many tokens as `[expect]` of a sweep says.
     """
-    expect = ExpectTable()
     asks = [examinee.kind != "geometry"] * sum(len(question.robots) for question in questions)
     chars = sum(
         len(message.text)
@@ -29,7 +27,7 @@ def expected_use(examinee: Examinee, questions: Sequence[Question], repeats: int
         for message in messages
     )
     calls = sum(asks) * repeats
-    answers = expect.output_tokens if examinee.kind in ("provider", "local", "own") else 0
+    answers = OUTPUT_TOKENS if examinee.kind in ("provider", "plugin", "own") else 0
     tokens_in = repeats * chars / CHARS_PER_TOKEN if calls else 0.0
     tries = 1 + examinee.setup.max_retries
     most = repeats * sum(len(q.robots) * (1 if q.section == WORDS else tries) for q in questions) if calls else 0

@@ -17,7 +17,6 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanQuestion, StepQuestion
-from llm_flock.text_files import read_text
 
 SECTIONS: Mapping[str, str] = {
     "plan": "a plan of the whole formation: every shape, in the plane and in space, 3 to 30 places",
@@ -158,7 +157,7 @@ def digest(questions: Iterable[Question]) -> str:
 def read_questions(path: Path) -> list[Question]:
     """Read a file of questions; InputError for field `questions` as in `from_lines`."""
     try:
-        text = read_text(path)
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("questions", str(path), f"a file that can be read ({error})") from None
     return from_lines(text, str(path))

@@ -8,15 +8,16 @@ from collections.abc import Mapping, Sequence
 from llm_flock.distill.taught import training_prompts
 from llm_flock.exam.questions import Question
 from llm_flock.exam.sit import first_messages
-from llm_flock.llm.frame import FrameName, trained_for
+from llm_flock.llm.frame import FrameName
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.sources import habits_of
 
 
 def seen_in_training(
     model: str, questions: Sequence[Question], prompts: PromptSet, frame: FrameName
 ) -> Mapping[str, float] | None:
     """Share of each section whose first prompt was taught, every robot's; None for models that were not taught here."""
-    if not trained_for(model) or model.endswith("+none"):
+    if habits_of(model).frame != "own" or model.endswith("+none"):
         return None
     taught, seen, asked = training_prompts(), Counter[str](), Counter[str]()
     for question in questions:

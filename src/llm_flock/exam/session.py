@@ -20,10 +20,10 @@ from llm_flock.exam.results import ResultFile, Sitting
 from llm_flock.exam.seen import seen_in_training
 from llm_flock.exam.sit import asked_of, round_of, sit, sitting_of
 from llm_flock.exam.splits import PUBLIC_SEED, chosen, private_split, public_split
-from llm_flock.llm.frame import trained_for
 from llm_flock.llm.own import OwnModel
 from llm_flock.llm.port import Usage
 from llm_flock.llm.replay import ReplayModel
+from llm_flock.llm.sources import habits_of
 
 MOST_REPEATS = 1000
 """Most times that each question is asked."""
@@ -191,6 +191,6 @@ def _setup_flags(setup: Setup) -> str:
 
     Those of a trained model are spelled out: its recording, which is asked by another name, needs them.
     """
-    words = {"prompts": "brief", "frame": "own"} if trained_for(setup.model) else {}
+    words = {"prompts": "brief", "frame": "own"} if habits_of(setup.model).frame == "own" else {}
     names = words | {name: value for name, value in setup.asked().items() if name not in ("model", "seed")}
     return "".join(f" --{name.replace('_', '-')} {value}" for name, value in names.items())

@@ -106,7 +106,7 @@ async def sit(
     """
     done = results.done
     open_ = [(q, r) for r in range(repeats) for q in questions if (q.id, r) not in done]
-    if examinee.kind == "local":
+    if examinee.kind == "plugin":
         # The first question determines how much an engine on board reserves for each.
         open_.sort(key=lambda one: (not one[0].asks_plan, -one[0].n))
     writer = nullcontext() if record is None else CassetteWriter(record, simulated=examinee.simulated)

@@ -13,7 +13,7 @@ from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
 from llm_flock.record.writer import GivenUp, NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.robots.simulated import start_positions
+from llm_flock.robots.simulated import Readings, start_positions
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
 from llm_flock.runtime.entries import run_info
@@ -112,7 +112,7 @@ async def _fly(
     given = config.trial
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
-    bodies = InstantBodies(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
+    bodies = InstantBodies(Readings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE)))
     planners = TeamPlanners(config, lane, own)
     code = own_rules((consensus, assignment))
     with ExitStack() as stack:
