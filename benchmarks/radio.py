@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from llm_flock.cli.stand_ins import grid
 from llm_flock.robots.base import RobotError
 from llm_flock.robots.crazyflie import CrazyflieRobot
-from llm_flock.robots.crazyflie.radios import EXCHANGE_S, SETTING_S, plan_radios, proposed_uris, traffic_of
+from llm_flock.robots.crazyflie.radios import EXCHANGE_S, SETTING_S, exchanges_of, plan_radios, proposed_uris
 from llm_flock.testing.crtp import ModelledRadio, StandIns
 
 DRONES = 20
@@ -111,7 +111,7 @@ def radio() -> None:
     print(f"{LOSS:.0%} of all exchanges are lost; way-points to all drones, one after another, for {SECONDS:g} s")
     for n_radios in RADIOS:
         uris = [(f"cf{k}", uri) for k, uri in enumerate(proposed_uris(DRONES, n_radios))]
-        share = max(load.share for load in plan_radios(uris, traffic_of(round_s=3.0)).loads)
+        share = max(load.share for load in plan_radios(uris, exchanges_of(round_s=3.0)).loads)
         found = asyncio.run(measure(n_radios))
         if isinstance(found, str):
             print(f"{n_radios} radios: planned share {share:.0%}; {found}", flush=True)

@@ -78,7 +78,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     if near:
         return f"unknown {what}; did you mean {near[0]!r}?"
     if len(names) > MOST_LISTED:
-        return f"unknown {what}; `llm-flock run --help` and the configuration's reference list them"
+        return f"unknown {what}; `llm-flock run --help-all` and the configuration's reference list them"
     return f"unknown {what}; expected one of {', '.join(names) or '(there are none)'}"
 
 

@@ -132,7 +132,7 @@ def test_python_sees_fields() -> None:
         build_config(n_robots=0)
     with pytest.raises(FieldError, match=r"^unknown field 'consensu'; did you mean 'consensus'\?$"):
         build_config(consensu="x")
-    with pytest.raises(FieldError, match=r"^unknown field 'qqq'; `llm-flock run --help`"):
+    with pytest.raises(FieldError, match=r"^unknown field 'qqq'; `llm-flock run --help-all`"):
         build_config(qqq=1)
 
 

@@ -17,21 +17,20 @@ from llm_flock.robots.crazyflie.radios import (
     LAST_IN_BAND,
     MOST_SHARE,
     SETTING_S,
-    DroneTraffic,
     RadioAddress,
     address_of,
     capacity_hz,
+    exchanges_of,
     plan_radios,
     proposed_uris,
     radios_for,
-    traffic_of,
     wifi_over,
 )
 from llm_flock.runtime.flight.preflight import radio_checks, radio_plan
 from llm_flock.testing.crtp.radio import BEHIND_S, QUEUE, RELAXED_S, ModelledRadio
 
 ROOT = Path(__file__).parents[2]
-TRAFFIC = traffic_of(round_s=3.0)
+TRAFFIC = exchanges_of(round_s=3.0)
 
 
 def drones(uris: list[str]) -> list[tuple[str, str]]:
@@ -85,10 +84,9 @@ def test_an_exchange_takes_longer_where_settings_change_or_the_rate_is_low() -> 
     assert 500 < capacity(*on(20)) < 600, "of the size of Bitcraze's own figures"
 
 
-def test_the_traffic_of_a_drone() -> None:
-    assert TRAFFIC.up_hz == pytest.approx(10.4) and TRAFFIC.down_hz == pytest.approx(42.4)
-    assert traffic_of(round_s=3.0, pose_hz=100.0).exchanges_hz == pytest.approx(110.4), "poses outweigh the logs"
-    assert DroneTraffic(up_hz=3.0, down_hz=5.0).exchanges_hz == 5.0
+def test_the_exchanges_of_a_drone() -> None:
+    assert pytest.approx(42.4) == TRAFFIC
+    assert exchanges_of(round_s=3.0, pose_hz=100.0) == pytest.approx(110.4), "poses outweigh the logs"
 
 
 def test_twenty_drones_are_too_many_for_one_radio_and_few_for_four() -> None:

@@ -43,19 +43,17 @@ def with_config_flags(
     *,
     shown: Collection[str],
     without: Collection[str] = (),
-    without_sections: Collection[str] = (),
 ) -> Callable[[Command], Command]:
     """Ask for a flag for each field of a configuration, for a command that takes the values typed as `**flags`.
 
     Args:
         config: module and name of its class, which takes long to import.
         shown: fields whose flags `--help` lists; the others are in `--help-all`.
-        without: fields that get no flag.
-        without_sections: sections whose fields get none.
+        without: fields that get no flag, and sections, such as `[links]`, whose fields get none.
     """
 
     def decorate(command: Command) -> Command:
-        vars(command)["config_flags"] = config, shown, NOT_FLAGS.union(without), without_sections
+        vars(command)["config_flags"] = config, shown, NOT_FLAGS.union(without)
         return command
 
     return decorate
@@ -65,7 +63,7 @@ def add_config_flags(command: Command) -> Command:
     """The command with the flags that it asks for by `with_config_flags`. Call when it is looked up."""
     if "config_flags" not in vars(command):
         return command
-    config, shown, without, without_sections = vars(command)["config_flags"]
+    config, shown, without = vars(command)["config_flags"]
     module, _, name = config.partition(":")
     parameters = [
         p for p in inspect.signature(command, eval_str=True).parameters.values() if p.kind is not p.VAR_KEYWORD
@@ -76,7 +74,7 @@ def add_config_flags(command: Command) -> Command:
     for title, section in getattr(importlib.import_module(module), name).model_fields.items():
         panel = section.title or title.capitalize()
         for field, info in fields_of(section.annotation).items():
-            if field not in without and title not in without_sections:
+            if field not in without and f"[{title}]" not in without:
                 parameter, readers[field] = _flag(field, info, panel, hidden=field not in shown)
                 parameters.append(parameter)
 

@@ -87,7 +87,7 @@ def _run_until_stopped(work: Coroutine[Any, Any, None]) -> None:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
-@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out"), without_sections=("ros2",))
+@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out", "[ros2]"))
 def robot(
     robot_id: Annotated[int, typer.Option("--id", min=0, help="Id of this robot in the swarm")],
     config: ConfigPath = None,
@@ -100,7 +100,7 @@ def robot(
     _run_until_stopped(run_robot(SwarmConfig.load(config, **flags), robot_id))
 
 
-@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out"), without_sections=("ros2",))
+@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out", "[ros2]"))
 def world(config: ConfigPath = None, **flags: Any) -> None:
     """Simulate the bodies and sensors of a swarm. Listens where the robots connect."""
     from llm_flock.runtime.network.config import SwarmConfig

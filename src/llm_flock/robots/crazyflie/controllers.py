@@ -18,7 +18,7 @@ CONTROLLER, ESTIMATOR = "stabilizer.controller", "stabilizer.estimator"
 
 
 @dataclass(frozen=True, slots=True)
-class Controller:
+class FirmwareController:
     """One controller: its name, and parameters with its gains [1/s] and its highest velocities [m/s], if it lags."""
 
     name: str
@@ -26,17 +26,17 @@ class Controller:
     speeds: tuple[str, ...] = ()
 
 
-CONTROLLERS: Mapping[int, Controller] = MappingProxyType(
+CONTROLLERS: Mapping[int, FirmwareController] = MappingProxyType(
     {
-        1: Controller(
+        1: FirmwareController(
             "PID",
             ("posCtlPid.xKp", "posCtlPid.yKp", "posCtlPid.zKp"),
             ("posCtlPid.xVelMax", "posCtlPid.yVelMax", "posCtlPid.zVelMax"),
         ),
-        2: Controller("Mellinger"),
-        3: Controller("INDI", ("posCtrlIndi.K_xi_x", "posCtrlIndi.K_xi_y", "posCtrlIndi.K_xi_z")),
-        4: Controller("Brescianini"),
-        5: Controller("Lee"),
+        2: FirmwareController("Mellinger"),
+        3: FirmwareController("INDI", ("posCtrlIndi.K_xi_x", "posCtrlIndi.K_xi_y", "posCtrlIndi.K_xi_z")),
+        4: FirmwareController("Brescianini"),
+        5: FirmwareController("Lee"),
     }
 )
 
@@ -53,7 +53,7 @@ READ: tuple[str, ...] = (
 """Parameters to read before a flight."""
 
 
-def number_of(table: Mapping[int, Controller | str], name: str) -> int:
+def number_of(table: Mapping[int, FirmwareController | str], name: str) -> int:
     """The number of a controller or estimator by its name, in lower case."""
     names = {(entry if isinstance(entry, str) else entry.name).lower(): number for number, entry in table.items()}
     return names[name]

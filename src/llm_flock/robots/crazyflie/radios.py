@@ -66,19 +66,6 @@ class RadioAddress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DroneTraffic:
-    """Packets of one drone a second [1/s]: those that go to it, and those that come from it."""
-
-    up_hz: float
-    down_hz: float
-
-    @property
-    def exchanges_hz(self) -> float:
-        """Exchanges that it needs: each carries one packet up and one down."""
-        return max(self.up_hz, self.down_hz)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RadioLoad:
     """What one radio has to carry.
 
@@ -152,13 +139,14 @@ def address_of(uri: str) -> RadioAddress | None:
     return RadioAddress(parts.netloc.upper(), int(channel), rate, address)
 
 
-def traffic_of(*, round_s: float, pose_hz: float = 0.0) -> DroneTraffic:
-    """The packets of a drone in a flight with rounds of this duration, and this many poses from outside a second."""
-    commands = RESENT / round_s
-    return DroneTraffic(
-        up_hz=pose_hz + PING_HZ + commands,
-        down_hz=POSITION_HZ + VARIANCE_HZ + LIGHTHOUSE_HZ + PING_HZ + commands,
-    )
+def exchanges_of(*, round_s: float, pose_hz: float = 0.0) -> float:
+    """Exchanges of a drone in a flight with rounds of this duration, and this many poses from outside a second [1/s].
+
+    Each carries one packet up and one down, so the direction with more packets counts.
+    """
+    commands_hz = RESENT / round_s
+    up_hz = pose_hz + PING_HZ + commands_hz
+    return max(up_hz, POSITION_HZ + VARIANCE_HZ + LIGHTHOUSE_HZ + PING_HZ + commands_hz)
 
 
 def capacity_hz(addresses: Sequence[RadioAddress]) -> float:
@@ -168,12 +156,12 @@ def capacity_hz(addresses: Sequence[RadioAddress]) -> float:
     return 1.0 / (EXCHANGE_S + LONGEST_BITS * slower + SETTING_S * changes)
 
 
-def plan_radios(drones: Sequence[tuple[str, str]], traffic: DroneTraffic) -> RadioPlan:
+def plan_radios(drones: Sequence[tuple[str, str]], each_hz: float) -> RadioPlan:
     """The load of each radio, and the faults of an allocation.
 
     Args:
         drones: name and URI of each. Those that are not called by radio are left out.
-        traffic: of each of them.
+        each_hz: exchanges of each of them [1/s].
     """
     found: dict[str, RadioAddress] = {}
     faults: list[str] = []
@@ -191,26 +179,26 @@ def plan_radios(drones: Sequence[tuple[str, str]], traffic: DroneTraffic) -> Rad
     served: dict[str, dict[str, RadioAddress]] = defaultdict(dict)
     for name, address in found.items():
         served[address.dongle][name] = address
-    loads = tuple(_load(dongle, served[dongle], traffic) for dongle in sorted(served))
-    return RadioPlan(loads=loads, faults=tuple(faults), warnings=tuple(_warnings(loads, traffic)))
+    loads = tuple(_load(dongle, served[dongle], each_hz) for dongle in sorted(served))
+    return RadioPlan(loads=loads, faults=tuple(faults), warnings=tuple(_warnings(loads, each_hz)))
 
 
-def _load(dongle: str, served: Mapping[str, RadioAddress], traffic: DroneTraffic) -> RadioLoad:
+def _load(dongle: str, served: Mapping[str, RadioAddress], each_hz: float) -> RadioLoad:
     return RadioLoad(
         dongle=dongle,
         drones=tuple(served),
         channels=tuple(sorted({address.channel for address in served.values()})),
-        needed_hz=len(served) * traffic.exchanges_hz,
+        needed_hz=len(served) * each_hz,
         capacity_hz=capacity_hz(list(served.values())),
     )
 
 
-def _warnings(loads: Sequence[RadioLoad], traffic: DroneTraffic) -> list[str]:
+def _warnings(loads: Sequence[RadioLoad], each_hz: float) -> list[str]:
     said: list[str] = []
     for load in loads:
         if load.share > MOST_SHARE:
             drones = sum(len(other.drones) for other in loads)
-            enough = radios_for(drones, traffic)
+            enough = radios_for(drones, each_hz)
             advice = f"; {enough} radios would carry {drones} drones" if enough > len(loads) else ""
             said.append(
                 f"radio {load.dongle} needs {load.share:.0%} of what it can do (at most {MOST_SHARE:.0%}){advice}"
@@ -244,9 +232,9 @@ def wifi_over(channel: int) -> int | None:
     return None
 
 
-def radios_for(n_drones: int, traffic: DroneTraffic) -> int:
+def radios_for(n_drones: int, each_hz: float) -> int:
     """The smallest number of radios that carries this number of drones, each radio on one channel at 2 Mbit/s."""
-    each = math.floor(MOST_SHARE / (EXCHANGE_S + SETTING_S) / traffic.exchanges_hz)
+    each = math.floor(MOST_SHARE / (EXCHANGE_S + SETTING_S) / each_hz)
     return math.ceil(n_drones / max(1, each))
 
 

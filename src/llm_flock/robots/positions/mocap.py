@@ -24,9 +24,6 @@ from llm_flock.extras import require
 from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.positions.udp import MOST_M, MOST_POSES, UdpPoses, datagram_of
 
-SYSTEMS = ("vicon", "optitrack", "qualisys", "vrpn", "mock")
-"""Systems that the wheels of motioncapture 1.1 know; `mock` is the library's own, which sees nothing."""
-
 HOST = "127.0.0.1"
 
 ENDED = "mocap_ended"
@@ -39,7 +36,7 @@ class MocapPoses:
     """A source that follows a motion capture; its rigid bodies have the drones' names.
 
     Args:
-        system: one of `SYSTEMS`.
+        system: vicon, optitrack, qualisys, vrpn or mock: those that the wheels of motioncapture 1.1 know.
         host: of the motion capture's server.
         names: of the drones.
     """

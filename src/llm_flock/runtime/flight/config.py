@@ -12,7 +12,7 @@ from llm_flock.errors import InputError
 from llm_flock.obstacles import clearance
 from llm_flock.robots.addresses import one_spelling
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
-from llm_flock.robots.crazyflie.radios import plan_radios, traffic_of
+from llm_flock.robots.crazyflie.radios import exchanges_of, plan_radios
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.flight.sections import FleetConfig, PositionsConfig, SafetyConfig
 from llm_flock.runtime.mission_frame import MissionFrame, WorldConfig
@@ -206,7 +206,7 @@ def _check_drones(config: FlightConfig) -> None:
         if twice is not None:
             raise InputError("drones", twice, says=f"two drones have this {field}")
     called = [(drone.name, drone.uri) for drone in drones if drone.uri is not None]
-    for fault in plan_radios(called, traffic_of(round_s=config.safety.round_s)).faults:
+    for fault in plan_radios(called, exchanges_of(round_s=config.safety.round_s)).faults:
         raise InputError("drones", None, says=fault)
     spelt: dict[str, tuple[str, str]] = {}
     for name, uri in called:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Equipment, Robot, RobotError, RobotState, SelfChecked
-from llm_flock.robots.crazyflie.radios import MOST_SHARE, RadioPlan, plan_radios, traffic_of
+from llm_flock.robots.crazyflie.radios import MOST_SHARE, RadioPlan, exchanges_of, plan_radios
 from llm_flock.runtime.flight.config import ON_FLOOR_M, FlightConfig, good_place, wrong_place
 
 SETTLE_S = 3.0
@@ -232,7 +232,7 @@ def radio_plan(config: FlightConfig) -> RadioPlan:
     """What the radios of a flight have to carry; without loads where no drone is called by radio."""
     drones = [(drone.name, drone.uri) for drone in config.fleet.drones if drone.uri is not None]
     pose_hz = config.positions.pose_rate_hz if config.positions.outside else 0.0
-    return plan_radios(drones, traffic_of(round_s=config.safety.round_s, pose_hz=pose_hz))
+    return plan_radios(drones, exchanges_of(round_s=config.safety.round_s, pose_hz=pose_hz))
 
 
 def radio_checks(config: FlightConfig) -> list[Check]:
