@@ -8,6 +8,8 @@
 `result-columns TABLE` every column of `trials` or `rounds`, the tables of a sweep
 `message-fields`     every field of a protocol message
 `record-fields TOPIC` every field of a channel of a record
+`shapes`             every named shape with its team sizes
+`providers`          every provider of models with its key, address and an example
 `rooms [PACKAGE]`    the packages by import layer, or those of a package, one line each
 `modules`            the modules of each package, one line each
 `protocol-constants` every documented constant of the protocol with its value
@@ -211,6 +213,34 @@ class MessageFields(SphinxDirective):
         return [table(("Field", "Meaning"), attributes(Message), 1)]
 
 
+class Shapes(SphinxDirective):
+    """What `llm-flock shapes` prints."""
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock import formations
+
+        rows = [(shape.name, shape.legal, shape.description) for shape in formations.shapes()]
+        return [table(("Shape", "N", "What it is"), rows, 1)]
+
+
+class Providers(SphinxDirective):
+    """What `llm-flock models` prints of providers."""
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.llm.providers import PROVIDERS
+
+        rows = [
+            (
+                f"`{info.example}`",
+                f"`{info.key_env}`",
+                "yes" if info.key_required else "no",
+                info.base_url or "to be given",
+            )
+            for info in PROVIDERS.values()
+        ]
+        return [table(("Example", "Key in the environment", "Key needed", "Address"), rows, 0)]
+
+
 class RecordFields(SphinxDirective):
     """The fields of one channel of a record, with those of objects inside it."""
 
@@ -356,6 +386,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("result-columns", ResultColumns)
     app.add_directive("message-fields", MessageFields)
     app.add_directive("record-fields", RecordFields)
+    app.add_directive("shapes", Shapes)
+    app.add_directive("providers", Providers)
     app.add_directive("rooms", Rooms)
     app.add_directive("modules", Modules)
     app.add_directive("protocol-constants", ProtocolConstants)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -285,9 +284,3 @@ def test_what_has_no_rotational_symmetry() -> None:
     assert formations.rotational_symmetry(bent, tolerance=0.01) == 10
     assert formations.rotational_symmetry(np.zeros((4, 2))) == 1
     assert formations.rotational_symmetry(np.eye(3)) == 1
-
-
-def test_the_page_lists_every_shape_as_the_code_does() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "formations.md").read_text(encoding="utf-8")
-    rows = [line for line in page.splitlines() if line.startswith("| `")]
-    assert rows == [f"| `{info.name}` | {info.legal} | {info.description} |" for info in formations.shapes()]

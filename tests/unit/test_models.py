@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -228,21 +227,6 @@ def test_per_robot_names_the_field_it_was_asked_about() -> None:
 
 
 DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "models.md"
-
-
-def rows_of(page: str, first_header: str) -> list[list[str]]:
-    """Cells of the table whose first header is this, without markup."""
-    lines = page[page.index(f"| {first_header} |") :].splitlines()[2:]
-    rows = itertools.takewhile(lambda line: line.startswith("|"), lines)
-    return [[cell.strip().replace("`", "") for cell in row.strip("|").split("|")] for row in rows]
-
-
-def test_docs_list_exactly_the_providers_there_are() -> None:
-    expected = [
-        [info.name, info.key_env, "yes" if info.key_required else "no", info.base_url or "to be given", info.example]
-        for info in PROVIDERS.values()
-    ]
-    assert rows_of(DOCS.read_text(encoding="utf-8"), "Provider") == expected
 
 
 def test_a_cassette_has_the_fields_of_a_recorded_call_as_the_docs_say() -> None:
