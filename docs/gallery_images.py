@@ -41,10 +41,10 @@ def fly(folder: Path, name: str, command: str) -> str:
     picture = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
     picture.save(DOCS / "images" / f"gallery-{name}.png", optimize=True)
     formed = f"in round {result['rounds_to_formed']}" if result["formed"] else f"no, {result['rounds']} rounds flown"
-    return f"| [{name}](#{name}) | {formed} | {result['wall_s']:.1f} s |"
+    return f'{name},"{formed}",{result["wall_s"]:.1f}'
 
 
-PAGES = {"in-flight": "../README.md", "three-rules": "tutorial/first-comparison.md"}
+PAGES = {"in-flight": "tutorial/tour.md", "three-rules": "tutorial/first-comparison.md"}
 """Pages with the commands for other pictures, in the block before each."""
 
 
