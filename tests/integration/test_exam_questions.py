@@ -14,9 +14,9 @@ from llm_flock.exam.questions import SECTIONS, Question, digest, from_lines, to_
 from llm_flock.exam.seen import seen_in_training
 from llm_flock.exam.sit import first_messages, round_of
 from llm_flock.exam.splits import PUBLIC_SEED, chosen, generate, private_split, public_split
+from llm_flock.llm.mission_words import draft_of
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.protocol.verification.steps import check_step
-from llm_flock.viewer.mission_text import draft_of
 
 COUNTS = {
     "plan": 52,

@@ -21,13 +21,13 @@ from llm_flock.exam.score import (
 from llm_flock.llm.answer_forms import REASONING
 from llm_flock.llm.frame import FrameName, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.mission_words import mission_call
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, AttemptSink, Call, LanguageModel, Reply
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.viewer.mission_text import mission_call
 
 SCRIPT = "exam:script"
 """Name of the model of answers that are put into a model's mouth."""

@@ -14,10 +14,10 @@ from llm_flock.exam.questions import WORDS, Question, digest
 from llm_flock.exam.results import ResultFile, Sitting
 from llm_flock.exam.splits import VERSION
 from llm_flock.llm.frame import FrameName, frame_plan, frame_step
+from llm_flock.llm.mission_words import mission_call
 from llm_flock.llm.port import Attempt, ChatMessage
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter
-from llm_flock.viewer.mission_text import mission_call
 
 ROUNDS = 1_000_000
 """Numbers of questions before the first repeat's: a call in a recording is found by `round`, which holds both."""

@@ -16,9 +16,9 @@ from llm_flock.viewer.recording import Recording
 from llm_flock.viewer.server import Address
 
 if TYPE_CHECKING:
+    from llm_flock.llm.mission_words import MissionReader
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.viewer.launcher import Launcher
-    from llm_flock.viewer.mission_text import MissionReader
     from llm_flock.viewer.swarm import SwarmSource
 
 MOST_ROBOTS = 250

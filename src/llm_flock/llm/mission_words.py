@@ -12,7 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from llm_flock import formations
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm.limits import CallLimits, Limited, RetryPolicy
-from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.providers import parse_base_urls, parse_model
@@ -57,7 +56,7 @@ class MissionReader:
         if kind not in ("provider", "local"):
             raise InputError("model", model, "PROVIDER:MODEL or local:MODEL, as a stand-in cannot read")
         if kind == "local":
-            find_weights(model.partition(":")[2])
+            ModelPool().model(model, rng=np.random.default_rng(0))  # finds its files, or says which is missing
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(
