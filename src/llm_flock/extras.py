@@ -53,7 +53,7 @@ _TABLE = (
     Extra("local", "models on board (--model local:smollm2)", ("xllamacpp",)),
     Extra("cluster", "sweep --cluster", ("ray",)),
     Extra("physics", "rehearse flights in simulated physics", ("crazyflow",)),
-    Extra("exam", "the exam as a task of Inspect", ("inspect_ai",)),
+    Extra("exam", "exam", ("inspect_ai",)),
     Extra("distill", "distill", ("torch", "transformers", "gguf")),
 )
 EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in _TABLE}
